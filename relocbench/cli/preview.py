@@ -11,7 +11,9 @@ from relocbench.cli.options import Quiet, split_commas
 
 
 def preview(
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="PNG file to write.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="File to write: PNG, or JPEG if it ends in .jpg.")
+    ],
     condition: Annotated[
         list[str],
         typer.Option(
@@ -26,7 +28,13 @@ def preview(
         ),
     ] = None,
     steps: Annotated[int, typer.Option(min=2, max=20, metavar="N", help="Number of pictures of a sweep.")] = 5,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the district.")] = 0,
+    cameras: Annotated[
+        int,
+        typer.Option(
+            min=0, max=20, metavar="N", help="Show each condition by N drawn cameras too, as --imaging varied has them."
+        ),
+    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the district and of drawn cameras.")] = 0,
     split: Annotated[
         str, typer.Option(metavar="NAME", help="Split of the district: train, validation or test.")
     ] = "test",
@@ -39,7 +47,7 @@ def preview(
     Example: relocbench preview --all --out conditions.png
     """
     from relocbench.cli.console import reporter
-    from relocbench.datasets.core.images import png_bytes
+    from relocbench.datasets.core.images import jpeg_bytes, png_bytes
     from relocbench.datasets.synthetic.conditions.presets import SPLITS, previewed
     from relocbench.datasets.synthetic.jobs.contact_sheet import contact_sheet
     from relocbench.errors import ConfigError
@@ -47,7 +55,7 @@ def preview(
 
     if split not in SPLITS:
         raise ConfigError(f"--split is one of {', '.join(SPLITS)}, got '{split}'")
-    shown = previewed(split_commas(condition), everything=all_, swept=sweep, steps=steps)
+    shown = previewed(split_commas(condition), everything=all_, swept=sweep, steps=steps, cameras=cameras, seed=seed)
     with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
         sheet = contact_sheet(shown, seed=seed, split=split, at_m=at, width=size, reporter=reporter(quiet))
-        stream.write(png_bytes(sheet))
+        stream.write(jpeg_bytes(sheet) if out.suffix.lower() in (".jpg", ".jpeg") else png_bytes(sheet))

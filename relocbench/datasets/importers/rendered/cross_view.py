@@ -13,7 +13,7 @@ from pydantic import Field, field_validator
 
 from relocbench.datasets.core.schema import Strict
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.datasets.synthetic.conditions.presets import conditions_of, refuse_imaging
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.progress import Reporter
@@ -67,7 +67,8 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
         sources: must be empty.
 
     Raises:
-        ConfigError: sources are given, a condition is unknown, or the towns have too little room for the places.
+        ConfigError: sources are given, a condition is unknown or has a camera of its own, or the towns have too little
+            room for the places.
         DatasetError: ``out`` holds something else.
     """
     from relocbench.datasets.core.writer import DatasetWriter
@@ -85,6 +86,7 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
         raise ConfigError("--distractors applies to the test split only")
     satellite_condition, other_conditions = options.conditions[0], options.conditions[1:] or options.conditions
     named = conditions_of(tuple(dict.fromkeys(options.conditions)), options.factors, None, 0)
+    refuse_imaging(named, "cross-view sets")
     factors = {name: condition.factors for name, condition in named.items()}
     record: dict[str, Any] = {"kind": "cross-view", "sources": [], "options": options.model_dump(mode="json")}
     record["renderer"] = RENDERER_REVISION

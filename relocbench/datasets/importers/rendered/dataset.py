@@ -9,14 +9,20 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.conditions.presets import PRESETS, SPLITS, ExtraKind, conditions_of
+from relocbench.datasets.synthetic.conditions.presets import (
+    PRESETS,
+    SPLITS,
+    ExtraKind,
+    conditions_of,
+    refuse_imaging,
+)
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.progress import Reporter
@@ -32,7 +38,7 @@ _RECORDING_FRAMES = 160
 _RECORDING_OPTIONS = ("route", "recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
 _KITTI_OPTIONS = ("rings", "azimuths", "motion_distorted")
 _DATASET_OPTIONS = (
-    "name", "licence", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
+    "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
     "cameras", "size", "distance", "reference", "extras", "elsewhere", "elsewhere_distance",
 )  # fmt: skip
 
@@ -53,6 +59,11 @@ class Options(RuleOptions):
     sweep_steps: int = Field(5, ge=2, le=100, description="number of conditions in a sweep")
     traffic: float | None = Field(
         None, ge=0, le=10, description="moving cars per 100 m of lane, in all conditions; default: each condition's own"
+    )
+    imaging: Literal["ideal", "varied"] = Field(
+        "ideal",
+        description="'varied': each traversal has a camera of its own, drawn from the seed: response, white balance, "
+        "noise, blur, glare, dirt on the lens, sharpening, compression; 'ideal': all have the same clean camera",
     )
     cameras: Literal["front", "stereo", "wide-stereo", "six"] = Field("front", description="the rig")
     size: str = Field("320x240", description="pixels, WIDTHxHEIGHT, or one number for both")
@@ -130,6 +141,19 @@ class Options(RuleOptions):
             raise ValueError("size is WIDTHxHEIGHT or one number, 32 to 4096 pixels")
         return f"{sides[0]}x{sides[-1]}"
 
+    @model_validator(mode="after")
+    def _one_thing_varies(self) -> Self:
+        if self.imaging == "varied" and self.sweep is not None:
+            raise ValueError("imaging 'varied' changes the cameras, but in a sweep a single factor differs")
+        return self
+
+    def recorded(self) -> dict[str, Any]:
+        """The options, without ``imaging`` where cameras are ideal: as earlier versions had it."""
+        values = super().recorded()
+        if self.imaging == "ideal":
+            del values["imaging"]
+        return values
+
     @property
     def width_height(self) -> tuple[int, int]:
         """Image size in pixels."""
@@ -166,7 +190,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.synthetic.drives.rig import rig_named
     from relocbench.datasets.synthetic.jobs.pair_sets import write_pair_sets
     from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread
-    from relocbench.datasets.synthetic.jobs.plan import make_plans
+    from relocbench.datasets.synthetic.jobs.plan import drive_cameras, make_plans
     from relocbench.datasets.synthetic.jobs.rendering import render_all
     from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 
@@ -181,10 +205,15 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         del record["options"][name]
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
+    splits = SPLITS if options.split == "all" else (options.split,)
+    varied = options.imaging == "varied"
+    own = drive_cameras(splits, conditions, options.traversals, seed=options.seed, varied=varied)
+    if varied:
+        record["imaging"] = {name: imaging.model_dump(mode="json") for name, imaging in own.items()}
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, options.licence)
     cameras = rig_named(options.cameras).cameras(*options.width_height)
     plans = make_plans(
-        SPLITS if options.split == "all" else (options.split,),
+        splits,
         conditions,
         options.traversals,
         options.steps,
@@ -192,13 +221,14 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         seed=options.seed,
         extent_m=options.extent,
         reporter=reporter,
+        cameras=own,
     )
     for plan in plans:
         writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
     render_all(plans, cameras, writer.layout, options.seed, options.extras, reporter, run)
     spread = DistanceSpread(options.distance, options.max_distance, options.max_angle)
-    splits = write_pair_sets(asked(plans, options), cameras, writer.layout, options, spread, reporter, run)
-    return writer.finish(splits)
+    sets = write_pair_sets(asked(plans, options), cameras, writer.layout, options, spread, reporter, run)
+    return writer.finish(sets)
 
 
 def record(
@@ -207,7 +237,8 @@ def record(
     """Record drives; returns None if the options ask for a dataset instead.
 
     Raises:
-        ConfigError: sources are given, a condition, sweep or camera is unknown, or a district has no such route.
+        ConfigError: sources are given, a condition, sweep or camera is unknown, a condition has a camera of its own, or
+            a district has no such route.
         DatasetError: ``out`` holds something else.
     """
     assert isinstance(options, Options)
@@ -219,6 +250,7 @@ def record(
 
     _no_sources(sources)
     conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
+    refuse_imaging(conditions, "recordings")
     if len(set(options.route)) != len(options.route) or not options.route:
         raise ConfigError(f"--route takes one or more different routes, got {','.join(options.route) or 'none'}")
     cameras = None if not options.recording_cameras else tuple(c for c in options.recording_cameras if c != "none")

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from relocbench.datasets.core.schema import Condition, Strict
+from relocbench.datasets.synthetic.conditions.imaging import Imaging
 from relocbench.errors import ConfigError
+
+_OF_THE_IDEAL_CAMERA = ("gamma", "vignetting", "read_noise", "shot_noise")
+"""factors that ``imaging`` has in its own way"""
+_OF_THE_CAMERA = "imaging."
 
 
 class Factors(Strict):
@@ -56,6 +62,34 @@ class Factors(Strict):
     street_lamps: bool = False
     headlights: bool = False
     """headlights of the recording car and of the moving cars"""
+    imaging: Imaging | None = None
+    """a camera in place of the ideal one, whose ``gamma``, ``vignetting`` and noise then do not apply"""
+
+    @property
+    def dark(self) -> bool:
+        """Whether it is night, so that lamps are the only light."""
+        return self.sun_elevation_deg < -6
+
+    @property
+    def scene(self) -> Factors:
+        """What the scene looks like, whichever camera is used."""
+        return self if self.imaging is None else self.model_copy(update={"imaging": None})
+
+    @model_validator(mode="after")
+    def _one_camera(self) -> Self:
+        fields = type(self).model_fields
+        both = [n for n in _OF_THE_IDEAL_CAMERA if self.imaging is not None and getattr(self, n) != fields[n].default]
+        if both:
+            raise ValueError(f"{both[0]} has no effect beside imaging; set it there")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_no_imaging(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The factors as they were before there was ``imaging``, if there is none."""
+        values: dict[str, Any] = plain(self)
+        if self.imaging is None:
+            values.pop("imaging", None)
+        return values
 
 
 class NamedCondition(Strict):
@@ -204,8 +238,31 @@ SWEEPS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
     "rain": ({"rain_mm_h": 0.0}, {"rain_mm_h": 20.0}),
     "exposure": ({"exposure_ev": -2.0}, {"exposure_ev": 2.0}),
     "parked-cars": ({"parked_share": 0.0}, {"parked_share": 1.0}),
+    "exposure-time": ({"imaging.exposure_ms": 0.0}, {"imaging.exposure_ms": 40.0}),
+    "defocus": ({"imaging.defocus_px": 0.0}, {"imaging.defocus_px": 4.0}),
+    "vignetting": ({"imaging.vignetting": 0.0}, {"imaging.vignetting": 0.8}),
+    "bloom": ({"imaging.bloom": 0.0}, {"imaging.bloom": 0.2}),
+    "veiling-glare": ({"imaging.veiling_glare": 0.0}, {"imaging.veiling_glare": 0.3}),
+    "dirt": ({"imaging.dirt": 0.0}, {"imaging.dirt": 1.0}),
+    "drops": ({"imaging.drops": 0.0}, {"imaging.drops": 1.0}),
+    "noise": (
+        {"imaging.read_noise": 0.0, "imaging.shot_noise": 0.0},
+        {"imaging.read_noise": 0.02, "imaging.shot_noise": 0.2},
+    ),
+    "temperature": ({"imaging.temperature_ev": -1.0}, {"imaging.temperature_ev": 1.0}),
+    "white-level": ({"imaging.white_level": 1.0}, {"imaging.white_level": 8.0}),
+    "gamma": ({"imaging.gamma": 1.4}, {"imaging.gamma": 3.0}),
+    "contrast": ({"imaging.contrast": 0.5}, {"imaging.contrast": 2.0}),
+    "denoising": (
+        {"imaging.denoising": 0.0, "imaging.chroma_denoising_px": 0.0},
+        {"imaging.denoising": 0.2, "imaging.chroma_denoising_px": 6.0},
+    ),
+    "sharpening": ({"imaging.sharpening": 0.0}, {"imaging.sharpening": 3.0}),
+    "saturation": ({"imaging.saturation": 0.0}, {"imaging.saturation": 2.0}),
+    "jpeg-quality": ({"imaging.jpeg_quality": 95.0}, {"imaging.jpeg_quality": 5.0}),
 }
-"""Name -> values of the swept factors at the start and at the end; all other factors stay the same."""
+"""Name -> values of the swept factors at the start and at the end; all other factors stay the same. Those of the camera
+begin with ``imaging.``."""
 
 
 def sweep(name: str, steps: int, base: Factors | None = None) -> Sequence[Factors]:
@@ -217,7 +274,21 @@ def sweep(name: str, steps: int, base: Factors | None = None) -> Sequence[Factor
     base = base if base is not None else CONDITIONS["Sunny"].factors
     start, end = SWEEPS[name]
     fractions = [i / (steps - 1) for i in range(steps)]
-    return [
-        Factors.model_validate({**base.model_dump(), **{key: (1 - f) * start[key] + f * end[key] for key in start}})
-        for f in fractions
-    ]
+    return [changed(base, {key: (1 - f) * start[key] + f * end[key] for key in start}) for f in fractions]
+
+
+def changed(factors: Factors, values: Mapping[str, float]) -> Factors:
+    """The factors with other values for some; names as in :data:`SWEEPS`."""
+    ours = {key: value for key, value in values.items() if not key.startswith(_OF_THE_CAMERA)}
+    imaging = {key.removeprefix(_OF_THE_CAMERA): value for key, value in values.items() if key not in ours}
+    if imaging:
+        before = {} if factors.imaging is None else factors.imaging.model_dump()
+        return Factors.model_validate({**factors.model_dump(), **ours, "imaging": {**before, **imaging}})
+    return Factors.model_validate({**factors.model_dump(), **ours})
+
+
+def value_of(factors: Factors, name: str) -> float:
+    """The value of a factor; names as in :data:`SWEEPS`, of those of the camera if the factors have one."""
+    if name.startswith(_OF_THE_CAMERA):
+        return float(getattr(factors.imaging, name.removeprefix(_OF_THE_CAMERA)))
+    return float(getattr(factors, name))

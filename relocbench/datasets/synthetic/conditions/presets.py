@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+import numpy as np
+
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.synthetic.conditions.condition import (
     CONDITIONS,
@@ -13,7 +15,9 @@ from relocbench.datasets.synthetic.conditions.condition import (
     NamedCondition,
     condition_named,
     sweep,
+    value_of,
 )
+from relocbench.datasets.synthetic.conditions.imaging import draw_imaging
 from relocbench.errors import ConfigError
 
 ExtraKind = Literal["normals", "instance", "semantic", "changed"]
@@ -92,25 +96,49 @@ def conditions_of(
     }
 
 
+def refuse_imaging(conditions: Mapping[str, NamedCondition], what: str) -> None:
+    """Raise ConfigError if a condition has a camera of its own, which ``what`` do not have."""
+    for name, condition in conditions.items():
+        if condition.factors.imaging is not None:
+            raise ConfigError(f"condition '{name}' sets imaging, which {what} do not have; only datasets of drives do")
+
+
 def _labelled(name: str, factors: Factors) -> NamedCondition:
     return NamedCondition(label=Condition(tags=(name,)), factors=factors)
 
 
-def previewed(names: Sequence[str], *, everything: bool, swept: str | None, steps: int) -> dict[str, Factors]:
+def previewed(
+    names: Sequence[str], *, everything: bool, swept: str | None, steps: int, cameras: int = 0, seed: int = 0
+) -> dict[str, Factors]:
     """The conditions that ``relocbench preview`` shows: label -> factors.
 
+    Args:
+        cameras: number of drawn cameras that each condition is shown by, beside the ideal one.
+        seed: seed of these cameras.
+
     Raises:
-        ConfigError: not exactly one of named conditions, all conditions and a sweep is chosen, or a name is unknown.
+        ConfigError: not exactly one of named conditions, all conditions and a sweep is chosen, a name is unknown, or
+            cameras are drawn for a sweep.
     """
     if bool(names) + everything + (swept is not None) != 1:
         raise ConfigError(
             "preview takes exactly one of --condition NAME (which can be repeated), --all and --sweep NAME"
         )
+    if swept is not None and cameras:
+        raise ConfigError("--cameras draws cameras, but in a --sweep a single factor differs; give one of them")
     if swept is not None:
         return {_sweep_label(swept, f): f for f in sweep(swept, steps)}
-    return {name: condition_named(name).factors for name in (CONDITIONS if everything else names)}
+    shown = {}
+    for k, name in enumerate(CONDITIONS if everything else names):
+        shown[name] = factors = condition_named(name).factors
+        for number in range(cameras):
+            imaging = draw_imaging(np.random.default_rng([seed, 9, k, number]), dark=factors.dark)
+            shown[f"{name}, camera {number + 1}"] = factors.model_copy(update={"imaging": imaging})
+    return shown
 
 
 def _sweep_label(swept: str, factors: Factors) -> str:
-    values = [f"{key.removesuffix('_deg')} {getattr(factors, key):.3g}" for key in SWEEPS[swept][0]]
+    values = [
+        f"{key.removeprefix('imaging.').removesuffix('_deg')} {value_of(factors, key):.3g}" for key in SWEEPS[swept][0]
+    ]
     return ", ".join(values).replace("_", " ")

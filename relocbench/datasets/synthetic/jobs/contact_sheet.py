@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 
 from relocbench.arrays import Image
+from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.drives.drive import MARGIN_M
+from relocbench.datasets.synthetic.drives.drive import MARGIN_M, RATE_HZ, DriveStyle
 from relocbench.datasets.synthetic.drives.rig import rig_named
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -25,15 +26,22 @@ _EXTENT_M = 250.0
 def contact_sheet(
     conditions: Mapping[str, Factors], *, seed: int, split: str, at_m: float, width: int, reporter: Reporter
 ) -> Image:
-    """The front camera's view ``at_m`` metres along the drive in each condition, with labels, (H, W, 3) RGB."""
+    """The front camera's view ``at_m`` metres along the drive in each condition, with labels, (H, W, 3) RGB.
+
+    A condition's own camera moves at the mean speed of drives.
+    """
     place = DistrictSpec(seed, split, _EXTENT_M)
     route = scenes.district(place).network.drive(_ROUTE_M, seed)
     camera, T_rig_cam = rig_named("front").cameras(width, width * 3 // 4)["front"]
-    T_world_cam = route.pose(MARGIN_M + at_m) @ T_rig_cam
+    step_m = DriveStyle().speed_mps / RATE_HZ
+    poses = np.array([route.pose(MARGIN_M + at_m + k * step_m) for k in (-1, 0, 1)]) @ T_rig_cam
+    twist = camera_twists(poses, 1 / RATE_HZ)[1]
     pictures = []
     with reporter.stage("rendering", len(conditions)) as advance:
         for k, (label, factors) in enumerate(conditions.items()):
-            frame = scenes.renderer(place, factors).render(camera, T_world_cam, scenes.frame_seed(seed, k, 0, 0))
+            shot = Shot(factors.imaging, 0.0, twist) if factors.imaging is not None else None
+            renderer = scenes.renderer(place, factors.scene)
+            frame = renderer.render(camera, poses[1], scenes.frame_seed(seed, k, 0, 0), shot=shot)
             pictures.append(labelled(frame.rgb, label))
             advance(1)
     return tiled(pictures)

@@ -12,6 +12,7 @@ from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.condition import NamedCondition
+from relocbench.datasets.synthetic.conditions.imaging import Imaging, draw_imaging
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
@@ -45,6 +46,8 @@ class TraversalPlan:
     drive: Drive
     moving: tuple[tuple[MovingCar, ...], ...]
     """the moving cars at each step"""
+    imaging: Imaging | None = None
+    """the drive's own camera, or None for the ideal one"""
 
     @property
     def times(self) -> tuple[int, ...]:
@@ -69,6 +72,31 @@ class TraversalPlan:
         return PosedFrames(self.times, self.drive.T_world_rig @ cameras[camera][1], frozenset(self.times))
 
 
+def traversal_name(split: str, condition: str, number: int) -> str:
+    """The name of a traversal."""
+    return f"{split}-{condition}-{number}"
+
+
+def drive_cameras(
+    splits: Sequence[str], conditions: Mapping[str, NamedCondition], traversals: int, *, seed: int, varied: bool
+) -> dict[str, Imaging]:
+    """The cameras of traversals that have one of their own, by name: their condition's or, if ``varied``, a drawn one.
+
+    The camera of a traversal does not depend on which other splits are built with it.
+    """
+    found = {}
+    for split in splits:
+        for k, (name, condition) in enumerate(conditions.items()):
+            for number in range(traversals):
+                imaging = condition.factors.imaging
+                if imaging is None and varied:
+                    rng = np.random.default_rng([seed, 9, SPLITS.index(split), k, number])
+                    imaging = draw_imaging(rng, dark=condition.factors.dark)
+                if imaging is not None:
+                    found[traversal_name(split, name, number)] = imaging
+    return found
+
+
 def make_plans(
     splits: Sequence[str],
     conditions: Mapping[str, NamedCondition],
@@ -79,18 +107,24 @@ def make_plans(
     seed: int,
     extent_m: float,
     reporter: Reporter,
+    cameras: Mapping[str, Imaging] | None = None,
 ) -> list[TraversalPlan]:
     """Plan all traversals, ordered by split, condition and number. Those of a split follow the same route.
 
     A traversal does not depend on which other splits are built with it.
+
+    Args:
+        cameras: those of traversals that have one of their own, by name.
     """
     plans = []
-    first = next(iter(conditions.values()))
+    cameras = cameras or {}
+    scene = {name: c.model_copy(update={"factors": c.factors.scene}) for name, c in conditions.items()}
+    first = next(iter(scene.values()))
     with reporter.stage("laying out districts", len(splits)) as advance:
         for split in splits:
             place = DistrictSpec(seed, split, extent_m)
             route = scenes.district(place).network.drive(route_length(steps, style), seed)
-            for k, (name, condition) in enumerate(conditions.items()):
+            for k, (name, condition) in enumerate(scene.items()):
                 for number in range(traversals):
                     identity = (SPLITS.index(split) * len(conditions) + k) * traversals + number
                     rng = np.random.default_rng([seed, 5, SPLITS.index(split), k, number])
@@ -98,7 +132,7 @@ def make_plans(
                     cars = moving_cars(route, driven, condition.factors.traffic, LANE_M, rng)
                     plans.append(
                         TraversalPlan(
-                            f"{split}-{name}-{number}",
+                            traversal_name(split, name, number),
                             identity,
                             split,
                             place,
@@ -106,6 +140,7 @@ def make_plans(
                             first,
                             driven,
                             tuple(map(tuple, cars)),
+                            cameras.get(traversal_name(split, name, number)),
                         )
                     )
             advance(1)

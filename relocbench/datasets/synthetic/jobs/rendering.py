@@ -10,7 +10,9 @@ from pathlib import Path
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.drives.drive import RATE_HZ
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import extras, scenes
 from relocbench.datasets.synthetic.jobs.estimates import (
@@ -44,6 +46,8 @@ class FrameWork:
     seed: int
     missing: dict[str, Path]
     """kind -> path"""
+    shot: Shot | None = None
+    """of the drive's own camera, if it has one"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +107,7 @@ def missing_steps(
 ) -> list[StepWork]:
     """The steps of a traversal with missing or truncated files."""
     target = layout.traversal(plan.name)
+    twists = {name: camera_twists(plan.drive.T_world_rig @ T, 1 / RATE_HZ) for name, (_, T) in cameras.items()}
     found = []
     for i, (timestamp, T_world_rig) in enumerate(zip(plan.times, plan.drive.T_world_rig, strict=True)):
         frames = []
@@ -112,7 +117,8 @@ def missing_steps(
             missing = {kind: path for kind, path in files.items() if not images.is_whole(path)}
             if missing:
                 number = scenes.frame_seed(seed, plan.number, i, c)
-                frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing))
+                shot = Shot(plan.imaging, i / RATE_HZ, twists[name][i], c) if plan.imaging is not None else None
+                frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing, shot))
         if frames:
             found.append(StepWork(plan.moving[i], tuple(frames)))
     return found
@@ -129,7 +135,7 @@ def render_unit(unit: RenderUnit) -> Spent:
     for step in unit.steps:
         renderer = scenes.renderer(unit.place, unit.factors, step.moving)
         for work in step.frames:
-            frame = renderer.render(work.camera, work.T_world_cam, work.seed)
+            frame = renderer.render(work.camera, work.T_world_cam, work.seed, shot=work.shot)
             for kind, path in work.missing.items():
                 _WRITERS[kind](path, frame, work, unit)
                 written += path.stat().st_size

@@ -1,0 +1,197 @@
+"""A camera of its own for each drive: nothing else changes, and without the option nothing changes at all."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from command_line import relocbench
+from pydantic import ValidationError
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.rendered import dataset as synthetic
+from relocbench.datasets.synthetic.conditions.condition import SWEEPS, Factors, changed, sweep
+from relocbench.datasets.synthetic.conditions.imaging import Imaging
+from relocbench.datasets.synthetic.conditions.presets import conditions_of, previewed
+from relocbench.datasets.synthetic.drives.drive import DriveStyle
+from relocbench.datasets.synthetic.drives.rig import rig_named
+from relocbench.datasets.synthetic.jobs.plan import drive_cameras, make_plans
+from relocbench.datasets.synthetic.jobs.rendering import RenderUnit, missing_steps, render_unit
+from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
+from relocbench.errors import ConfigError
+from relocbench.execution import Run
+from relocbench.progress import Silent
+
+TINY: dict[str, Any] = {
+    "preset": "smoke",
+    "conditions": ("Neutral",),
+    "size": "48",
+    "steps": 2,
+    "traversals": 2,
+    "correspondences": 40,
+}
+NAMES = ["test-Neutral-0", "test-Neutral-1"]
+BEFORE = "af2acb50553b243e9d124837b786469bd22351013c4aa9435093562e55099dd9"
+"""SHA-256 of the recipe of ``TINY`` as the commit before this option wrote it (revision 2 of the renderer)"""
+
+
+def build(out: Path, **options: Any) -> Dataset:
+    return synthetic.build([], synthetic.Options.model_validate({**TINY, **options}), out, Silent(), Run(1))
+
+
+@pytest.fixture(scope="module")
+def ideal(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return build(tmp_path_factory.mktemp("ideal") / "out")
+
+
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return build(tmp_path_factory.mktemp("varied") / "out", imaging="varied")
+
+
+def files(dataset: Dataset) -> dict[str, bytes]:
+    root = dataset.root
+    return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+
+
+def test_without_the_option_the_recipe_is_that_of_before(ideal: Dataset) -> None:
+    """The digest of ``build.yaml`` as the version before wrote it: the question digest covers it."""
+    text = (ideal.root / "build.yaml").read_text(encoding="utf-8")
+    assert "imaging" not in text
+    text = text.replace(f"renderer: {RENDERER_REVISION}\n", "renderer: 2\n")
+    assert hashlib.sha256(text.encode()).hexdigest() == BEFORE
+
+
+def test_without_the_option_no_effect_is_called(
+    tmp_path: Path, ideal: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The ideal camera's images are those of its response; what a camera of its own does is never asked."""
+    for name in ("motion_blur", "through_lens", "grey_levels", "exposure_ev"):
+        monkeypatch.setattr(f"relocbench.datasets.synthetic.renderer.render.{name}", None)
+    again = build(tmp_path / "out")
+    assert files(again) == files(ideal)
+
+
+def test_only_images_change(ideal: Dataset, varied: Dataset) -> None:
+    before, after = files(ideal), files(varied)
+    assert before.keys() == after.keys()
+    differing = {name for name in before if before[name] != after[name]}
+    pictures = {name for name in before if "/images/" in name}
+    assert differing == pictures | {"build.yaml", "dataset.yaml", "manifest.csv"}
+    assert len(pictures) == 4
+    assert any("/depth/" in name for name in before)
+    assert any(name.endswith(".parquet") for name in before)
+
+
+def test_the_recipe_says_which_camera_each_drive_had(varied: Dataset) -> None:
+    recipe = yaml.safe_load((varied.root / "build.yaml").read_text(encoding="utf-8"))
+    assert recipe["options"]["imaging"] == "varied"
+    assert list(recipe["imaging"]) == NAMES
+    cameras = [Imaging.model_validate(recipe["imaging"][name]) for name in NAMES]
+    assert cameras[0] != cameras[1]
+    assert varied.file.made_by["imaging"] == recipe["imaging"]
+    conditions = conditions_of(("Neutral",), {}, None, 2)
+    assert drive_cameras(("test",), conditions, 2, seed=0, varied=True) == dict(zip(NAMES, cameras, strict=True))
+
+
+def test_the_camera_of_a_drive_depends_on_the_seed_and_not_on_what_else_is_built() -> None:
+    conditions = conditions_of(("Neutral", "Night"), {}, None, 2)
+    everything = drive_cameras(("train", "validation", "test"), conditions, 2, seed=3, varied=True)
+    assert len(set(everything.values())) == len(everything) == 12
+    alone = drive_cameras(("validation",), conditions, 1, seed=3, varied=True)
+    assert alone.items() <= everything.items()
+    assert drive_cameras(("validation",), conditions, 1, seed=4, varied=True).items().isdisjoint(alone.items())
+    assert drive_cameras(("train",), conditions, 2, seed=3, varied=False) == {}
+    assert everything["test-Night-0"].exposure_ms >= 8
+
+
+def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tmp_path: Path) -> None:
+    """The unit of work as another process unpickles it, for the last frame only."""
+    conditions = conditions_of(("Neutral",), {}, None, 2)
+    cameras = rig_named("front").cameras(48, 48)
+    own = drive_cameras(("test",), conditions, 2, seed=0, varied=True)
+    plan = make_plans(
+        ("test",), conditions, 2, 2, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent(), cameras=own
+    )[1]  # fmt: skip
+    layout = type(varied.layout)(tmp_path / "alone")
+    step = missing_steps(plan, cameras, layout, 0, ())[-1]
+    factors = plan.condition.factors
+    render_unit(pickle.loads(pickle.dumps(RenderUnit(plan.place, factors, factors, (step,)))))
+    (image,) = (tmp_path / "alone").rglob("images/front/*.png")
+    expected = varied.layout.root / image.relative_to(tmp_path / "alone")
+    assert image.read_bytes() == expected.read_bytes()
+
+
+def test_a_sweep_of_the_camera_changes_one_factor_of_it() -> None:
+    for name, (start, _) in SWEEPS.items():
+        if all(key.startswith("imaging.") for key in start):
+            first, middle, last = sweep(name, 3)
+            assert first.imaging is not None
+            assert last.imaging is not None
+            assert first.scene == middle.scene == last.scene
+            one, other = first.imaging.model_dump(), last.imaging.model_dump()
+            assert {f"imaging.{k}" for k in one if one[k] != other[k]} == set(start)
+
+
+def test_factors_of_the_camera_are_set_beside_others() -> None:
+    own = Factors(wetness=0.5, imaging=Imaging(sharpening=1.0))
+    assert Factors.model_validate(own.model_dump(mode="json")) == own
+    more = changed(own, {"imaging.defocus_px": 2.0, "fog_density": 0.01})
+    assert (more.wetness, more.fog_density) == (0.5, 0.01)
+    assert more.imaging == Imaging(sharpening=1.0, defocus_px=2.0)
+    assert "imaging" not in Factors().model_dump()
+    with pytest.raises(ValidationError, match="gamma has no effect beside imaging"):
+        Factors(gamma=1.8, imaging=Imaging())
+
+
+def test_a_condition_keeps_the_camera_that_it_sets() -> None:
+    sharp = Factors(imaging=Imaging(sharpening=2.0))
+    conditions = conditions_of(("Neutral", "Sharp"), {"Sharp": sharp}, None, 2)
+    for varied in (False, True):
+        cameras = drive_cameras(("test",), conditions, 1, seed=0, varied=varied)
+        assert cameras["test-Sharp-0"] == sharp.imaging
+        assert ("test-Neutral-0" in cameras) == varied
+
+
+def test_mistakes_are_named(tmp_path: Path) -> None:
+    command, out = ("build-dataset", "synthetic", "--imaging"), ("--out", tmp_path / "out")
+    assert "--imaging" in relocbench(*command, "vivid", *out).complaint
+    told = relocbench(*command, "varied", "--sweep", "light", *out)
+    assert (told.status, "a single factor differs" in told.complaint) == (2, True)
+    told = relocbench(*command, "varied", "--recording", "kitti", *out)
+    assert (told.status, "--imaging applies to datasets only" in told.complaint) == (2, True)
+    told = relocbench("build-dataset", "synthetic", "--recording", "kitti", "--sweep", "sharpening", *out)
+    assert (told.status, "recordings do not have" in told.complaint) == (2, True)
+    config = tmp_path / "config.yaml"
+    config.write_text("conditions: [Blurred]\nfactors:\n  Blurred: {imaging: {defocus_px: 2, zoom: 3}}\n")
+    told = relocbench("build-dataset", "synthetic", "--config", config, *out)
+    assert told.status == 2
+    assert f"{config}:3" in told.complaint
+    assert "zoom" in told.complaint
+    config.write_text("conditions: [Blurred]\nfactors:\n  Blurred: {imaging: {defocus_px: 2}}\n")
+    told = relocbench("build-dataset", "cross-view", "--config", config, *out)
+    assert (told.status, "cross-view sets do not have" in told.complaint) == (2, True)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_preview_shows_drawn_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
+    shown = previewed(("Sunny", "Rain"), everything=False, swept=None, steps=2, cameras=2, seed=1)
+    assert list(shown)[:3] == ["Sunny", "Sunny, camera 1", "Sunny, camera 2"]
+    assert len({factors.imaging for factors in shown.values()}) == 5
+    with pytest.raises(ConfigError, match="--cameras"):
+        previewed((), everything=False, swept="light", steps=2, cameras=2)
+    sheet = tmp_path / "sheet.jpg"
+    outcome = relocbench("preview", "-c", "Sunny", "--cameras", 1, "--size", 96, "--out", sheet, "--quiet")
+    assert outcome.status == 0, outcome.err
+    assert cv2.imread(str(sheet)).shape == (72, 2 * 96 + 4, 3)
+    picture = images.read_image(sheet).astype(float)
+    assert np.abs(picture[:60, :96] - picture[:60, 100:]).mean() > 3
