@@ -53,6 +53,7 @@ from relocbench.metrics.retrieval.relevance import (
     relevance_from_lists,
     relevance_within,
 )
+from relocbench.metrics.statistics.crossed import crossed_difference
 from relocbench.metrics.statistics.effective_size import MIN_EFFECTIVE
 from relocbench.metrics.statistics.intervals import (
     LEVEL,
@@ -103,6 +104,7 @@ __all__ = [
     "chance_level",
     "check_single_positive_tables",
     "count_at_least",
+    "crossed_difference",
     "cumulative_curve",
     "exact_scores",
     "generator",
