@@ -4,10 +4,15 @@ Each configuration is trained with each seed by `relocbench train lpn --no-valid
 last weights, as in the papers) and evaluated by the code of `relocbench evaluate-retrieval` in both directions
 between drone and satellite. Systems that start from LPN's weights (soft partition, masks) start from those of `lpn`
 with the same seed, which are trained once; `lpn-dmli` is `lpn` with re-ranking. Baselines that learn nothing are listed
-below them. The table shows mean +- standard deviation over the seeds.
+below them. Tables show mean +- standard deviation over the seeds, and the 95 % interval of R@1 by places: what other
+places might have given for the same trainings, where all images of one place count as one draw. How far a system is
+ahead of `lpn` has a table of its own, with 95 % intervals over places and seeds, both paired: what other places and
+other trainings might have given (`relocbench.metrics.statistics.crossed` has the formula). All are computed from the
+ranks of each query, which are checked against the retrieved images and the test set.
 
-Beside these are the numbers that the log of trials reports for test places of University-1652: ANOTHER data set, with
-another backbone. Only the order of systems can be compared, and differences in its first block are noise.
+Beside the direction from drone to satellite are the numbers that the log of trials reports for test places of
+University-1652: ANOTHER data set, with another backbone. Only the order of systems can be compared, and differences in
+its first block are noise.
 
 Trainings and results are kept in --scratch; when it is run again, only what is missing is done.
 
@@ -39,39 +44,59 @@ from baselines.lpn.training.card import differences
 from baselines.lpn.training.initial_weights import start_of
 from baselines.lpn.training.options import TrainOptions
 from baselines.options import options_from_dict
+from relocbench.arrays import Array
 from relocbench.cli.console import reporter
-from relocbench.datasets.cross_view import open_cross_view
+from relocbench.datasets.cross_view import CrossViewSet, open_cross_view
 from relocbench.errors import ConfigError, RelocbenchError
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, RetrievalReport, evaluate_retrievers
+from relocbench.evaluation.retrieval.records import SetResults
+from relocbench.evaluation.retrieval.rescoring import RetrievalTruth
+from relocbench.evaluation.retrieval.score import checked_answers, scores_of
 from relocbench.files import write_text
 from relocbench.methods.trainers import chosen_options, trainer_named
+from relocbench.metrics import LEVEL, Difference, Interval, crossed_difference, mean_interval, per_group
 from relocbench.pages import render
 
 FLOORS = ("random", "colour-histogram", "orb-bow")
 DIRECTIONS = ("drone-satellite", "satellite-drone")
 METRICS = ("R@1", "R@5", "AP")
+WITH_INTERVAL = "R@1"
+COMPARED = ("R@1", "AP")
+LOGGED = "drone-satellite"
+"""the direction that the log of trials reports"""
 FIRST = "lpn"
 """the configuration that others start from"""
 
-Values = dict[str, dict[str, float]]
-"""by direction and metric, 0 to 1"""
+ByPlace = dict[str, dict[str, Array]]
+"""by direction and metric: (P,) one value for each place, whose mean is the mean over all queries, 0 to 1"""
+Differences = dict[str, dict[str, dict[str, Difference]]]
+"""by system, direction and metric"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Row:
     """The results of a system with all seeds."""
 
     name: str
     about: str
-    runs: tuple[Values, ...]
+    runs: tuple[ByPlace, ...]
     seeds: tuple[int, ...]
     logged: tuple[float, float] | None = None
     """R@1 and AP of the log, percent, on University-1652"""
 
     def mean_and_deviation(self, direction: str, metric: str) -> tuple[float, float]:
         """Mean and standard deviation in percent; the deviation of a single run is NaN."""
-        values = 100 * np.array([run[direction][metric] for run in self.runs])
+        values = 100 * self.by_seed_and_place(direction, metric).mean(axis=1)
         return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else float("nan")
+
+    def interval_by_places(self, direction: str) -> Interval | None:
+        """The interval of R@1 for other places and the same trainings; None where there are too few places."""
+        values = self.by_seed_and_place(direction, WITH_INTERVAL)
+        return mean_interval([values.mean(axis=0)], independent=True)
+
+    def by_seed_and_place(self, direction: str, metric: str) -> Array:
+        """(S, P) values, which may exceed 1 where a place has more queries than others."""
+        return np.stack([run[direction][metric] for run in self.runs])
 
 
 def trained_by(name: str) -> str:
@@ -151,12 +176,24 @@ def ask(
     return evaluate_retrievers(options, reporter(given.quiet))
 
 
-def answers(report: RetrievalReport) -> dict[str, Values]:
-    """The scores of a report by label."""
-    out: dict[str, Values] = {}
+def answers(report: RetrievalReport, test: CrossViewSet) -> dict[str, ByPlace]:
+    """What the retrievers of a report answered, by label.
+
+    Raises:
+        PredictionError: a file of answers is damaged, or ranks do not follow from the retrieved images and the test
+            set.
+    """
+    truth = RetrievalTruth(SetResults(report.results), test)
+    out: dict[str, ByPlace] = {}
     for folder in report.folders:
-        scores = report.scores(folder)
-        out[folder.label] = {d: {m: float(scores[d][m] or 0.0) for m in METRICS} for d in DIRECTIONS}
+        keep = folder.run_record().keep
+        out[folder.label] = {}
+        for direction in DIRECTIONS:
+            record = report.record.tasks[direction]
+            rows = checked_answers(direction, record, folder)
+            truth.confirmed(folder, direction, keep, rows)
+            scores, places = scores_of(rows, record), [row.group for row in rows]
+            out[folder.label][direction] = {m: per_group(scores.per_query(m), places) for m in METRICS}
     return out
 
 
@@ -168,7 +205,7 @@ def weights_of(given: argparse.Namespace) -> dict[tuple[str, int], Path]:
     return trained([(name, seed) for seed in seeds for name in order], given)
 
 
-def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], test: Path) -> list[Row]:
+def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], test: CrossViewSet) -> list[Row]:
     """A row for every system on one test set, which is evaluated if it is missing."""
     rows, seeds = [], given.seed
     for name in given.config:
@@ -177,15 +214,36 @@ def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], tes
         settings += [f"{label}.config={name}" for label in labels] + [
             f"{label}.device={given.device or 'cpu'}" for label in labels
         ]
-        found = answers(ask(given, test, labels, settings))
+        found = answers(ask(given, test.root, labels, settings), test)
         system = CONFIGURATIONS[name]
         logged = (system.logged.r_at_1, system.logged.ap) if system.logged else None
         rows.append(Row(name, system.about, tuple(found[label] for label in labels), tuple(seeds), logged))
-    floors = answers(ask(given, test, {name: name for name in FLOORS}))
+    floors = answers(ask(given, test.root, {name: name for name in FLOORS}), test)
     return rows + [Row(name, "learns nothing", (floors[name],), ()) for name in FLOORS]
 
 
-def page(rows: Sequence[Row], given: argparse.Namespace, folder: Path, chance: dict[str, float]) -> str:
+def differences_to_first(rows: Sequence[Row]) -> Differences:
+    """How far each trained system is ahead of ``lpn`` at the same places with the same seeds; empty without ``lpn``."""
+    first = next((row for row in rows if row.name == FIRST), None)
+    others = [row for row in rows if row.seeds and row is not first]
+    if first is None:
+        return {}
+    return {
+        row.name: {
+            d: {m: crossed_difference(row.by_seed_and_place(d, m), first.by_seed_and_place(d, m)) for m in COMPARED}
+            for d in DIRECTIONS
+        }
+        for row in others
+    }
+
+
+def page(
+    rows: Sequence[Row],
+    ahead: Differences,
+    given: argparse.Namespace,
+    test: CrossViewSet,
+    chance: dict[str, float],
+) -> str:
     """The text of ``lpn_configurations.md`` for a test set."""
     trainer = trainer_named("lpn")
     options = options_from_dict(
@@ -193,7 +251,6 @@ def page(rows: Sequence[Row], given: argparse.Namespace, folder: Path, chance: d
     ).with_rates()
     if given.backbone_weights:
         options = replace(options, backbone_weights=str(given.backbone_weights))
-    test = open_cross_view(folder)
     counts = {task.name: (len(task.queries), len(task.gallery)) for task in test.tasks()}
     started = start_of(options).told
     return render(
@@ -202,14 +259,22 @@ def page(rows: Sequence[Row], given: argparse.Namespace, folder: Path, chance: d
         trained_on=[open_cross_view(Path(root)) for root in given.train],
         test=test,
         asked=[(d, *counts[d]) for d in DIRECTIONS],
+        places=[(d, len(rows[0].runs[0][d][WITH_INTERVAL])) for d in DIRECTIONS],
         chance=[(d, f"{100 * chance[d]:.2f}") for d in DIRECTIONS],
         options=options,
         started=started,
         settings=given.settings,
         differences=differences(options, started),
         replaced=REPLACED_PARTITION_LOSS,
-        columns=[f"{d} {m}" for d in DIRECTIONS for m in METRICS],
-        numbers=[(row.name, len(row.seeds), _cells(row)) for row in rows],
+        level=f"{LEVEL:.0%}".replace("%", " %"),
+        metrics=METRICS,
+        with_interval=WITH_INTERVAL,
+        logged_direction=LOGGED,
+        directions=[(d, [(row, _cells(row, d)) for row in rows]) for d in DIRECTIONS],
+        first=FIRST,
+        seeds=len(given.seed),
+        compared=[f"{d} {m}" for d in DIRECTIONS for m in COMPARED],
+        ahead=[(name, [_told(of[d][m]) for d in DIRECTIONS for m in COMPARED]) for name, of in ahead.items()],
         rows=rows,
     )
 
@@ -222,17 +287,33 @@ def table(rows: Sequence[Row]) -> str:
     for row in rows:
         for seed, run in zip(row.seeds or ("",), row.runs, strict=True):
             for direction in DIRECTIONS:
-                out.writerow([row.name, seed, direction, *(f"{run[direction][m]:.6f}" for m in METRICS)])
+                out.writerow([row.name, seed, direction, *(f"{run[direction][m].mean():.6f}" for m in METRICS)])
     return text.getvalue()
 
 
-def _cells(row: Row) -> list[str]:
-    measured = [_cell(*row.mean_and_deviation(d, m)) for d in DIRECTIONS for m in METRICS]
-    return [*measured, *([f"{value:.2f}" for value in row.logged] if row.logged else ["", ""])]
+def _cells(row: Row, direction: str) -> list[str]:
+    """The cells of one direction's table behind the number of seeds."""
+    out = []
+    for metric in METRICS:
+        out.append(_cell(*row.mean_and_deviation(direction, metric)))
+        if metric == WITH_INTERVAL:
+            interval = row.interval_by_places(direction)
+            out.append("" if interval is None else f"{100 * interval.low:.1f} to {100 * interval.high:.1f}")
+    if direction == LOGGED:
+        out += [f"{value:.2f}" for value in row.logged] if row.logged else ["", ""]
+    return out
 
 
 def _cell(mean: float, deviation: float) -> str:
     return f"{mean:.2f}" if np.isnan(deviation) else f"{mean:.2f} ± {deviation:.2f}"
+
+
+def _told(difference: Difference) -> str:
+    interval = difference.interval
+    if interval is None:
+        return f"{100 * difference.mean:+.2f}"
+    star = " *" if difference.significant else ""
+    return f"{100 * difference.mean:+.2f} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]{star}"
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
@@ -240,6 +321,24 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     return {
         row.name: {d: {m: round(row.mean_and_deviation(d, m)[0], 2) for m in METRICS} for d in DIRECTIONS}
         for row in rows
+    }
+
+
+def summary_of_differences(ahead: Differences) -> dict[str, Any]:
+    """The differences to ``lpn`` on one test set in percentage points, for the last line."""
+    return {
+        name: {d: {m: _plain(difference) for m, difference in of.items()} for d, of in by_direction.items()}
+        for name, by_direction in ahead.items()
+    }
+
+
+def _plain(difference: Difference) -> dict[str, float | bool | None]:
+    interval = difference.interval
+    return {
+        "mean": round(100 * difference.mean, 2),
+        "low": None if interval is None else round(100 * interval.low, 2),
+        "high": None if interval is None else round(100 * interval.high, 2),
+        "told_apart": difference.significant,
     }
 
 
@@ -282,19 +381,22 @@ def main() -> int:
             if missing:
                 raise ConfigError(f"has no {' and no '.join(sorted(missing))}", folder)
         weights = weights_of(given)
-        results = {}
+        results, differences_of = {}, {}
         for (folder, found), out in zip(tests.items(), map(Path, given.out), strict=True):
-            rows = rows_of(given, weights, folder)
+            rows = rows_of(given, weights, found)
+            ahead = differences_to_first(rows)
             record = ask(given, folder, {name: name for name in FLOORS}).record
-            text = page(rows, given, folder, {d: float(record.tasks[d].chance["R@1"]) for d in DIRECTIONS})
+            text = page(rows, ahead, given, found, {d: float(record.tasks[d].chance["R@1"]) for d in DIRECTIONS})
             write_text(out / "lpn_configurations.md", text)
             write_text(out / "lpn_configurations.csv", table(rows))
             print(text)
             results[found.name] = summary(rows)
+            differences_of[found.name] = summary_of_differences(ahead)
     except RelocbenchError as bad:
         print(f"error: {bad}", file=sys.stderr)
         return 2
-    print(json.dumps({"benchmark": "lpn_configurations", "seeds": given.seed, "percent": results}))
+    last = {"benchmark": "lpn_configurations", "seeds": given.seed, "percent": results}
+    print(json.dumps({**last, f"difference_to_{FIRST}": differences_of}))
     return 0
 
 

@@ -1,0 +1,194 @@
+"""The page of LPN's configurations: intervals from the ranks of each query, and what tells systems apart."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from made_places import NarrowResNet
+from repository import ROOT
+from small_views import make_small_views
+
+from baselines.lpn.network import LpnNetwork
+from baselines.lpn.weights import About, save_weights
+from relocbench.datasets.cross_view import open_cross_view
+from relocbench.errors import PredictionError
+from relocbench.metrics import crossed_difference, mean_interval, paired_difference
+
+sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
+import lpn_configurations as page
+
+PLACES, DRONES, DISTRACTORS = 12, 2, 2
+D, S = page.DIRECTIONS
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve places whose images are so noisy that thumbnails confuse some."""
+    root = tmp_path_factory.mktemp("data") / "views"
+    return make_small_views(root, places=PLACES, drones=DRONES, distractors=DISTRACTORS, noise=70.0)
+
+
+@pytest.fixture(scope="module")
+def to_learn_from(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same images in train folders, which are only described."""
+    root = tmp_path_factory.mktemp("data") / "train"
+    for place in sorted((places / "test" / "query_drone").iterdir()):
+        for view in ("drone", "satellite"):
+            shutil.copytree(place, root / "train" / view / f"1{place.name}")
+    return root
+
+
+@pytest.fixture
+def given(places: Path, tmp_path: Path) -> argparse.Namespace:
+    return argparse.Namespace(scratch=str(tmp_path / "scratch"), quiet=True)
+
+
+def run(values: list[float], drone: list[float] | None = None) -> page.ByPlace:
+    """A training whose three metrics have the same value at each place."""
+    return {D: dict.fromkeys(page.METRICS, np.array(drone or values)), S: dict.fromkeys(page.METRICS, np.array(values))}
+
+
+def row(name: str, *runs: page.ByPlace, seeds: tuple[int, ...] | None = None) -> page.Row:
+    return page.Row(name, "", runs, tuple(range(len(runs))) if seeds is None else seeds)
+
+
+def test_answers_are_one_value_for_each_place_and_have_the_means_of_the_scores(
+    places: Path, given: argparse.Namespace
+) -> None:
+    report = page.ask(given, places, {"thumbs": "colour-histogram", "random": "random"})
+    found = page.answers(report, open_cross_view(places))
+    for folder in report.folders:
+        scores = report.scores(folder)
+        for direction in page.DIRECTIONS:
+            for metric in page.METRICS:
+                values = found[folder.label][direction][metric]
+                assert values.shape == (PLACES,)
+                assert values.mean() == pytest.approx(scores[direction][metric])
+    recall = found["thumbs"][D]["R@1"]
+    assert {*np.round(recall, 9)} <= {0.0, 0.5, 1.0}  # two drone images a place
+    assert 0 < recall.mean() < 1
+    ours = page.Row("thumbs", "", (found["thumbs"],), ()).interval_by_places(D)
+    scored = report.scores(report.folders[0])[D]
+    assert ours is not None
+    assert (ours.low, ours.high) == pytest.approx((scored["R@1_low"], scored["R@1_high"]))
+
+
+def test_ranks_that_do_not_follow_from_the_retrieved_images_are_refused(
+    places: Path, given: argparse.Namespace
+) -> None:
+    report = page.ask(given, places, {"thumbs": "colour-histogram"})
+    (folder,) = report.folders
+    path = folder.answers(D)
+    lines = path.read_text().splitlines()
+    missed = next(i for i, line in enumerate(lines) if ",ok,1," in line and ",ok,1,1," not in line)
+    cells = lines[missed].split(",")
+    cells[4] = "1"
+    path.write_text("\n".join([*lines[:missed], ",".join(cells), *lines[missed + 1 :]]) + "\n")
+    with pytest.raises(PredictionError, match=r"has the ranks 1, expected"):
+        page.answers(report, open_cross_view(places))
+
+
+def test_an_interval_by_places_is_that_of_the_mean_over_the_seeds() -> None:
+    rng = np.random.default_rng(0)
+    values = [rng.integers(0, 2, 40).astype(float) for _ in range(3)]
+    found = row("lpn", *(run(list(v)) for v in values)).interval_by_places(S)
+    assert found == mean_interval([np.mean(values, axis=0)], independent=True)
+    assert row("few", run([1.0] * 9)).interval_by_places(S) is None
+
+
+def test_only_systems_whose_difference_exceeds_places_and_seeds_are_told_apart() -> None:
+    rng = np.random.default_rng(1)
+    base = [np.full(60, 0.5) + rng.normal(0, 0.02, 60) for _ in range(3)]
+    scatter = (-0.25, 0.3, 0.1)
+    better = row("better", *(run(list(b + 0.2)) for b in base))
+    unsure = row("unsure", *(run(list(b + s)) for b, s in zip(base, scatter, strict=True)))
+    rows = [better, row("lpn", *(run(list(b)) for b in base)), unsure, row("random", run([0.0] * 60), seeds=())]
+    ahead = page.differences_to_first(rows)
+    assert list(ahead) == ["better", "unsure"]
+    assert ahead["better"][D]["R@1"].significant
+    assert not ahead["unsure"][D]["R@1"].significant
+    by_places = paired_difference([np.mean([b + s for b, s in zip(base, scatter, strict=True)], axis=0)],
+                                  [np.mean(base, axis=0)], independent=True)  # fmt: skip
+    assert by_places.significant  # places alone would have told it apart
+    expected = crossed_difference(better.by_seed_and_place(S, "AP"), rows[1].by_seed_and_place(S, "AP"))
+    assert ahead["better"][S]["AP"] == expected
+    summary = page.summary_of_differences(ahead)
+    assert summary["better"][S]["AP"] == {
+        "mean": 20.0,
+        "low": pytest.approx(100 * expected.interval.low, abs=0.01) if expected.interval else None,
+        "high": pytest.approx(100 * expected.interval.high, abs=0.01) if expected.interval else None,
+        "told_apart": True,
+    }
+    assert page.differences_to_first([better, unsure]) == {}
+
+
+def test_one_seed_tells_nothing_apart() -> None:
+    ahead = page.differences_to_first([row("lpn", run([0.0] * 60)), row("better", run([1.0] * 60))])
+    summary = page.summary_of_differences(ahead)["better"][D]["R@1"]
+    assert summary == {"mean": 100.0, "low": None, "high": None, "told_apart": False}
+
+
+def test_the_page_has_intervals_and_differences(
+    places: Path,
+    to_learn_from: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """From drawn weights in the place of trained ones to the page, the table and the last line."""
+    monkeypatch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
+    about = About("lpn", 64, "drawn, no ImageNet", ("drone", "satellite"), 0, {"data": '{"made": "0"}'})
+
+    def drawn(given: argparse.Namespace) -> dict[tuple[str, int], Path]:
+        return {(name, seed): saved(name, seed) for name in given.config for seed in given.seed}
+
+    def saved(name: str, seed: int) -> Path:
+        path = tmp_path / f"{name}-{seed}.safetensors"
+        network = replace(page.configuration(name).network, backbone="resnet18", width=8)
+        save_weights(path, LpnNetwork(3, network, torch.Generator().manual_seed(seed)).eval(), about)
+        return path
+
+    monkeypatch.setattr(page, "RetrievalOptions", partial(page.RetrievalOptions, workers=0))
+    monkeypatch.setattr(page, "weights_of", drawn)
+    monkeypatch.setattr(page, "FLOORS", ("random", "colour-histogram"))  # so small images have no features of ORB
+    words: list[Any] = ["lpn_configurations.py", "--train", to_learn_from, "--test", places]
+    words += ["--scratch", tmp_path / "scratch", "--out", tmp_path / "out", "--quiet"]
+    words += ["--config", "global-average", "lpn", "--seed", 0, 1]
+    monkeypatch.setattr(sys, "argv", [str(word) for word in words])
+    assert page.main() == 0
+    text = (tmp_path / "out" / "lpn_configurations.md").read_text()
+    table = (tmp_path / "out" / "lpn_configurations.csv").read_text().splitlines()
+    ours = [line.split(",")[3:] for line in table if line.startswith("lpn,")]
+    assert len(ours) == 4
+    assert ours[:2] != ours[2:]  # both directions with either seed
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert text.count("95 % by places |") == 2
+    (line,) = (line for line in text.splitlines() if line.startswith("| global-average |") and "[" in line)
+    difference = last["difference_to_lpn"]["views"]["global-average"][D]["R@1"]
+    assert line.split("|")[2].strip().startswith(f"{difference['mean']:+.2f} [{difference['low']:+.1f}, ")
+    assert {*last["percent"]["views"]} == {"global-average", "lpn", *page.FLOORS}
+    assert set(last["difference_to_lpn"]["views"]) == {"global-average"}
+    assert "The 4 intervals are not corrected for their number" in text
+    for lines in (part for part in text.split("\n\n") if part.startswith("| system")):
+        assert len({line.count("|") for line in lines.splitlines()}) == 1
+
+
+def test_the_page_compares_only_where_there_is_something_to_compare(places: Path, to_learn_from: Path) -> None:
+    chance = dict.fromkeys(page.DIRECTIONS, 0.1)
+    base, other = row("lpn", run([0.0] * 60)), row("other", run([1.0] * 60))
+    asked = argparse.Namespace(train=[to_learn_from], settings=[], backbone_weights=None, seed=[0])
+    for rows in ([base, other], [other]):
+        text = page.page(rows, page.differences_to_first(rows), asked, open_cross_view(places), chance)
+        told = "A single seed does not tell how much trainings scatter: nothing is told apart." in text
+        assert told == ("| other | +100.00 | +100.00 | +100.00 | +100.00 |" in text) == (base in rows)
+        assert "degrees of freedom" not in text
