@@ -34,6 +34,7 @@ import tarfile
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,7 @@ which commit asked the methods stands in the [ledger](../LEDGER.md).
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Group:
     """A group of pairs that are evaluated together."""
 
@@ -110,21 +111,25 @@ class Group:
 
     def mean(self, method: str, metric: str) -> float:
         """The mean over the districts of the mean over a district's pair sets."""
-        return float(np.mean([series.mean() for series in self._by_step(method, metric)]))
+        return float(np.mean([series.mean() for series in self._by_step[method, metric]]))
 
     def ahead(self, method: str, other: str, metric: str) -> Difference:
         """The difference of ``method`` to ``other``, over the steps of the drives."""
-        a, b = self._by_step(method, metric), self._by_step(other, metric)
+        a, b = self._by_step[method, metric], self._by_step[other, metric]
         return paired_difference(a, b, roads=range(len(a)))
 
-    def _by_step(self, method: str, metric: str) -> list[Array]:
-        """One series for each district, by the step of the queries."""
-        rows = self.rows[self.rows["method"] == method]
-        out = []
-        for _, district in rows.groupby("district"):
-            sets = [of for _, of in district.groupby("pair_set")]
-            out.append(by_place([of[metric].to_numpy() for of in sets], [of["step"].to_numpy() for of in sets]))
-        return out
+    @cached_property
+    def _by_step(self) -> dict[tuple[str, str], list[Array]]:
+        """By method and metric: one series for each district, by the step of the queries."""
+        found: dict[tuple[str, str], list[Array]] = {}
+        for method, of_method in self.rows.groupby("method"):
+            for _, district in of_method.groupby("district"):
+                sets = [of for _, of in district.groupby("pair_set")]
+                steps = [of["step"].to_numpy() for of in sets]
+                for metric in METRICS:
+                    series = by_place([of[metric].to_numpy() for of in sets], steps)
+                    found.setdefault((str(method), metric), []).append(series)
+        return found
 
 
 def main() -> None:
@@ -146,11 +151,11 @@ def main() -> None:
         methods = list(dict.fromkeys(method.split("=")[0] for method in options.methods))
         with tempfile.TemporaryDirectory() as unpacked:
             printed = scratch / "results" if options.errors is None else unpack(options.errors, Path(unpacked))
-            errors = _errors(printed, methods)
+            errors, elsewhere = _errors(printed, methods)
             absent = incomplete(errors, methods)
             methods = [method for method in methods if method not in absent]
+            elsewhere = {method: elsewhere[method] for method in methods}
             rows = _scored(errors[errors["method"].isin(methods)])
-            elsewhere = _different_places(printed, methods)
             far = _distances(printed)
     together, single = _groups(rows)
     wrong = _wrong_table(together, methods)
@@ -258,16 +263,18 @@ def _run(*words: object) -> None:
     subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
 
 
-def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
-    """One row for each dataset, pair set, method and pair of one place."""
+def _errors(results: Path, methods: Sequence[str]) -> tuple[pd.DataFrame, dict[str, DifferentPlaces]]:
+    """One row for each dataset, pair set, method and pair of one place; and what each method did with pairs of
+    different places."""
     rows = []
+    elsewhere: dict[str, list[DifferentPlaces]] = {method: [] for method in methods}
     for folder in all_results(results):
-        for method in folder.methods():
-            if method.label not in methods:
-                continue
+        for method in (method for method in folder.methods() if method.label in elsewhere):
             for pair_set in folder.record.pair_sets:
+                table = read_errors(method.errors(pair_set))
+                elsewhere[method.label].append(table.different_places)
                 about = {"dataset": folder.record.name, "pair_set": pair_set, "method": method.label}
-                for pair in read_errors(method.errors(pair_set)).of_group(ALL):
+                for pair in table.of_group(ALL):
                     ref_timestamp_ns, query_timestamp_ns = pair.key
                     rows.append(
                         {
@@ -280,17 +287,7 @@ def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
                             "confidence": pair.confidence,
                         }
                     )
-    return pd.DataFrame(rows)
-
-
-def _different_places(results: Path, methods: Sequence[str]) -> dict[str, DifferentPlaces]:
-    """What each method did with the pairs of different places of all pair sets."""
-    found: dict[str, list[DifferentPlaces]] = {method: [] for method in methods}
-    for folder in all_results(results):
-        for method in (method for method in folder.methods() if method.label in found):
-            tables = (read_errors(method.errors(name)) for name in folder.record.pair_sets)
-            found[method.label] += [table.different_places for table in tables]
-    return {method: DifferentPlaces.total(parts) for method, parts in found.items()}
+    return pd.DataFrame(rows), {method: DifferentPlaces.total(parts) for method, parts in elsewhere.items()}
 
 
 def _distances(results: Path) -> list[str]:
