@@ -99,7 +99,9 @@ class SolidTexture:
         self._scene = LidarScene(mesh)
         rng = np.random.default_rng(seed)
         self._waves = rng.normal(size=(3, 24)) * 3.0
-        self._phases = rng.uniform(0, 2 * np.pi, size=(3, 24))
+        phases = rng.uniform(0, 2 * np.pi, size=(3, 24))
+        # sin(a + b) = sin(a) cos(b) + cos(a) sin(b): one sine and one cosine of a wave serve all three channels.
+        self._mixing = np.concatenate([np.cos(phases), np.sin(phases)], axis=1).T.astype(np.float32)
 
     def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> SimpleNamespace:
         v, u = np.mgrid[: camera.height, : camera.width]
@@ -109,9 +111,8 @@ class SolidTexture:
         z = self._scene.hits(origins, directions).range
         met = np.isfinite(z)
         points = origins + np.where(met, z, 0.0)[:, None] * directions
-        phase = points @ self._waves
-        values = [np.sin(phase + shift).sum(axis=1) for shift in self._phases]
-        grey = 127 + 18 * np.stack(values, axis=1)
+        phase = (points @ self._waves).astype(np.float32)
+        grey = 127 + 18 * (np.concatenate([np.sin(phase), np.cos(phase)], axis=1) @ self._mixing)
         grey[~met] = 200
         noise = np.random.default_rng(frame_seed).normal(size=grey.shape)
         rgb = np.clip(grey + noise, 0, 255).astype(np.uint8).reshape(camera.height, camera.width, 3)
