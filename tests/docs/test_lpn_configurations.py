@@ -18,10 +18,12 @@ from made_places import NarrowResNet
 from repository import ROOT
 from small_views import make_small_views
 
+from baselines.lpn.configurations import configuration
 from baselines.lpn.network import LpnNetwork
 from baselines.lpn.weights import About, save_weights
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import PredictionError
+from relocbench.evaluation.retrieval.evaluate import RetrievalOptions
 from relocbench.metrics import crossed_difference, mean_interval, paired_difference
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
@@ -154,11 +156,11 @@ def test_the_page_has_intervals_and_differences(
 
     def saved(name: str, seed: int) -> Path:
         path = tmp_path / f"{name}-{seed}.safetensors"
-        network = replace(page.configuration(name).network, backbone="resnet18", width=8)
+        network = replace(configuration(name).network, backbone="resnet18", width=8)
         save_weights(path, LpnNetwork(3, network, torch.Generator().manual_seed(seed)).eval(), about)
         return path
 
-    monkeypatch.setattr(page, "RetrievalOptions", partial(page.RetrievalOptions, workers=0))
+    monkeypatch.setattr(page, "RetrievalOptions", partial(RetrievalOptions, workers=0))
     monkeypatch.setattr(page, "weights_of", drawn)
     monkeypatch.setattr(page, "FLOORS", ("random", "colour-histogram"))  # so small images have no features of ORB
     words: list[Any] = ["lpn_configurations.py", "--train", to_learn_from, "--test", places]

@@ -89,4 +89,4 @@ def _variance_of_residuals(difference: Array) -> float:
     """The variance of what neither the seed nor the place explains. (S, P) -> one number."""
     seeds, places = difference.shape
     explained = difference.mean(axis=0) + difference.mean(axis=1, keepdims=True) - difference.mean()
-    return float(np.sum((difference - explained) ** 2)) / ((seeds - 1) * (places - 1))
+    return float(np.sum((difference - explained) ** 2) / ((seeds - 1) * (places - 1)))

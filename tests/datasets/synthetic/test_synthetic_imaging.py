@@ -192,6 +192,6 @@ def test_a_preview_shows_drawn_cameras(tmp_path: Path, monkeypatch: pytest.Monke
     sheet = tmp_path / "sheet.jpg"
     outcome = relocbench("preview", "-c", "Sunny", "--cameras", 1, "--size", 96, "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err
-    assert cv2.imread(str(sheet)).shape == (72, 2 * 96 + 4, 3)
+    assert np.asarray(cv2.imread(str(sheet))).shape == (72, 2 * 96 + 4, 3)
     picture = images.read_image(sheet).astype(float)
     assert np.abs(picture[:60, :96] - picture[:60, 100:]).mean() > 3

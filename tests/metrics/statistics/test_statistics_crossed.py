@@ -21,7 +21,7 @@ def drawn(rng: np.random.Generator, places: int, *spread: float, seeds: int = SE
     of_places, of_seeds, of_residuals = np.sqrt(spread)
     out: Array = of_places * rng.normal(size=(1, places))
     out = out + of_seeds / math.sqrt(places) * rng.normal(size=(seeds, 1))
-    return out + of_residuals * rng.normal(size=(seeds, places))
+    return np.asarray(out + of_residuals * rng.normal(size=(seeds, places)))
 
 
 def coverage(found: list[Difference], true: float) -> float:
