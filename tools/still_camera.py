@@ -31,6 +31,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relocbench.arrays import Array, Image
+from relocbench.datasets.moved_views.surfaces import plane_homography
+from relocbench.geometry import Camera
 
 SIZE = 480, 320
 """width and height of keyframes and queries, pixels"""
@@ -42,7 +44,8 @@ MOST_M, MOST_DEG = 1.0, 6.0
 DEPTH_SCALE = 1e-3
 APART_M = 100.0
 """between the places of two keyframes, so that each query has one keyframe only"""
-K = np.array([[FOCAL, 0.0, (SIZE[0] - 1) / 2], [0.0, FOCAL, (SIZE[1] - 1) / 2], [0.0, 0.0, 1.0]])
+CAMERA = Camera("pinhole", *SIZE, FOCAL, FOCAL, (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)
+K = CAMERA.matrix
 PLANE = np.array([0.0, (1 / NEAR_M - 1 / FAR_M) * FOCAL / SIZE[1], (1 / NEAR_M + 1 / FAR_M) / 2])
 """n / d of the plane in the keyframe's frame: every point X of it has PLANE . X = 1"""
 
@@ -132,11 +135,8 @@ def drawn_motion(size: tuple[int, int], rng: np.random.Generator) -> Array:
 
 
 def homography(T_query_ref: Array) -> Array:
-    """(3, 3) from pixels of the keyframe to those of the query, for points of the plane.
-
-    ``K (R + t n^T / d) K^-1`` (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.2).
-    """
-    return np.asarray(K @ (T_query_ref[:3, :3] + np.outer(T_query_ref[:3, 3], PLANE)) @ np.linalg.inv(K))
+    """(3, 3) from pixels of the keyframe to those of the query, for points of the plane."""
+    return plane_homography(CAMERA, CAMERA, T_query_ref, PLANE)
 
 
 def offset(size: tuple[int, int]) -> Array:

@@ -1,0 +1,17 @@
+"""The kinds of surfaces and of changes of light, for options that are read before anything is drawn."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+SurfaceKind = Literal["plane", "street", "relief"]
+SURFACES: tuple[SurfaceKind, ...] = ("plane", "street", "relief")
+
+Change = Literal["none", "exposure", "shading", "night"]
+WORDS: dict[Change, str] = {
+    "none": "photograph",
+    "exposure": "photograph, changed exposure",
+    "shading": "photograph, changed shading",
+    "night": "photograph, darkened",
+}
+"""the condition of images so changed, in words"""
