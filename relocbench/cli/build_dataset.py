@@ -39,12 +39,15 @@ _EXAMPLES = {
     "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
     "colmap": "relocbench build-dataset colmap sparse/0 --images images --queries 'night/*' --out D",
     "kapture": "relocbench build-dataset kapture 7scenes/stairs/mapping 7scenes/stairs/query --out D",
+    "photographs": "relocbench build-dataset photographs streets parks --licence CC0-1.0 --out D",
     "synthetic": "relocbench build-dataset synthetic --preset demo --conditions Sunny,Rain,Snow --out D",
     "cross-view": "relocbench build-dataset cross-view --places 60 --drone-views 12 --conditions Sunny,Overcast,Rain "
     "--out D",
 }
 _MADE = {"synthetic": "the dataset, or the recordings,", "cross-view": "the places"}
 """what a kind makes, if it is not a dataset"""
+_SOURCES = {"photographs": "Folders of photographs, PNG or JPEG; folders in them are searched too."}
+"""what a kind is made from, if it is not recordings"""
 _SETS = {
     "kitti": "pair_step: [1, 2]",
     "tum-rgbd": "pair_step: [1, 2]",
@@ -55,6 +58,7 @@ _SETS = {
     "generic": "max_distance: 3",
     "colmap": "queries: ['night/*']",
     "kapture": "max_distance: 3",
+    "photographs": "changes: [exposure, night]",
     "synthetic": "conditions: [Sunny, Rain]",
     "cross-view": "conditions: [Sunny, Rain]",
 }
@@ -131,7 +135,8 @@ _DEFAULTS: dict[str, Any] = {"quiet": False, "json": False}
 
 
 def _common(kind: str) -> dict[str, Any]:
-    sources = Annotated[list[Path], typer.Argument(help="Recordings; the first is the reference.", show_default=False)]
+    what = _SOURCES.get(kind, "Recordings; the first is the reference.")
+    sources = Annotated[list[Path], typer.Argument(help=what, show_default=False)]
     common: dict[str, Any] = {} if kind in _NO_SOURCE else {"sources": sources}
     return common | {
         "out": Annotated[

@@ -67,7 +67,8 @@ def test_the_shown_licence_is_that_of_the_dataset(kind: str) -> None:
     licence = options_of(kind)().licence  # type: ignore[attr-defined]
     assert licence == ("CC0-1.0" if kind in RENDERED else "unknown")
     assert f"[default: {licence}]" in help_of(kind)
-    assert ("licence of the recordings" in help_of(kind)) == (kind not in RENDERED)
+    made_from = "photographs" if kind == "photographs" else "recordings"
+    assert (f"licence of the {made_from}" in help_of(kind)) == (kind not in RENDERED)
 
 
 @pytest.mark.parametrize(

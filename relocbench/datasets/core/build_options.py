@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any, Literal, Self
 
@@ -108,3 +109,18 @@ class RuleOptions(ImportOptions):
 
 class PosedRecordingOptions(RuleOptions, LinkingOptions):
     """Options of imports of recordings with poses, which link to images and pair frames by a rule."""
+
+
+def plain_size(text: str) -> str:
+    """The size WIDTHxHEIGHT in pixels that an option tells, perhaps as one number for both. Raises ValueError."""
+    found = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
+    sides = [int(side) for side in found.groups() if side] if found else []
+    if not sides or not all(32 <= side <= 4096 for side in sides):
+        raise ValueError("size is WIDTHxHEIGHT or one number, 32 to 4096 pixels")
+    return f"{sides[0]}x{sides[-1]}"
+
+
+def width_height(size: str) -> tuple[int, int]:
+    """The two numbers of WIDTHxHEIGHT."""
+    width, height = size.split("x")
+    return int(width), int(height)

@@ -32,6 +32,7 @@ KINDS: dict[str, str] = {
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
     "colmap": "a sparse model of COLMAP: photo collections with a camera for each image",
     "kapture": "folders in the kapture format: map and queries, with rigs, depth maps or points",
+    "photographs": "single photographs, each seen again by a camera that moved: made-up depth, exact truth",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
     "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
 }
@@ -47,6 +48,7 @@ _MODULES = {
     "generic": "generic.dataset",
     "colmap": "colmap.dataset",
     "kapture": "kapture.dataset",
+    "photographs": "single_photographs.dataset",
     "synthetic": "rendered.dataset",
     "cross-view": "rendered.cross_view",
 }

@@ -7,14 +7,13 @@ the others. With ``recording``, drives are instead written as a car would record
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
+from relocbench.datasets.core.build_options import ImportOptions, RuleOptions, plain_size, width_height
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import (
     PRESETS,
@@ -135,11 +134,7 @@ class Options(RuleOptions):
     @field_validator("size")
     @classmethod
     def _plain_size(cls, size: str) -> str:
-        found = re.fullmatch(r"(\d+)(?:x(\d+))?", size)
-        sides = [int(side) for side in found.groups() if side] if found else []
-        if not sides or not all(32 <= side <= 4096 for side in sides):
-            raise ValueError("size is WIDTHxHEIGHT or one number, 32 to 4096 pixels")
-        return f"{sides[0]}x{sides[-1]}"
+        return plain_size(size)
 
     @model_validator(mode="after")
     def _one_thing_varies(self) -> Self:
@@ -157,8 +152,7 @@ class Options(RuleOptions):
     @property
     def width_height(self) -> tuple[int, int]:
         """Image size in pixels."""
-        width, height = self.size.split("x")
-        return int(width), int(height)
+        return width_height(self.size)
 
 
 def _refuse_what_has_no_effect(values: dict[str, Any]) -> None:
