@@ -6,6 +6,7 @@ again, smaller. Motions forward or back along the viewing direction, as a car's,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -185,7 +186,11 @@ def _relief(rays: Array, rng: np.random.Generator) -> Relief:
     return Relief(np.maximum(plane, 1 / _FARTHEST_M) * hills, (float(origin[0]), float(origin[1])), spacing)
 
 
-_DRAWN = {"plane": _plane, "street": _street, "relief": _relief}
+_DRAWN: dict[SurfaceKind, Callable[[Array, np.random.Generator], Surface]] = {
+    "plane": _plane,
+    "street": _street,
+    "relief": _relief,
+}
 
 
 def _along(most_m: float, most_deg: float, rng: np.random.Generator) -> Array:

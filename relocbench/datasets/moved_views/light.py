@@ -40,7 +40,8 @@ def _exposure(stored: Floats, rng: np.random.Generator, strength: float = 1.0) -
     x = (x - mean) * np.float32(np.exp(_spread(rng, 0.35 * strength)[0])) + mean
     x = x + (_spread(rng, 0.05 * strength) + _spread(rng, 0.015 * strength, 3)).astype(np.float32)
     grey = (x @ _GREY)[..., None]
-    x = grey + (x - grey) * np.float32(rng.uniform(1 - 0.8 * strength, 1 + 0.3 * strength))
+    saturation = np.float32(rng.uniform(1 - 0.8 * strength, 1 + 0.3 * strength))
+    x = np.asarray(grey + (x - grey) * saturation, dtype=np.float32)
     return _noisy(_blurred(x, 1.2, rng), 0.015, rng)
 
 
@@ -107,7 +108,8 @@ def _smooth(shape: tuple[int, int], cells: int, rng: np.random.Generator) -> Flo
     side = max(shape) / cells
     coarse = rng.standard_normal([int(np.ceil(2 * length / side)) for length in shape]).astype(np.float32)
     # The middle half, since the outermost cells are flat to their border.
-    field = np.asarray(cv2.resize(coarse, (shape[1] * 2, shape[0] * 2), interpolation=cv2.INTER_CUBIC))
+    larger = cv2.resize(coarse, (shape[1] * 2, shape[0] * 2), interpolation=cv2.INTER_CUBIC)
+    field = np.asarray(larger, dtype=np.float32)
     field = field[shape[0] // 2 : shape[0] // 2 + shape[0], shape[1] // 2 : shape[1] // 2 + shape[1]]
     return np.asarray((field - _mean(field)) / max(float(field.std(dtype=np.float64)), 1e-6), dtype=np.float32)
 

@@ -63,7 +63,8 @@ def _behind(numbers: Array, x0: float, y0: float, spacing: float, centre: Array,
     if z <= 1e-6:
         return -1.0
     x, y = (centre[0] + ray[0] / nearness) / z, (centre[1] + ray[1] / nearness) / z
-    return _value(numbers, x0, y0, spacing, x, y) * z - 1.0
+    behind: float = _value(numbers, x0, y0, spacing, x, y) * z - 1.0
+    return behind
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
