@@ -18,9 +18,12 @@ relocbench build-dataset cross-view --split train --places 240 "${views[@]}" --o
 relocbench build-dataset cross-view --split test --places 90 --distractors 30 --drone-views 6 --size 128 \
   --conditions Sunny,Overcast,Rain,Snow --out test -q
 
+# Systems with masks are left out: at these rates, which suit the others, their training diverges (docs/lpn.md).
+configurations=(global-average lpn lpn-branch5 lpn-branch7 lpn-attention-residual lpn-attention lpn-dmli lpn-rpp lpn-dwdr)
 python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test test ${sample:+"$sample"} --scratch systems \
   --out "$repository/leaderboard/retrieval" ${sample:+"$repository/leaderboard/retrieval/real"} \
-  --backbone-weights imagenet --set network.backbone=efficientnet-lite0 --set size=128 --set backbone_rate=1e-3 \
+  --config "${configurations[@]}" --backbone-weights imagenet --set network.backbone=efficientnet-lite0 \
+  --set size=128 --set backbone_rate=1e-3 \
   --set rate=1e-2 --set network.dropout=0.25 --set epochs.all=12 --set epochs.classifier=2 --set epochs.refined=6 \
   --set epochs.heatmap=6 \
   --jobs 2 --workers 0
@@ -31,5 +34,5 @@ if [ -n "$sample" ]; then
     asked+=(-m "lpn-seed$seed=lpn" --set "lpn-seed$seed.weights=systems/lpn-seed$seed/weights.safetensors")
   done
   relocbench evaluate-retrieval -d "$sample" --out real -q "${asked[@]}"
-  relocbench leaderboard real --out "$repository/leaderboard/retrieval/real" -q
+  relocbench leaderboard real --dataset "$sample" --out "$repository/leaderboard/retrieval/real" -q
 fi
