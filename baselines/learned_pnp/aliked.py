@@ -23,9 +23,17 @@ class Aliked(NetworkDetector):
 
     name: ClassVar[str] = "ALIKED"
 
-    def __init__(self, weights: Path, features: int, longest_px: int, device: str, model: AlikedModel = "n16") -> None:
+    def __init__(
+        self,
+        weights: Path,
+        features: int,
+        longest_px: int,
+        device: str,
+        model: AlikedModel = "n16",
+        remember: int = 0,
+    ) -> None:
         self.model = model
-        super().__init__(weights, features, longest_px, device)
+        super().__init__(weights, features, longest_px, device, remember)
 
     def load(self, weights: Path) -> nn.Module:
         # A threshold of 0 selects the strongest maxima.

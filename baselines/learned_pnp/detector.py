@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import OrderedDict
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -24,6 +26,7 @@ class NetworkDetector(ABC):
         features: largest number of keypoints.
         longest_px: larger images are shrunk to this size of the longer side first.
         device: where the network runs.
+        remember: the features of so many images are kept, those used last, for the next time that one comes.
 
     Raises:
         MethodError: kornia is needed and not installed, or the weights are missing or of another network.
@@ -34,10 +37,12 @@ class NetworkDetector(ABC):
     multiple: ClassVar[int] = 1
     """both sides of an image are shrunk to multiples of so many pixels"""
 
-    def __init__(self, weights: Path, features: int, longest_px: int, device: str) -> None:
+    def __init__(self, weights: Path, features: int, longest_px: int, device: str, remember: int = 0) -> None:
         self.features = features
         self.longest_px = longest_px
         self.device = device
+        self.remember = remember
+        self._known: OrderedDict[bytes, Features] = OrderedDict()
         self.net: Any = to_device(self.load(weights), device)
 
     @abstractmethod
@@ -49,13 +54,24 @@ class NetworkDetector(ABC):
         """Keypoints (N, 2), pixels with centres at integers, responses (N,) and descriptors (N, D) in an image
         (1, channels, H, W)."""
 
-    @torch.inference_mode()
     def __call__(self, image: NDArray[np.uint8]) -> Features:
         """The features of a grey (H, W) or RGB (H, W, 3) image, strongest first.
 
         Raises:
             MethodError: the image is smaller than 64 pixels.
         """
+        if not self.remember:
+            return self._found(image)
+        content = sha256(repr(image.shape).encode() + image.tobytes()).digest()
+        if content not in self._known:
+            self._known[content] = self._found(image)
+        self._known.move_to_end(content)
+        if len(self._known) > self.remember:
+            self._known.popitem(last=False)
+        return self._known[content]
+
+    @torch.inference_mode()
+    def _found(self, image: NDArray[np.uint8]) -> Features:
         tensor, factor = network_input(
             image, self.channels, self.longest_px, self.name, self.device, multiple=self.multiple
         )

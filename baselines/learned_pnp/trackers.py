@@ -42,6 +42,8 @@ class NearestPnp(FeaturePnp):
         max_iterations: largest number of minimal samples.
         confidence: the probability of success at which sampling stops early.
         device: where the network runs; the pose is found on the CPU.
+        remember: keep the features of so many images for the pairs that show them again. The answers stay the same,
+            but the seconds of a pair then count no network where an image came before.
         seed: of the sampling.
 
     Raises:
@@ -68,6 +70,7 @@ class NearestPnp(FeaturePnp):
         max_iterations: Annotated[int, Field(ge=1)] = 10000,
         confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
         device: str = "cpu",
+        remember: Annotated[int, Field(ge=0)] = 0,
         seed: Annotated[int, Field(ge=0)] = 0,
     ) -> None:
         super().__init__(
@@ -81,7 +84,7 @@ class NearestPnp(FeaturePnp):
             seed=seed,
         )
         self.ratio = ratio
-        self._detector = self.network(self.files(weights)["weights"], features, longest_px, device)
+        self._detector = self.network(self.files(weights)["weights"], features, longest_px, device, remember=remember)
 
     @classmethod
     def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:
@@ -118,6 +121,8 @@ class AlikedPnp(FeaturePnp):
         max_iterations: largest number of minimal samples.
         confidence: the probability of success at which sampling stops early.
         device: where the network runs; the pose is found on the CPU.
+        remember: keep the features of so many images for the pairs that show them again. The answers stay the same,
+            but the seconds of a pair then count no network where an image came before.
         seed: of the sampling.
 
     Raises:
@@ -142,6 +147,7 @@ class AlikedPnp(FeaturePnp):
         max_iterations: Annotated[int, Field(ge=1)] = 10000,
         confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
         device: str = "cpu",
+        remember: Annotated[int, Field(ge=0)] = 0,
         seed: Annotated[int, Field(ge=0)] = 0,
     ) -> None:
         super().__init__(
@@ -155,7 +161,7 @@ class AlikedPnp(FeaturePnp):
             seed=seed,
         )
         self.ratio = ratio
-        self._detector = Aliked(self.files(weights, model)["weights"], features, longest_px, device, model)
+        self._detector = Aliked(self.files(weights, model)["weights"], features, longest_px, device, model, remember)
 
     @classmethod
     def files(cls, weights: Path | None = None, model: AlikedModel = "n16", **_: Any) -> dict[str, Path]:

@@ -3,7 +3,8 @@
 Each of the twelve districts of ``docs/test-districts.md`` has 200 m of road and three conditions, each of which is the
 map for queries of all three: six changes and three pair sets within a condition. Images have 512x512 pixels; the other
 keyframes of a drive are 4 m away and more, those of another drive mostly within a metre. 8 pairs of each set show
-different places. ``relocbench evaluate`` runs every method, which is asked once (see ``leaderboard/LEDGER.md``).
+different places. ``relocbench evaluate`` runs every method, which is asked once (see ``leaderboard/LEDGER.md``). The
+rows of ALIKED need its authors' weights where ``aliked-pnp`` looks for them.
 ``--split validation`` renders districts of other seeds, to try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
@@ -74,8 +75,20 @@ METHODS = (
     "gn-net-contrastive",
     "lm-net",
     "gn-net",
+    "aliked-pnp",
+    "gn-net-from-aliked-pnp=gn-net-from-prior",
 )
-SETTINGS = ("dso-from-orb-pnp.start=orb-pnp", "dso-from-gn-net-pnp.start=gn-net-pnp")
+SETTINGS = (
+    "dso-from-orb-pnp.start=orb-pnp",
+    "dso-from-gn-net-pnp.start=gn-net-pnp",
+    "aliked-pnp.remember=200",
+    "gn-net-from-aliked-pnp.start=aliked-pnp",
+    "gn-net-from-aliked-pnp.start.remember=200",
+    "gn-net-from-aliked-pnp.prior_level=0",
+    "gn-net-from-aliked-pnp.min_agreement=0",
+)
+"""A drive has 52 images: ``remember`` saves the network's passes over images that other pair sets of a district showed.
+No seconds are printed."""
 FLOORS = ("identity", "clock")
 SUBJECT = "gn-net"
 RIVALS = ("dso", "orb-pnp")

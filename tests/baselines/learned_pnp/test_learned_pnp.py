@@ -46,6 +46,26 @@ def pattern(height: int, width: int, seed: int = 0) -> Image:
     return np.asarray(cv2.GaussianBlur(whole, (0, 0), 1.0), dtype=np.uint8)
 
 
+def test_remembered_features_are_those_that_the_network_finds(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images = [pattern(96, 128, seed) for seed in (0, 1, 2)]
+    forgetful, detector = (Aliked(drawn, 200, 1280, "cpu", "t16", remember) for remember in (0, 2))
+    passed: list[torch.Tensor] = []
+    find = detector.find
+
+    def counted(image: torch.Tensor) -> Any:
+        passed.append(image)
+        return find(image)
+
+    monkeypatch.setattr(detector, "find", counted)
+    for number, passes in [(0, 1), (0, 1), (1, 2), (0, 2), (2, 3), (0, 3), (1, 4)]:
+        found, expected = detector(images[number].copy()), forgetful(images[number])
+        assert len(passed) == passes, "the image used least lately is forgotten first"
+        np.testing.assert_array_equal(found.uv, expected.uv)
+        np.testing.assert_array_equal(found.descriptors, expected.descriptors)
+    detector(images[1].reshape(128, 96, 3))
+    assert len(passed) == 5, "the same bytes in another shape are another image"
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.sampled_from([1.0, 0.9, 0.6]))
 def test_mutual_neighbours_are_those_of_the_definition(seed: int, n: int, m: int, ratio: float) -> None:
     rng = np.random.default_rng(seed)
