@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ from baselines.gn_net.tracker import GnNet
 from baselines.gn_net.training.batches import Batch, Batches
 from baselines.gn_net.training.curves import draw_curves
 from baselines.gn_net.training.options import IMAGENET, TrainOptions
-from baselines.gn_net.weights import save_weights
+from baselines.gn_net.weights import load_weights, save_weights
 from baselines.options import options_to_dict
 from baselines.training.card import Description, weights_card
 from baselines.training.ema import EmaNetwork
@@ -27,6 +29,7 @@ from baselines.training.log import Row
 from baselines.training.loop import TrainingLoop
 from baselines.training.random_streams import generator
 from baselines.training.schedule import warmed_cosine
+from relocbench.errors import MethodError
 from relocbench.pages import render
 from relocbench.training import TrainingData, TrainingRun, Validate
 
@@ -44,7 +47,8 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
         tracker: as which the weights are validated.
 
     Raises:
-        MethodError: the folder holds another training, or the device cannot be used.
+        MethodError: the folder holds another training, the device cannot be used, or the weights to start from are
+            missing, damaged or of another network.
     """
 
     validation_columns = ("conditions", "pairs")
@@ -59,6 +63,9 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
     ) -> None:
         self._data, self._tracker = dict(data.describe()), tracker
         identity = {"name": tracker.name, "options": options_to_dict(options), "data": self._data}
+        self._start = read_start(options)
+        if self._start:
+            identity["start"] = self._start.digest
         super().__init__(
             tracker.name,
             options,
@@ -77,6 +84,8 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
         trunk = _pretrained(self.network) if options.encoder_weights == IMAGENET else None
         if trunk and not step:
             load_imagenet(trunk)
+        if self._start and not step:
+            self.network.load_state_dict(self._start.network.state_dict())
         self.network.to(memory_format=torch.channels_last).to(self.device).train()
         pretrained = set(trunk.parameters()) if trunk else set()
         groups = [{"params": [p for p in self.network.parameters() if p not in pretrained], "share": 1.0}]
@@ -148,6 +157,12 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
     def draw_curves(self, path: Path, log: Sequence[Row], validation: Sequence[Row]) -> None:
         draw_curves(path, log, validation)
 
+    def _first_weights(self) -> dict[str, str]:
+        """For the card."""
+        if self._start:
+            return {"first weights": f"{Path(self.options.start).name}, SHA-256 {self._start.digest}"}
+        return {"encoder's first weights": IMAGENET_WEIGHTS} if self.options.encoder_weights == IMAGENET else {}
+
     def describe(self) -> Description:
         options, name = self.options, self._tracker.name
         return Description(
@@ -160,10 +175,35 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
                 parameters=self.network.parameters_count,
             ),
             data=list(self._data.items()),
-            facts={"encoder's first weights": IMAGENET_WEIGHTS} if options.encoder_weights == IMAGENET else {},
+            facts=self._first_weights(),
             steps=f"{options.steps}, of {options.batch} pairs of {options.crop}x{options.crop} pixels",
             groups="reference -> query | pairs",
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """The weights of an earlier training."""
+
+    network: FeatureNet
+    digest: str
+    """SHA-256 of their file"""
+
+
+def read_start(options: TrainOptions) -> _Start | None:
+    """The weights that a training starts from, if options name a file.
+
+    Raises:
+        MethodError: it is missing, damaged, or of a network with other options.
+    """
+    if not options.start:
+        return None
+    path = Path(options.start)
+    network = load_weights(path)
+    asked, found = options_to_dict(options.network), options_to_dict(network.options)
+    if different := [f"{name} {found[name]}, not {asked[name]}" for name in asked if asked[name] != found[name]]:
+        raise MethodError(f"cannot start from it: its network has {'; '.join(different)}", path)
+    return _Start(network, sha256(path.read_bytes()).hexdigest())
 
 
 def _pretrained(network: FeatureNet) -> EfficientNetLite0:

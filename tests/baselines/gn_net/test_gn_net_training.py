@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +101,28 @@ def test_an_encoder_starts_from_imagenet_at_a_rate_of_its_own(tmp_path: Path) ->
     )
     with pytest.raises(ConfigError, match=r"drawn, unless network\.encoder=efficientnet-lite0"):
         train(tmp_path / "plain", encoder_weights="imagenet")
+
+
+def test_a_training_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
+    earlier = train(tmp_path / "earlier", steps=2).weights
+    later = train(tmp_path / "later", start=str(earlier), steps=2, learning_rate=1e-12, weight_decay=0.0, ema=0.0)
+    expected = dict(load_weights(earlier).named_parameters())
+    for name, parameter in load_weights(later.weights).named_parameters():
+        torch.testing.assert_close(parameter, expected[name], rtol=0, atol=1e-9)
+    digest = sha256(earlier.read_bytes()).hexdigest()
+    assert f"earlier/weights.safetensors, SHA-256 {digest}"[8:] in (tmp_path / "later" / "MODEL_CARD.md").read_text()
+    other = train(tmp_path / "other", steps=1).weights
+    shutil.copy(other, earlier)
+    with pytest.raises(MethodError, match=r"another training|other options"):
+        train(tmp_path / "later", start=str(earlier), steps=2, learning_rate=1e-12, weight_decay=0.0, ema=0.0)
+
+
+def test_weights_to_start_from_must_be_of_the_same_network(tmp_path: Path) -> None:
+    earlier = train(tmp_path / "earlier", steps=1).weights
+    with pytest.raises(MethodError, match=r"cannot start from it: its network has dim 4, not 6"):
+        train(tmp_path / "later", start=str(earlier), network={**TINY["network"], "dim": 6})
+    with pytest.raises(MethodError, match=r"nowhere\.safetensors"):
+        train(tmp_path / "later", start=str(tmp_path / "nowhere.safetensors"))
 
 
 @pytest.mark.parametrize("ema", [0.0, 0.9])
