@@ -64,6 +64,16 @@ def share_below_1(options: object, names: str) -> None:
     require(options, names, lambda value: 0 <= value < 1, "0 or more and below 1")
 
 
+def valid_shares(options: Any) -> None:
+    """Raise OptionError unless each of the option ``shares`` is above 0, and all of them together are at most 1."""
+    require(
+        options,
+        "shares",
+        lambda shares: all(0 < each <= 1 for each in shares.values()) and sum(shares.values()) <= 1 + 1e-9,
+        "shares above 0, at most 1 together",
+    )
+
+
 def one_of(options: object, name: str, *choices: object) -> None:
     """Raise OptionError unless the option has one of the values."""
     words = [str(choice) for choice in choices]

@@ -35,12 +35,17 @@ class MadePairs:
     Args:
         conditions: (reference's, query's) of each pair; a pair's traversals are named by its conditions.
         size: width and height.
+        datasets: the name of each pair's dataset; "made" where there are none.
     """
 
     def __init__(
-        self, conditions: Sequence[tuple[str, str]] = (("dry", "wet"),) * 4, size: tuple[int, int] = (64, 48)
+        self,
+        conditions: Sequence[tuple[str, str]] = (("dry", "wet"),) * 4,
+        size: tuple[int, int] = (64, 48),
+        datasets: Sequence[str] = (),
     ) -> None:
         self._conditions = list(conditions)
+        self._datasets = list(datasets) or ["made"] * len(self._conditions)
         self._size = size
         noise = np.random.default_rng(7).normal(size=(size[1] + 8, size[0] + 8, 3)).astype(np.float32)
         smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
@@ -51,7 +56,7 @@ class MadePairs:
 
     def label(self, index: int) -> PairLabel:
         ref, query = self._conditions[index]
-        return PairLabel("made", f"{ref}-0", f"{query}-0", "front", ref, query)
+        return PairLabel(self._datasets[index], f"{ref}-0", f"{query}-0", "front", ref, query)
 
     def load(self, index: int) -> TrainingPair:
         width, height = self._size

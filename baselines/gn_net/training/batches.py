@@ -59,7 +59,7 @@ class Batches(Dataset[Batch]):
     def __init__(self, data: TrainingData, options: TrainOptions) -> None:
         self._data = data
         self._options = options
-        self._draw = EvenDraw(data, options.seed)
+        self._draw = EvenDraw(data, options.seed, options.shares)
 
     @property
     def combinations(self) -> int:

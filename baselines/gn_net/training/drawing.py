@@ -3,22 +3,76 @@
 The n-th draw is a function of n and the seed alone. Draws go through the combinations round after round, each round in
 a random order of its own, so that combinations are drawn equally often and neighbours in a batch show different
 weather. Within a combination the same holds for pairs of traversals, and within those for pairs of images.
+
+A dataset with a share of its own gets that share of the draws, in which its pairs are drawn in this way by themselves:
+of the first n draws floor(share n).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
 from baselines.training.random_streams import shuffled_round
+from relocbench.errors import ConfigError
 from relocbench.training import TrainingData
 
 _CONDITIONS, _TRAVERSALS, _PAIRS = range(3)
 
 
 class EvenDraw:
-    """Draws indices of training pairs."""
+    """Draws indices of training pairs.
 
-    def __init__(self, data: TrainingData, seed: int) -> None:
-        groups: dict[tuple[str, ...], dict[tuple[str, ...], list[int]]] = {}
+    Args:
+        data: pairs to draw from.
+        seed: of the order.
+        shares: share of the draws by the name of a dataset; all others are drawn evenly in the rest.
+
+    Raises:
+        ConfigError: a share is of a dataset that has no pairs, or nothing is left for the others.
+    """
+
+    def __init__(self, data: TrainingData, seed: int, shares: Mapping[str, float] | None = None) -> None:
+        by_dataset: dict[str, list[int]] = {}
         for index in range(len(data)):
+            by_dataset.setdefault(data.label(index).dataset, []).append(index)
+        shares = shares or {}
+        if absent := sorted(shares.keys() - by_dataset.keys()):
+            raise ConfigError(f"shares.{absent[0]}: the data has pairs of {', '.join(sorted(by_dataset))}")
+        left, parts = Fraction(1), []
+        for name in sorted(shares):
+            share = Fraction(str(shares[name]))
+            parts.append((share / left, _Rounds(data, by_dataset.pop(name), seed)))
+            left -= share
+        others = sorted(index for of_dataset in by_dataset.values() for index in of_dataset)
+        if bool(others) != (left > 0):
+            rest = f"nothing is left for {', '.join(sorted(by_dataset))}" if others else "they are all datasets"
+            raise ConfigError(f"shares add up to {float(1 - left):g}, but {rest}")
+        if others:
+            parts.append((Fraction(1), _Rounds(data, others, seed)))
+        self._parts = parts
+
+    @property
+    def combinations(self) -> int:
+        """The number of combinations of a reference's and a query's condition, those of each part by themselves."""
+        return sum(rounds.combinations for _, rounds in self._parts)
+
+    def __getitem__(self, draw: int) -> int:
+        """The index of the pair of the ``draw``-th draw, counted from 0."""
+        for share, rounds in self._parts:
+            before = int(share * draw)
+            if int(share * (draw + 1)) > before:
+                return rounds[before]
+            draw -= before
+        raise AssertionError("the last part takes every draw")
+
+
+class _Rounds:
+    """Draws from some of the pairs."""
+
+    def __init__(self, data: TrainingData, indices: Sequence[int], seed: int) -> None:
+        groups: dict[tuple[str, ...], dict[tuple[str, ...], list[int]]] = {}
+        for index in indices:
             label = data.label(index)
             drives = (label.dataset, label.traversal_ref, label.traversal_query, label.camera)
             groups.setdefault((label.condition_ref, label.condition_query), {}).setdefault(drives, []).append(index)
@@ -27,11 +81,9 @@ class EvenDraw:
 
     @property
     def combinations(self) -> int:
-        """The number of combinations of a reference's and a query's condition."""
         return len(self._groups)
 
     def __getitem__(self, draw: int) -> int:
-        """The index of the pair of the ``draw``-th draw, counted from 0."""
         turn, group = shuffled_round(self._seed, (_CONDITIONS,), draw, len(self._groups))
         drives = self._groups[group]
         turn, drive = shuffled_round(self._seed, (_TRAVERSALS, group), turn, len(drives))

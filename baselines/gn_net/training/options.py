@@ -7,7 +7,17 @@ from typing import Final, Literal
 
 from baselines.gn_net.losses import LossOptions
 from baselines.gn_net.options import NetworkOptions
-from baselines.options import OptionError, Options, above_0, at_least, one_of, require, share, share_below_1
+from baselines.options import (
+    OptionError,
+    Options,
+    above_0,
+    at_least,
+    one_of,
+    require,
+    share,
+    share_below_1,
+    valid_shares,
+)
 
 IMAGENET: Final = "imagenet"
 
@@ -57,6 +67,8 @@ class TrainOptions(Options):
     steps: int = 2000
     batch: int = 4
     """pairs in each step, of different combinations of conditions if there are enough of them"""
+    shares: dict[str, float] = field(default_factory=dict)
+    """share of the pairs by the name of a dataset, as in {photographs: 0.25}; others are drawn evenly in the rest"""
     crop: int = 224
     """pixels; side of the squares that are cropped from both images"""
     apart: float = 0.4
@@ -108,6 +120,7 @@ class TrainOptions(Options):
     network: NetworkOptions = field(default_factory=NetworkOptions)
 
     def __post_init__(self) -> None:
+        valid_shares(self)
         at_least(self, 1, "steps batch points log_every validate_every checkpoint_every")
         at_least(self, 0, "warm_up seed weight_decay clip")
         require(self, "scale", lambda scale: 0 < scale[0] <= scale[1], "two positive factors, the smaller one first")

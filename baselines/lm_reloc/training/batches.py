@@ -46,7 +46,7 @@ class Batches(Dataset[Batch]):
 
     def __init__(self, data: PosedTrainingData, options: TrainOptions, network: PoseNetwork) -> None:
         self._data, self._options = data, options
-        self._draw = EvenDraw(data, options.seed)
+        self._draw = EvenDraw(data, options.seed, options.shares)
         self._views = Views(data, options, network)
 
     def __len__(self) -> int:

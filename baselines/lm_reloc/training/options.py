@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from baselines.lm_reloc.options import PoseNetOptions
-from baselines.options import Options, above_0, at_least, require, share, share_below_1
+from baselines.options import Options, above_0, at_least, require, share, share_below_1, valid_shares
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,8 @@ class TrainOptions(Options):
     steps: int = 1600
     batch: int = 16
     """pairs in each step, each in both directions"""
+    shares: dict[str, float] = field(default_factory=dict)
+    """share of the pairs by the name of a dataset, as in {photographs: 0.25}; others are drawn evenly in the rest"""
     turns: int = 2
     """views of each image and of its mirror image: the first as it is, the others turned at random, which is exact"""
     turn_deg: tuple[float, float, float] = (2.0, 6.0, 2.0)
@@ -57,6 +59,7 @@ class TrainOptions(Options):
     network: PoseNetOptions = field(default_factory=PoseNetOptions)
 
     def __post_init__(self) -> None:
+        valid_shares(self)
         at_least(self, 1, "steps batch turns log_every validate_every checkpoint_every")
         at_least(self, 0, "warm_up seed weight_decay clip cache_mb")
         require(

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from made_pairs import TINY, MadePairs
 from numpy.typing import NDArray
 
@@ -56,6 +59,42 @@ def test_a_draw_depends_on_its_number_and_the_seed_alone() -> None:
     first, again, other = EvenDraw(data, 0), EvenDraw(data, 0), EvenDraw(data, 1)
     assert [first[n] for n in range(60)] == [again[n] for n in reversed(range(60))][::-1]
     assert [first[n] for n in range(60)] != [other[n] for n in range(60)]
+
+
+@given(st.integers(1, 99), st.integers(0, 99), st.integers(0, 3))
+def test_a_dataset_gets_its_share_of_the_draws(percent: int, second: int, seed: int) -> None:
+    second = min(second, 99 - percent)
+    names = ["town"] * 8 + ["photographs"] * 7 + ["walk"] * 5
+    data = MadePairs(UNEVEN * 2, datasets=names)
+    shares = {"walk": percent / 100} | ({"photographs": second / 100} if second else {})
+    draw = EvenDraw(data, seed, shares)
+    drawn = [data.label(draw[n]).dataset for n in range(200)]
+    for name, share in shares.items():
+        for count in (50, 100, 200):
+            assert abs(drawn[:count].count(name) - share * count) < 2
+    if not second:
+        others = [draw[n] for n in range(400) if data.label(draw[n]).dataset != "walk"]
+        alone = EvenDraw(MadePairs((UNEVEN * 2)[:15], datasets=names[:15]), seed)
+        assert others == [alone[n] for n in range(len(others))], "the rest is drawn as if it were all"
+
+
+@pytest.mark.parametrize(
+    ("shares", "told"),
+    [
+        ({"streets": 0.5}, r"shares\.streets: the data has pairs of town, walk"),
+        ({"town": 0.5, "walk": 0.4}, r"shares add up to 0\.9, but they are all datasets"),
+        ({"town": 1.0}, r"shares add up to 1, but nothing is left for walk"),
+    ],
+)
+def test_shares_that_cannot_be_are_refused(shares: Mapping[str, float], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        EvenDraw(MadePairs(datasets=["town", "walk"] * 2), 0, shares)
+
+
+def test_shares_are_above_0_and_at_most_1() -> None:
+    for shares in ({"town": 0.0}, {"town": 0.6, "walk": 0.6}):
+        with pytest.raises(ConfigError, match=r"shares is .*, expected shares above 0, at most 1 together"):
+            options(shares=shares)
 
 
 @pytest.mark.parametrize("seed", range(5))
