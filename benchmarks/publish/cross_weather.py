@@ -376,6 +376,8 @@ def _tables(together: list[Group], single: list[Group], methods: Sequence[str]) 
         for group in (*together, *single):
             cells = [f"{100 * group.mean(method, metric):.1f}" for method in methods]
             lines.append(f"| {group.name} | {group.pairs} | {' | '.join(cells)} |")
+    if SUBJECT not in methods:
+        return lines
     others = [method for method in methods if method != SUBJECT]
     lines += [f"\n## {SUBJECT} less another method, percentage points [95 % interval]\n"]
     lines += [f"| group | metric | {' | '.join(others)} |", f"|---|---|{'---|' * len(others)}"]
@@ -466,9 +468,8 @@ def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) 
             for method in methods
         },
     }
-    for other in methods:
-        if other == SUBJECT:
-            continue
+    others = [method for method in methods if method != SUBJECT] if SUBJECT in methods else []
+    for other in others:
         told: dict[str, Any] = {}
         for group in together:
             for metric in METRICS:
@@ -481,7 +482,7 @@ def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) 
                 group.mean(SUBJECT, metric) > group.mean(other, metric) for group in single
             ) / len(single)
         claims[f"{SUBJECT} less {other}"] = told
-    rivals = [method for method in RIVALS if method in methods]
+    rivals = [method for method in RIVALS if method in others]
     for metric in METRICS if rivals else ():
         claims[f"conditions ahead of {' and '.join(rivals)}, {metric}"] = sum(
             all(group.mean(SUBJECT, metric) > group.mean(rival, metric) for rival in rivals) for group in single
