@@ -8,7 +8,8 @@ rows of ALIKED need its authors' weights where ``aliked-pnp`` looks for them.
 ``--split validation`` renders districts of other seeds, to try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
-one end; the differences of one method to every other with their 95 % intervals; how far keyframes are, and how far off
+one end; the differences of one method to every other, and of alignments to the methods whose poses they start from, with
+their 95 % intervals; how far keyframes are, and how far off
 wrong answers; and how many pairs of different places each answered, which nothing else counts. Districts count alike,
 and so do the pair sets of a district, which are one series by the step of the drive; intervals are at least as wide as
 the spread of the districts demands (``docs/statistics.md``).
@@ -93,6 +94,13 @@ FLOORS = ("identity", "clock")
 SUBJECT = "gn-net"
 RIVALS = ("dso", "orb-pnp")
 """methods that the subject should be ahead of"""
+STARTED = {
+    "gn-net-from-aliked-pnp": "aliked-pnp",
+    "dso-from-orb-pnp": "orb-pnp",
+    "dso-from-gn-net-pnp": "gn-net-pnp",
+    "gn-net": "gn-net-pnp",
+}
+"""alignments by the method whose pose they start from; gn-net starts from the keyframe's pose too"""
 VALIDATION_PHRASE = "validation of the page across weathers"
 STEPS, SPEED_MPS = 52, 40
 """images of a drive and its speed: at 10 images a second, 204 m of road"""
@@ -178,6 +186,7 @@ def main() -> None:
             *_absent(absent),
             *far,
             *_tables(together, [*apart, *single], methods),
+            *_started_table([*together, *apart], methods),
             *wrong,
             *_confidence_table(together, methods),
             *_by_district_table(together[-1], [method for method in methods if method not in FLOORS]),
@@ -384,6 +393,21 @@ def _tables(together: list[Group], single: list[Group], methods: Sequence[str]) 
     for group in (*together, *single):
         for metric in METRICS:
             cells = [_told(group.ahead(SUBJECT, other, metric)) for other in others]
+            lines.append(f"| {group.name} | {metric} | {' | '.join(cells)} |")
+    return lines
+
+
+def _started_table(groups: Sequence[Group], methods: Sequence[str]) -> list[str]:
+    """What alignment adds to the pose that it starts from."""
+    there = {of: start for of, start in STARTED.items() if of in methods and start in methods}
+    if not there:
+        return []
+    lines = ["\n## An alignment less the method whose pose it starts from, percentage points [95 % interval]\n"]
+    lines += [f"| group | metric | {' | '.join(f'{of} less {start}' for of, start in there.items())} |"]
+    lines += [f"|---|---|{'---|' * len(there)}"]
+    for group in groups:
+        for metric in METRICS:
+            cells = [_told(group.ahead(of, start, metric)) for of, start in there.items()]
             lines.append(f"| {group.name} | {metric} | {' | '.join(cells)} |")
     return lines
 
