@@ -8,8 +8,8 @@ rows of ALIKED need its authors' weights where ``aliked-pnp`` looks for them.
 ``--split validation`` renders districts of other seeds, to try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
-one end; the differences of one method to every other, and of alignments to the methods whose poses they start from, with
-their 95 % intervals; how far keyframes are, and how far off
+one end; the differences of one method to every other, and of alignments to the methods whose poses they start from,
+with their 95 % intervals; how far keyframes are, and how far off
 wrong answers; and how many pairs of different places each answered, which nothing else counts. Districts count alike,
 and so do the pair sets of a district, which are one series by the step of the drive; intervals are at least as wide as
 the spread of the districts demands (``docs/statistics.md``).
