@@ -69,4 +69,6 @@ def _uniform(shape: tuple[int, ...], size: tuple[int, int], generator: torch.Gen
 
 
 def _far(u: Tensor, u_true: Tensor, away: float) -> Tensor:
-    return ((u - u_true) ** 2).sum(-1) > away * away
+    # A sum over an axis of two takes four times as long.
+    du, dv = u[..., 0] - u_true[..., 0], u[..., 1] - u_true[..., 1]
+    return du * du + dv * dv > away * away
