@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -27,37 +26,18 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from calibration import CAMERA, VALIDATION, build_district, same_place
+from answers import Answer, in_percent, kept, questions
+from calibration import VALIDATION, build_district
 
-from baselines.gn_net.tracker import SHIPPED, GnNetFromPrior
+from baselines.gn_net.tracker import SHIPPED, GnNet, GnNetFromPrior
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import se3_exp
-from relocbench.metrics import pose_errors
 from relocbench.metrics.statistics.intervals import paired_difference
 
-KEYFRAME, ASIDE, TRUTH = "the keyframe's pose", "as far, elsewhere", "the truth"
-STARTS = (KEYFRAME, ASIDE, TRUTH)
-POSITION_M, ANGLE_DEG, NEAR_M = 0.25, 2.0, 1.0
-
-
-@dataclass(frozen=True)
-class Answer:
-    """How an alignment ended; errors are None where there is no pose."""
-
-    start: str
-    same_drive: bool
-    distance_m: float
-    conditions: tuple[str, str]
-    translation_m: float | None
-    rotation_deg: float | None
-
-    @property
-    def right(self) -> float:
-        """1 if the answer is within the thresholds."""
-        if self.translation_m is None or self.rotation_deg is None:
-            return 0.0
-        return float(self.translation_m <= POSITION_M and self.rotation_deg <= ANGLE_DEG)
+KEYFRAME, ASIDE, TRUTH, MATCHES = "the keyframe's pose", "as far, elsewhere", "the truth", "its matches too"
+STARTS = (KEYFRAME, ASIDE, TRUTH, MATCHES)
+NEAR_M = 1.0
 
 
 GROUPS: Mapping[str, Callable[[Answer], bool]] = {
@@ -86,39 +66,22 @@ def main() -> None:
 
 
 def answers_of(weights: Path, seed: int, options: argparse.Namespace) -> list[Answer]:
-    """The answers with a weights file to the pairs of a district, kept in a file of JSON lines."""
+    """The answers with a weights file to the pairs of a district."""
     digest = sha256(weights.read_bytes()).hexdigest()[:16]
     path = Path(options.scratch) / "keyframe_start" / f"{digest}-{seed}-{options.pairs}.jsonl"
-    if not path.exists():
-        dataset = build_district(options.scratch, seed, options.workers)
-        tracker = GnNetFromPrior(weights=weights, min_agreement=0.0)
-        lines = [json.dumps(asdict(answer)) + "\n" for answer in ask(tracker, dataset, options.pairs, seed)]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part")
-        part.write_text("".join(lines))
-        part.rename(path)
-    return [Answer(**json.loads(line)) for line in path.read_text().splitlines()]
+    return kept(path, lambda: ask(weights, build_district(options.scratch, seed, options.workers), options.pairs, seed))
 
 
-def ask(tracker: GnNetFromPrior, dataset: Dataset, count: int, seed: int) -> Iterator[Answer]:
+def ask(weights: Path, dataset: Dataset, count: int, seed: int) -> Iterator[Answer]:
     """The answers to the pairs of a district from all starts."""
     rng = np.random.default_rng([seed, count])
-    for pair in same_place(dataset, count, seed):
-        assert pair.truth is not None
-        prepared = tracker.prepare(dataset.traversal(pair.reference[0]).reference(CAMERA, pair.reference[1]))
-        query = dataset.traversal(pair.query[0]).query(CAMERA, pair.query[1])
-        still = pose_errors(np.eye(4)[None], pair.truth[None])
-        metres, degrees = float(still.translation_error_m[0]), float(still.rotation_error_deg[0])
-        starts = {KEYFRAME: None, ASIDE: beside(pair.truth, metres, degrees, rng), TRUTH: pair.truth}
-        names = [str(dataset.traversal(drive).condition) for drive in (pair.reference[0], pair.query[0])]
-        for name, start in starts.items():
-            pose = tracker.track(prepared, query, start).T_query_ref
-            errors: tuple[float | None, float | None] = (None, None)
-            if pose is not None:
-                found = pose_errors(pose[None], pair.truth[None])
-                errors = float(found.translation_error_m[0]), float(found.rotation_error_deg[0])
-            same_drive = pair.reference[0] == pair.query[0]
-            yield Answer(name, same_drive, metres, (names[0], names[1]), *errors)
+    alone, matched = GnNetFromPrior(weights=weights, min_agreement=0.0), GnNet(weights=weights, min_agreement=0.0)
+    for question in questions(dataset, count, seed):
+        aside = beside(question.truth, question.metres, question.degrees, rng)
+        prepared = alone.prepare(question.reference)
+        for row, start in {KEYFRAME: None, ASIDE: aside, TRUTH: question.truth}.items():
+            yield question.answer(row, alone.track(prepared, question.query, start).T_query_ref)
+        yield question.answer(MATCHES, matched.track(prepared, question.query).T_query_ref)
 
 
 def beside(T_query_ref: Array, metres: float, degrees: float, rng: np.random.Generator) -> Array:
@@ -135,25 +98,27 @@ def table(name: str, answers: Mapping[str, Mapping[int, Sequence[Answer]]], chos
     seeds = [seed for seed in answers[first] if any(map(chosen, answers[first][seed]))]
     right = {
         (weights, start): [
-            np.array([a.right for a in of_weights[seed] if chosen(a) and a.start == start]) for seed in seeds
+            np.array([a.right for a in of_weights[seed] if chosen(a) and a.row == start]) for seed in seeds
         ]
         for weights, of_weights in answers.items()
         for start in STARTS
     }
     pairs = sum(map(len, right[first, KEYFRAME]))
     print(f"\n## {name}: {pairs} pairs of {len(seeds)} districts, right answers in %\n")
-    print(f"| weights | {' | '.join(f'from {start}' for start in STARTS)} | from {KEYFRAME}, less {first} |")
-    print("|---|---|---|---|---|")
+    print(
+        f"| weights | {' | '.join(f'from {start}' for start in STARTS)} | from {KEYFRAME}, less {first} | "
+        f"from {MATCHES}, less {first} |\n|---|---|---|---|---|---|---|"
+    )
     told: dict[str, Any] = {"pairs": pairs}
     for weights in answers:
         means = [100 * float(np.mean([d.mean() for d in right[weights, start]])) for start in STARTS]
-        less = ""
+        less = ["", ""]
         if weights != first:
-            found = paired_difference(right[weights, KEYFRAME], right[first, KEYFRAME], roads=seeds)
-            less = f"{100 * found.mean:+.1f}"
-            if found.interval:
-                less += f" [{100 * found.interval.low:.1f}, {100 * found.interval.high:.1f}]"
-        print(f"| {weights} | {' | '.join(f'{mean:.1f}' for mean in means)} | {less} |")
+            less = [
+                in_percent(paired_difference(right[weights, start], right[first, start], roads=seeds))
+                for start in (KEYFRAME, MATCHES)
+            ]
+        print(f"| {weights} | {' | '.join(f'{mean:.1f}' for mean in means)} | {' | '.join(less)} |")
         told[weights] = dict(zip(STARTS, means, strict=True))
     return told
 

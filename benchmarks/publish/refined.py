@@ -19,51 +19,25 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from calibration import CAMERA, VALIDATION, build_district, same_place
+from answers import Answer, in_percent, kept, questions
+from calibration import VALIDATION, build_district
 
 from baselines.feature_pnp import OrbPnp, SiftPnp
 from baselines.gn_net.tracker import GnNetFromPrior
 from baselines.learned_pnp import AlikedPnp
-from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.metrics import pose_errors
 from relocbench.metrics.statistics.intervals import paired_difference
 
 STARTS: Mapping[str, Callable[[], Any]] = {"orb-pnp": OrbPnp, "sift-pnp": SiftPnp, "aliked-pnp": AlikedPnp}
 LEVELS = {"coarsest": None, "2": 2, "1": 1, "0": 0}
 """``prior_level`` by the name of its row"""
 ALONE = "the start alone"
-POSITION_M, ANGLE_DEG, LARGEST_DEG = 0.25, 2.0, 0.5
-
-
-@dataclass(frozen=True)
-class Answer:
-    """The errors of a row on a pair; None where there is no pose."""
-
-    row: str
-    same_drive: bool
-    conditions: tuple[str, str]
-    translation_m: float | None
-    rotation_deg: float | None
-
-    @property
-    def right(self) -> float:
-        """1 if the answer is within the thresholds."""
-        if self.translation_m is None or self.rotation_deg is None:
-            return 0.0
-        return float(self.translation_m <= POSITION_M and self.rotation_deg <= ANGLE_DEG)
-
-    @property
-    def area(self) -> float:
-        """The share of r_auc that the pair contributes."""
-        return 0.0 if self.rotation_deg is None else max(0.0, 1.0 - self.rotation_deg / LARGEST_DEG)
 
 
 def main() -> None:
@@ -77,7 +51,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
     seeds = [int(part) for part in options.districts.split(",")]
-    answers = {seed: answers_of(options.scratch, options.start, seed, options) for seed in seeds}
+    answers = {seed: answers_of(seed, options) for seed in seeds}
     told = {}
     for name, chosen in GROUPS.items():
         of_group = {seed: [a for a in of_seed if chosen(a)] for seed, of_seed in answers.items()}
@@ -94,38 +68,27 @@ GROUPS: Mapping[str, Callable[[Answer], bool]] = {
 }
 
 
-def answers_of(scratch: Path, start: str, seed: int, options: argparse.Namespace) -> list[Answer]:
-    """The answers of all rows to the pairs of a district, kept in a file of JSON lines."""
-    path = scratch / "refined" / f"{start}-{seed}-{options.pairs}.jsonl"
-    if not path.exists():
-        dataset = build_district(scratch, seed, options.workers)
-        lines = [json.dumps(asdict(answer)) + "\n" for answer in ask(STARTS[start](), dataset, options.pairs, seed)]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part")
-        part.write_text("".join(lines))
-        part.rename(path)
-    return [Answer(**json.loads(line)) for line in path.read_text().splitlines()]
+def answers_of(seed: int, options: argparse.Namespace) -> list[Answer]:
+    """The answers of all rows to the pairs of a district."""
+    path = options.scratch / "refined" / f"{options.start}-{seed}-{options.pairs}.jsonl"
+    start = STARTS[options.start]
+
+    def make() -> Iterator[Answer]:
+        return ask(start(), build_district(options.scratch, seed, options.workers), options.pairs, seed)
+
+    return kept(path, make)
 
 
 def ask(start: Any, dataset: Dataset, count: int, seed: int) -> Iterator[Answer]:
     """The answers of the start and of alignment from it on each first level."""
     aligners = {name: GnNetFromPrior(min_agreement=0.0, prior_level=level) for name, level in LEVELS.items()}
-    for pair in same_place(dataset, count, seed):
-        assert pair.truth is not None
-        reference = dataset.traversal(pair.reference[0]).reference(CAMERA, pair.reference[1])
-        query = dataset.traversal(pair.query[0]).query(CAMERA, pair.query[1])
-        first = start.track(start.prepare(reference), query).T_query_ref
-        poses: dict[str, Array | None] = {ALONE: first}
-        prepared = aligners["coarsest"].prepare(reference)
+    for question in questions(dataset, count, seed):
+        first = start.track(start.prepare(question.reference), question.query).T_query_ref
+        yield question.answer(ALONE, first)
+        prepared = aligners["coarsest"].prepare(question.reference)
         for name, aligner in aligners.items():
-            poses[name] = None if first is None else aligner.track(prepared, query, first).T_query_ref
-        names = [str(dataset.traversal(drive).condition) for drive in (pair.reference[0], pair.query[0])]
-        for row, pose in poses.items():
-            errors: tuple[float | None, float | None] = (None, None)
-            if pose is not None:
-                found = pose_errors(pose[None], pair.truth[None])
-                errors = float(found.translation_error_m[0]), float(found.rotation_error_deg[0])
-            yield Answer(row, pair.reference[0] == pair.query[0], (names[0], names[1]), *errors)
+            pose = None if first is None else aligner.track(prepared, question.query, first).T_query_ref
+            yield question.answer(name, pose)
 
 
 def table(name: str, answers: Mapping[int, Sequence[Answer]]) -> dict[str, Any]:
@@ -148,11 +111,7 @@ def table(name: str, answers: Mapping[int, Sequence[Answer]]) -> dict[str, Any]:
         less = ["", ""]
         if row != ALONE:
             found = [paired_difference(values[row], values[ALONE], roads=seeds) for values in (right, area)]
-            less = [
-                f"{100 * d.mean:+.1f}"
-                + (f" [{100 * d.interval.low:.1f}, {100 * d.interval.high:.1f}]" if d.interval else " [too few pairs]")
-                for d in found
-            ]
+            less = [in_percent(difference) for difference in found]
         print(f"| {row} | {means[0]:.1f} | {means[1]:.1f} | {less[0]} | {less[1]} |")
         told[row] = {"right": means[0], "r_auc": means[1]}
     return told
