@@ -5,7 +5,7 @@ reference and query pass the same weights):
 
     encoder   stage k: w_k channels on level f + k (:mod:`baselines.gn_net.encoder`)
     decoder   stage n: as encoded   stage k: 1x1 of the coarser stage, upsampled, plus the encoder's stage k, 3x3
-    head      1x1 to D channels, on each of the finest ``levels`` stages
+    head      1x1 to D channels, on each of the finest ``levels`` stages; another one to 1 channel, if asked
 
 Features stay aligned with their pixels: convolutions are odd and centred, and upsampling is bilinear about the same
 centres. Stage k is level l = f + k, and its pixel i is at pixel 2^l (i + 0.5) - 0.5 of the image.
@@ -26,6 +26,9 @@ from baselines.gn_net.encoder import Filter, make_encoder
 from baselines.gn_net.options import NetworkOptions
 from baselines.initialisation import Foldable, convolution
 
+_LEAST = 1e-6
+"""confidence; weights of points must be positive"""
+
 
 class FeatureNet(nn.Module):
     """Dense features of images at ``options.levels`` resolutions.
@@ -43,6 +46,8 @@ class FeatureNet(nn.Module):
         self.reduce = nn.ModuleList(convolution(widths[k + 1], widths[k], 1) for k in range(len(widths) - 1))
         self.decoder = nn.ModuleList(Filter(widths[k], widths[k], norm) for k in range(len(widths) - 1))
         self.heads = nn.ModuleList(convolution(widths[k], self.options.dim, 1) for k in range(levels))
+        confident = levels if self.options.confidence else 0
+        self.confidences = nn.ModuleList(convolution(widths[k], 1, 1) for k in range(confident))
         self._draw_weights(generator or torch.Generator().manual_seed(0))
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
@@ -59,13 +64,33 @@ class FeatureNet(nn.Module):
         Raises:
             ValueError: the shape is wrong, or the images have no pixel on the coarsest level.
         """
+        return self.with_confidences(images)[0]
+
+    def with_confidences(self, images: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+        """Feature maps, and for each the confidence of its pixels; without the option ``confidence`` there are none.
+
+        Args:
+            images: as in :meth:`forward`.
+
+        Returns:
+            Features as :meth:`forward` returns them, and (B, 1, H // 2^l, W // 2^l) confidences in (0, 1).
+
+        Raises:
+            ValueError: as in :meth:`forward`.
+        """
         maps = self.stages(images)
         height, width = images.shape[-2:]
-        out = []
-        for level, (head, of_level) in enumerate(zip(self.heads, maps, strict=False), start=self.options.finest):
-            features = head(of_level)[..., : height >> level, : width >> level]
-            out.append(functional.normalize(features, dim=1) if self.options.normalise == "unit" else features)
-        return tuple(out)
+
+        def on_levels(heads: nn.ModuleList) -> list[Tensor]:
+            return [
+                head(of_level)[..., : height >> level, : width >> level]
+                for level, (head, of_level) in enumerate(zip(heads, maps, strict=False), start=self.options.finest)
+            ]
+
+        features = on_levels(self.heads)
+        if self.options.normalise == "unit":
+            features = [functional.normalize(each, dim=1) for each in features]
+        return tuple(features), tuple(torch.sigmoid(each).clamp(_LEAST) for each in on_levels(self.confidences))
 
     def stages(self, images: Tensor, finest: int = 0) -> list[Tensor]:
         """What the heads read: the decoder's maps from stage ``finest`` on, finest first; padding is not cut off.
@@ -114,12 +139,14 @@ class FeatureNet(nn.Module):
         return functional.pad(x, missing, mode="replicate") if any(missing) else x
 
     def _draw_weights(self, generator: torch.Generator) -> None:
-        """Initialise as He et al., 2015; heads start with features of about unit norm."""
+        """Initialise as He et al., 2015; heads start with features of about unit norm and equal confidences."""
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
+        for head in self.confidences:
+            nn.init.zeros_(cast(Tensor, head.weight))
         for head in self.heads:
             nn.init.xavier_normal_(cast(Tensor, head.weight), gain=self.options.dim**-0.5, generator=generator)
 

@@ -39,6 +39,8 @@ class NetworkOptions(Options):
     normalise: Literal["none", "unit"] = "none"
     """``unit``: the D features of each pixel are divided by their norm, and residuals and derivatives are taken from
     the normalised map; features that are all zero stay zero"""
+    confidence: bool = False
+    """each level also tells how much a point counts in alignment, in (0, 1), at each pixel of the reference"""
     encoder: EncoderName = "plain"
     """``plain``: two 3x3 convolutions a stage; ``efficientnet-lite0``: its stages, for which ImageNet weights exist"""
 

@@ -212,11 +212,12 @@ class GnNet:
         """
         require_pinhole(camera)
         try:
-            maps = self.net(image_tensor(image).to(self.device, memory_format=torch.channels_last))
+            maps = self.net.with_confidences(image_tensor(image).to(self.device, memory_format=torch.channels_last))
         except ValueError as bad:
             raise MethodError(str(bad)) from bad
         of_finest = level_camera(camera, self.net.options.finest)
-        return FeaturePyramid.from_maps([m[0].permute(1, 2, 0).float().cpu().numpy() for m in maps], of_finest)
+        features, confidences = ([m[0].permute(1, 2, 0).float().cpu().numpy() for m in each] for each in maps)
+        return FeaturePyramid.from_maps(features, of_finest, confidences)
 
     def _find(
         self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Start

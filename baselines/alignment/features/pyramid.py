@@ -28,6 +28,8 @@ class FeatureLevel:
     map: Map
     """(H, W, D) C-contiguous"""
     camera: Camera
+    confidence: Map | None = None
+    """(H, W, 1) C-contiguous, positive: how much a point of a reference counts, where the network tells"""
 
     @property
     def channels(self) -> int:
@@ -42,7 +44,9 @@ class FeaturePyramid:
     levels: tuple[FeatureLevel, ...]
 
     @classmethod
-    def from_maps(cls, maps: Sequence[NDArray[Any]], camera: Camera) -> FeaturePyramid:
+    def from_maps(
+        cls, maps: Sequence[NDArray[Any]], camera: Camera, confidences: Sequence[NDArray[Any]] = ()
+    ) -> FeaturePyramid:
         """The pyramid of a network's feature maps.
 
         Level l has W >> l times H >> l pixels, as in the intensity pyramid; where a map is one row or column larger,
@@ -53,6 +57,7 @@ class FeaturePyramid:
             maps: (H_l, W_l, D) each, finest first; pixel (u, v) of level l is at
                 ((u + 0.5) 2^l - 0.5, (v + 0.5) 2^l - 0.5) of level 0.
             camera: of level 0, pinhole.
+            confidences: (H_l, W_l, 1) for each map, or none.
 
         Raises:
             MethodError: the camera is not pinhole, there is no map, or one has a wrong shape.
@@ -60,16 +65,13 @@ class FeaturePyramid:
         require_pinhole(camera)
         if not maps:
             raise MethodError("a feature pyramid needs at least one map")
+        if confidences and len(confidences) != len(maps):
+            raise MethodError(f"{len(confidences)} maps of confidence, {len(maps)} of features")
         levels = []
         for number, values in enumerate(maps):
             of_level = level_camera(camera, number)
-            if np.ndim(values) != 3 or not _covers(values.shape[:2], camera, number):
-                raise MethodError(
-                    f"the feature map of level {number} is {np.shape(values)}, "
-                    f"expected ({of_level.height}, {of_level.width}, channels)"
-                )
-            cropped = values[: of_level.height, : of_level.width]
-            levels.append(FeatureLevel(np.ascontiguousarray(cropped, dtype=np.float32), of_level))
+            confidence = _cropped(confidences[number], camera, number) if confidences else None
+            levels.append(FeatureLevel(_cropped(values, camera, number), of_level, confidence))
         return cls(tuple(levels))
 
     def __len__(self) -> int:
@@ -78,6 +80,17 @@ class FeaturePyramid:
     def with_gradients(self) -> list[Level]:
         """The levels with stored gradients, (H, W, 3 D), as the matching of single pixels reads them."""
         return [Level(with_gradients(level.map), level.camera) for level in self.levels]
+
+
+def _cropped(values: NDArray[Any], camera: Camera, level: int) -> Map:
+    """A map in the size of its level."""
+    of_level = level_camera(camera, level)
+    if np.ndim(values) != 3 or not _covers(values.shape[:2], camera, level):
+        raise MethodError(
+            f"the feature map of level {level} is {np.shape(values)}, "
+            f"expected ({of_level.height}, {of_level.width}, channels)"
+        )
+    return np.ascontiguousarray(values[: of_level.height, : of_level.width], dtype=np.float32)
 
 
 def _covers(shape: Sequence[int], camera: Camera, level: int) -> bool:

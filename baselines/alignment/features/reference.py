@@ -92,7 +92,7 @@ class ReferenceFeatures:
         Args:
             points: N pixels of level 0 with inverse depth.
             pyramid: of the keyframe.
-            weights: (N,) positive; 1 by default.
+            weights: (N,) positive; 1 by default. Where the pyramid has confidences, they multiply the weights.
 
         Raises:
             MethodError: the number of weights is not that of the points, or a weight is not a positive number.
@@ -107,8 +107,10 @@ class ReferenceFeatures:
             last = np.array([level.camera.width, level.camera.height]) - 1 - KEPT_BORDER
             kept = known & np.all((uv >= KEPT_BORDER) & (uv <= last), axis=1)
             uv = uv[kept]
-            values = sample(level.map, uv)
-            levels.append(FeaturePoints.at(uv, points.inverse_depth[kept], values, level.camera, weights[kept]))
+            values, of_points = sample(level.map, uv), weights[kept]
+            if level.confidence is not None:
+                of_points = of_points * sample(level.confidence, uv)[:, 0]
+            levels.append(FeaturePoints.at(uv, points.inverse_depth[kept], values, level.camera, of_points))
         return cls(tuple(levels))
 
     def __len__(self) -> int:

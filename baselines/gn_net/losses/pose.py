@@ -5,10 +5,12 @@ with one pose, and starts at a prior. Here some of its steps are computed on eac
 can be differentiated, and the loss is how far the points are from their true pixels then (PixLoc, Sarlin et al., CVPR
 2021, which learned features and alignment end to end in this way):
 
-    r_i = F_b(pi(T X_i)) - f_i      J_i = dF_b/du  du/dxi      w_i = min(1, k / ||r_i||)
+    r_i = F_b(pi(T X_i)) - f_i      J_i = dF_b/du  du/dxi      w_i = c_i min(1, k / ||r_i||)
     H = sum w_i J_i^T J_i           g = sum w_i J_i^T r_i
     T <- exp(-(H + lambda diag H)^-1 g) T                                K times on a level
     E = mean_i rho(||pi(T X_i) - u_i||)      rho(d) = sqrt(1 + d^2) - 1      in pixels of the level
+
+c_i is the network's confidence in the point, where it tells one, and 1 otherwise; this loss alone teaches it.
 
 The pose is handed from level to level without its derivative. A level whose start is farther off than alignment could
 reach there is left out, since nothing can be learned from it.
@@ -128,6 +130,7 @@ def pose_terms(
     start: Tensor,
     options: PoseOptions,
     finest: int,
+    confidences_ref: Sequence[Tensor] = (),
 ) -> PoseTerms:
     """The costs of alignment from given starts.
 
@@ -137,6 +140,7 @@ def pose_terms(
         start: (B, 4, 4) first ``T_query_ref``.
         options: see there.
         finest: level of the first map, of which the images' own resolution is 0.
+        confidences_ref: (B, 1, H_l, W_l) for each level, or none.
     """
     T = start
     n = options.points
@@ -145,10 +149,15 @@ def pose_terms(
     rows = []
     for number in reversed(range(len(features_ref))):
         level = finest + number
-        f_ref, on_ref = sample(features_ref[number], level_coordinates(seen.u_ref, level))
+        on_level = level_coordinates(seen.u_ref, level)
+        f_ref, on_ref = sample(features_ref[number], on_level)
+        confidence = (
+            sample(confidences_ref[number], on_level)[0][..., 0] if confidences_ref else torch.ones_like(on_ref)
+        )
         one = _Level(
             features_query[number],
             f_ref,
+            confidence,
             level_coordinates(seen.u_query, level),
             seen.known & on_ref,
             _intrinsics_of(seen.intrinsics, level),
@@ -169,6 +178,7 @@ def pose_terms(
 class _Level(NamedTuple):
     features_query: Tensor
     f_ref: Tensor
+    confidence: Tensor
     u_query: Tensor
     counted: Tensor
     intrinsics: Tensor
@@ -180,7 +190,7 @@ def _stepped(one: _Level, X_ref: Tensor, T: Tensor, options: PoseOptions) -> Ten
     in_front = X[..., 2] > _NEAREST_M
     X = torch.where(in_front[..., None], X, torch.ones_like(X))
     values, jacobian, on_map = sample_with_gradient(one.features_query, _projected(X, one.intrinsics))
-    counted = (one.counted & in_front & on_map).double()
+    counted = (one.counted & in_front & on_map) * one.confidence.double()
     r = (values - one.f_ref).double()
     size = torch.linalg.vector_norm(r.detach(), dim=-1)
     k = options.huber * one.f_ref.detach().double().std(dim=-2).square().sum(-1, keepdim=True).sqrt()

@@ -145,6 +145,7 @@ def pose_loss(
     options: LossOptions,
     finest: int,
     generator: torch.Generator,
+    confidences_ref: Sequence[Tensor] = (),
 ) -> LossValue:
     """The weighted pose loss over levels, which comes on top of :func:`total_loss`.
 
@@ -153,6 +154,7 @@ def pose_loss(
         seen: points, cameras and true poses of the batch.
         options: see there.
         generator: on the CPU; the source of starts.
+        confidences_ref: (B, 1, H_l, W_l) for each level, or none.
 
     Returns:
         The loss, and its parts by ``level/part``: ``pose``, ``start_px`` and ``end_px`` (mean errors of the points
@@ -160,7 +162,7 @@ def pose_loss(
         (the share of such pairs).
     """
     start = draw_start_poses(seen.T_query_ref, options.pose, generator)
-    terms = pose_terms(features_ref, features_query, seen, start, options.pose, finest)
+    terms = pose_terms(features_ref, features_query, seen, start, options.pose, finest, confidences_ref)
     total = torch.zeros((), dtype=torch.float64, device=start.device)
     parts: dict[str, Tensor] = {}
     for level, weight in enumerate(options.level_weights):

@@ -114,7 +114,7 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
         batch = batch.to(self.device)
         images = torch.cat([batch.images_ref, batch.images_query]).contiguous(memory_format=torch.channels_last)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half):
-            maps = self.network(images)
+            maps, confidences = self.network.with_confidences(images)
         pairs, finest = len(batch.mask), self.options.network.finest
         features = [m.float() for m in maps]
         ref, query = [m[:pairs] for m in features], [m[pairs:] for m in features]
@@ -132,9 +132,9 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
             return value.total, value.parts
         known = batch.mask & batch.known
         seen = SeenPoints(batch.X_ref, batch.u_ref, batch.u_query, known, batch.intrinsics, batch.T_query_ref)
-        posed = pose_loss(
-            ref, query, seen, self.options.loss, finest, generator(self.options.seed, _START_POSES, self.step)
-        )
+        starts = generator(self.options.seed, _START_POSES, self.step)
+        confident = [each[:pairs].float() for each in confidences]
+        posed = pose_loss(ref, query, seen, self.options.loss, finest, starts, confident)
         return value.total + posed.total, {**value.parts, **posed.parts}
 
     @property

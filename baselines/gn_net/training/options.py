@@ -133,6 +133,10 @@ class TrainOptions(Options):
             raise OptionError("encoder_weights", IMAGENET, "drawn, unless network.encoder=efficientnet-lite0")
         if self.encoder_weights == IMAGENET and self.start:
             raise OptionError("encoder_weights", IMAGENET, "drawn where start gives all weights")
+        if self.network.confidence and self.loss.pose.weight == 0:
+            raise OptionError(
+                "network.confidence", True, "false, unless loss.pose.weight, which teaches it, is above 0"
+            )
         smallest = 4 * self.network.smallest_side
         require(
             self, "crop", lambda crop: crop >= smallest, f"{smallest} or more, which the network's coarsest level needs"

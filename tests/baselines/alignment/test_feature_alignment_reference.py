@@ -86,6 +86,29 @@ def test_points_keep_their_place_and_depth_on_every_level() -> None:
         np.testing.assert_array_equal(kept, np.flatnonzero(inside))
 
 
+def test_confidences_multiply_the_weights_of_their_level() -> None:
+    points, maps = keyframe_points(), [level.map for level in pyramid().levels]
+    rng = np.random.default_rng(0)
+    confidences = [rng.uniform(0.1, 1.0, (*values.shape[:2], 1)) for values in maps]
+    weights = np.arange(1.0, len(points) + 1)
+    plain = ReferenceFeatures.at_points(points, pyramid(), weights)
+    weighted = ReferenceFeatures.at_points(points, FeaturePyramid.from_maps(maps, CAMERA, confidences), weights)
+    for number, (before, after) in enumerate(zip(plain.levels, weighted.levels, strict=True)):
+        uv = level_coordinates(points.uv[before.weights.astype(int) - 1], number)
+        of_points = bilinear(confidences[number].astype(np.float32), *uv.T)[:, 0]
+        np.testing.assert_allclose(after.weights, before.weights * of_points, rtol=1e-5)
+        np.testing.assert_array_equal(after.values, before.values)
+
+
+def test_as_many_confidences_as_maps_of_the_same_size() -> None:
+    maps = [level.map for level in pyramid().levels]
+    confidences = [np.ones((*values.shape[:2], 1), np.float32) for values in maps]
+    with pytest.raises(MethodError, match="3 maps of confidence, 4 of features"):
+        FeaturePyramid.from_maps(maps, CAMERA, confidences[:3])
+    with pytest.raises(MethodError, match="level 1"):
+        FeaturePyramid.from_maps(maps, CAMERA, [confidences[0]] * 4)
+
+
 def test_points_without_a_positive_depth_are_left_out() -> None:
     uv = np.full((4, 2), 50.0)
     points = KeyframePoints(uv, np.array([0.2, 0.0, -1.0, np.nan]), np.zeros(4))

@@ -140,6 +140,24 @@ def test_unit_features_are_the_plain_ones_with_norm_one() -> None:
         assert torch.allclose(here * norms, there, atol=1e-4)
 
 
+@torch.no_grad()
+def test_confidences_come_beside_the_same_features() -> None:
+    with_them = FeatureNet(replace(SMALL, confidence=True)).eval()
+    plain, pixels = FeatureNet(SMALL).eval(), image(33, 50)
+    plain.load_state_dict({k: v for k, v in with_them.state_dict().items() if not k.startswith("confidences")})
+    features, confidences = with_them.with_confidences(pixels)
+    assert plain.with_confidences(pixels)[1] == ()
+    for one, other, confidence in zip(features, plain(pixels), confidences, strict=True):
+        assert torch.equal(one, other)
+        assert confidence.shape == (1, 1, *one.shape[-2:])
+        assert bool((confidence == 0.5).all())
+    for head, bias in zip(with_them.confidences, (-300.0, 300.0, 0.0), strict=False):
+        head.bias.fill_(bias)  # type: ignore[operator]
+    assert all(bool(((each > 0) & (each <= 1)).all()) for each in with_them.with_confidences(pixels)[1])
+    fast = with_them.for_tracking().with_confidences(pixels)[1]
+    assert all(map(torch.allclose, fast, with_them.with_confidences(pixels)[1]))
+
+
 def test_first_weights_depend_on_their_generator_alone() -> None:
     torch.manual_seed(1)
     state = torch.get_rng_state()

@@ -15,6 +15,7 @@ from torch import Tensor
 from baselines.gn_net.losses import LossOptions, pose_loss
 from baselines.gn_net.losses.pose import (
     PoseOptions,
+    PoseTerms,
     SeenPoints,
     _exp,
     _pixel_by_pose,
@@ -27,6 +28,7 @@ from baselines.gn_net.training.batches import Batches
 from baselines.gn_net.training.options import TrainOptions
 from baselines.gn_net.training.posed import inverse_depth_at
 from baselines.gn_net.training.presets import gn_net
+from baselines.gn_net.weights import load_weights
 from baselines.options import filled, options_from_dict, plain
 from relocbench.errors import ConfigError, MethodError
 from relocbench.geometry import Camera, apply, invert, se3_exp, so3_log
@@ -125,6 +127,29 @@ def test_the_derivative_of_the_loss_is_that_of_finite_differences() -> None:
     (slope,) = torch.autograd.grad(value, step)
     # The weights of the robust loss are constants of a step, here all one.
     assert float(slope) == pytest.approx(float(cost(1e-5) - cost(-1e-5)) / 2e-5, rel=1e-4)
+
+
+def test_confidences_weigh_points_and_learn_which_are_wrong() -> None:
+    ref, query, seen = scene()
+    identity = torch.eye(4).expand(2, 4, 4)
+    wrong = ref[0].clone()
+    spoilt = seen.u_ref[0, ::3].long()
+    wrong[:, :, spoilt[:, 1], spoilt[:, 0]] += torch.tensor([12.0, -9.0])[None, :, None]
+    everywhere = torch.full((2, 1, SIDE, SIDE), 0.5)
+    there = torch.zeros_like(everywhere, dtype=torch.bool)
+    there[:, :, spoilt[:, 1], spoilt[:, 0]] = True
+
+    def after(confidences: list[Tensor]) -> PoseTerms:
+        return pose_terms([wrong], query, seen, identity, EASY, 0, confidences)
+
+    misled = after([])
+    assert torch.allclose(after([everywhere]).after, misled.after, rtol=1e-3)
+    assert float(misled.after.min()) > 1.0
+    assert float(after([torch.where(there, 1e-6, everywhere)]).after.max()) < 0.02
+    learnt = everywhere.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(after([learnt]).cost.sum(), learnt)
+    assert float(slope[there].mean()) > 0
+    assert float(slope[~there].sum()) < 0
 
 
 def test_motions_are_those_of_the_geometry() -> None:
@@ -237,6 +262,17 @@ def test_a_training_with_the_pose_loss_logs_how_far_points_are_off(tmp_path: Pat
     gn_net().train(PosedPairs(), None, {**TINY, "loss": loss, "swap": 0.0}, run)
     header = (tmp_path / "log.csv").read_text().splitlines()[0]
     assert all(f"{level}/{part}" in header for level in (0, 1) for part in ("pose", "start_px", "end_px", "reached"))
+
+
+def test_confidences_are_learnt_from_the_pose_loss(tmp_path: Path) -> None:
+    changed = {"network": {**TINY["network"], "confidence": True}, "swap": 0.0, "ema": 0.0, "learning_rate": 0.01}
+    loss = {"level_weights": [1.0, 1.0], "pose": {"weight": 1.0, "points": 64}}
+    run = TrainingRun(tmp_path, "gn-net", "relocbench train gn-net", workers=0)
+    gn_net().train(PosedPairs(), None, {**TINY, **changed, "loss": loss}, run)
+    heads = load_weights(tmp_path / "weights.safetensors").confidences
+    assert [bool(head.weight.detach().any()) for head in heads] == [True, True]  # type: ignore[operator]
+    with pytest.raises(ConfigError, match=r"network\.confidence.*loss\.pose\.weight"):
+        options(network={**TINY["network"], "confidence": True}, loss={"level_weights": [1.0, 1.0]})
 
 
 def test_without_poses_the_loss_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -136,6 +136,19 @@ def test_from_a_prior_coarse_levels_can_be_left_out(weights: Path) -> None:
     assert levels[0, False] == [0]
 
 
+def test_confidences_of_the_network_weigh_the_keyframes_points(tmp_path: Path) -> None:
+    net, path = FeatureNet(replace(SMALL, confidence=True)).eval(), tmp_path / "confident.safetensors"
+    with torch.no_grad():
+        for head in net.confidences:
+            head.weight.normal_(generator=torch.Generator().manual_seed(0))  # type: ignore[operator]
+    save_weights(path, net, {})
+    prepared = GnNet(weights=path).prepare(a_reference())
+    for points, level in zip(prepared.features.levels, prepared.pyramid.levels, strict=True):
+        assert level.confidence is not None
+        assert np.ptp(points.weights) > 0.01
+        assert level.confidence.min() <= points.weights.min() <= points.weights.max() <= level.confidence.max()
+
+
 def test_single_pixels_are_found_again(weights: Path) -> None:
     tracker = GnNet(weights=weights)
     assert isinstance(tracker, SupportsMatching)
