@@ -114,7 +114,8 @@ class Lpn:
     def rerank(self, query: Descriptors, candidates: Descriptors) -> Descriptors:
         """The negative aligned distance (``dmli``) of each candidate (K, P * D) from the query (P * D,)."""
         parts = self._network.options.parts
-        one, others = (parts_of(torch.from_numpy(np.ascontiguousarray(x)), parts) for x in (query, candidates))
+        # The conversion copies; torch does not accept the read-only arrays of kept descriptors.
+        one, others = (parts_of(torch.tensor(x), parts) for x in (query, candidates))
         return cast(Descriptors, -aligned_distance(one, others).numpy())
 
     def _check_view(self, view: str) -> None:

@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, get_type_hints
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -136,7 +137,19 @@ class Parameter:
 
     @property
     def type_name(self) -> str:
-        return inspect.formatannotation(getattr(self.annotation, "__origin__", self.annotation)).replace("typing.", "")
+        """What values it takes, as ``float`` or ``'dso' | 'lm-reloc' | None``."""
+        return _type_name(self.annotation)
+
+
+def _type_name(annotation: Any) -> str:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type_name(arguments[0])
+    if origin in (Union, UnionType):
+        return " | ".join(map(_type_name, arguments))
+    if origin is Literal:
+        return " | ".join(map(repr, arguments))
+    return "None" if annotation is type(None) else inspect.formatannotation(annotation).replace("typing.", "")
 
 
 def installed_methods(kind: MethodKind = TRACKERS) -> dict[str, metadata.EntryPoint]:

@@ -6,12 +6,15 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Annotated, Literal
 
 import pytest
+from pydantic import Field
 
 from relocbench.errors import MethodError
 from relocbench.evaluation.tracking.check import check
 from relocbench.methods import installed_methods, parameters_of, parse_method, parse_methods
+from relocbench.methods.discovery import Parameter
 
 HERE = "trackers_for_tests"
 
@@ -41,6 +44,20 @@ def test_a_method_is_a_label_and_a_target(text: str, label: str, target: str) ->
 def test_parameters_are_the_constructors_keywords_with_their_types() -> None:
     names = {p.name: (p.type_name, p.default) for p in parameters_of(f"{HERE}:Shift")}
     assert names == {"metres": ("float", 0.1), "steps": ("int", 3), "loud": ("bool", False), "seed": ("int", 0)}
+
+
+@pytest.mark.parametrize(
+    ("annotation", "said"),
+    [
+        (Annotated[float, Field(gt=0)], "float"),
+        (Literal["dso", "lm-reloc"] | None, "'dso' | 'lm-reloc' | None"),
+        (Annotated[float, Field(ge=0, le=1)] | None, "float | None"),
+        (int | None, "int | None"),
+        (tuple[int, ...], "tuple[int, ...]"),
+    ],
+)
+def test_the_type_of_a_parameter_says_what_it_takes(annotation: object, said: str) -> None:
+    assert Parameter("p", annotation, None).type_name == said
 
 
 def test_settings_are_converted_and_defaults_are_kept() -> None:
