@@ -11,7 +11,7 @@ from baselines.alignment.direct.solver import Alignment, align, align_best
 from baselines.alignment.features.pyramid import FeatureLevel, FeaturePyramid
 from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.features.settings import LM_RELOC_DAMPING, FeatureSettings
-from baselines.alignment.features.solver import FeatureAlignment, align_features, align_features_best
+from baselines.alignment.features.solver import FeatureAlignment, align_features, align_features_best, coarsest_level
 from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels, match_pixels_by_level
 from baselines.alignment.shared.damping import DSO_DAMPING, Damping
 from baselines.alignment.shared.depth_map import LevelPoints, coarse_points, sample_points
@@ -46,6 +46,7 @@ __all__ = [
     "align_features_best",
     "choose_points",
     "coarse_points",
+    "coarsest_level",
     "image_pyramid",
     "level_camera",
     "linearize",

@@ -66,11 +66,12 @@ class FeatureNet(nn.Module):
         """
         return self.with_confidences(images)[0]
 
-    def with_confidences(self, images: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    def with_confidences(self, images: Tensor, first: int = 0) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         """Feature maps, and for each the confidence of its pixels; without the option ``confidence`` there are none.
 
         Args:
             images: as in :meth:`forward`.
+            first: finer maps, counted from the finest, are not computed.
 
         Returns:
             Features as :meth:`forward` returns them, and (B, 1, H // 2^l, W // 2^l) confidences in (0, 1).
@@ -78,13 +79,15 @@ class FeatureNet(nn.Module):
         Raises:
             ValueError: as in :meth:`forward`.
         """
-        maps = self.stages(images)
+        maps = self.stages(images, first)
         height, width = images.shape[-2:]
 
         def on_levels(heads: nn.ModuleList) -> list[Tensor]:
             return [
                 head(of_level)[..., : height >> level, : width >> level]
-                for level, (head, of_level) in enumerate(zip(heads, maps, strict=False), start=self.options.finest)
+                for level, (head, of_level) in enumerate(
+                    zip(heads[first:], maps, strict=False), start=self.options.finest + first
+                )
             ]
 
         features = on_levels(self.heads)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import torch
 from pydantic import Field
+from torch.nn import functional
 
 from baselines.alignment import (
     DSO_DAMPING,
@@ -26,6 +27,7 @@ from baselines.alignment import (
     Start,
     align_features_best,
     choose_points,
+    coarsest_level,
     image_pyramid,
     level_camera,
     match_pixels,
@@ -85,6 +87,10 @@ class GnNet:
         prior_level: the level at which alignment from the prior begins, 0 the finest map; by default the coarsest one.
             From a prior that is accurate to some pixels, such as another tracker's pose, coarse levels can only lead
             away. Without a prior the identity starts on the coarsest level all the same.
+        first_levels: the prior, or the identity, is aligned so many times, beginning once on each of the coarsest
+            levels; the lowest final energy wins. Coarse levels see far, but may lead away from a pose that is near.
+        halvings: how often the image is halved; the coarsest map of each smaller image is one more level. The image of
+            which no such map is left is the last.
         matched_start: also start from the pose that the matched landmarks give; the lowest final energy wins. The
             default is that of the method.
         multistart: also start from 26 small rotations; the lowest final energy wins.
@@ -118,6 +124,8 @@ class GnNet:
         per_channel: bool = False,
         damping: Literal["dso", "lm-reloc"] | None = None,
         prior_level: Annotated[int, Field(ge=0)] | None = None,
+        first_levels: Annotated[int, Field(ge=1)] = 1,
+        halvings: Annotated[int, Field(ge=0)] = 0,
         matched_start: bool | None = None,
         multistart: bool = False,
         min_points: Annotated[int, Field(ge=8)] = 30,
@@ -134,6 +142,8 @@ class GnNet:
         )
         self.points = points
         self.prior_level = prior_level
+        self.first_levels = first_levels
+        self.halvings = halvings
         self.start = StartSettings()
         self.matched_start = self.usual_matched_start if matched_start is None else matched_start
         self.multistart = multistart
@@ -211,10 +221,17 @@ class GnNet:
             MethodError: the camera is not pinhole, or the image is too small for the network.
         """
         require_pinhole(camera)
+        x = image_tensor(image).to(self.device, memory_format=torch.channels_last)
         try:
-            maps = self.net.with_confidences(image_tensor(image).to(self.device, memory_format=torch.channels_last))
+            maps = self.net.with_confidences(x)
         except ValueError as bad:
             raise MethodError(str(bad)) from bad
+        for _ in range(self.halvings):
+            x = functional.avg_pool2d(x, 2)
+            if min(x.shape[-2:]) < self.net.options.smallest_side:
+                break
+            coarsest = self.net.with_confidences(x, self.net.options.levels - 1)
+            maps = maps[0] + coarsest[0], maps[1] + coarsest[1]
         of_finest = level_camera(camera, self.net.options.finest)
         features, confidences = ([m[0].permute(1, 2, 0).float().cpu().numpy() for m in each] for each in maps)
         return FeaturePyramid.from_maps(features, of_finest, confidences)
@@ -223,7 +240,11 @@ class GnNet:
         self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Start
     ) -> TrackResult:
         """Align from every start, of which ``first`` is the prior or the identity."""
-        starts = [first]
+        coarsest = coarsest_level(reference.features, features, self.settings)
+        if first.level is not None:
+            coarsest = min(first.level, coarsest)
+        levels = range(coarsest, max(coarsest - self.first_levels, -1), -1)
+        starts = [Start(first.T_query_ref, level) for level in levels]
         if self.multistart:
             starts += [Start(turn @ first.T_query_ref) for turn in small_rotations()]
         pose = matched.pose(self.seed) if self.matched_start else None

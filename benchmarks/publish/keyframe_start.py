@@ -2,16 +2,18 @@
 
 Pairs of one place are drawn in each district as for the calibration (``calibration.py``). ``gn-net-from-prior`` runs
 with each weights file, on all its levels, from three starts: the keyframe's own pose (the identity), a pose as far from
-the truth as that in a random direction, and the truth. Printed is how many answers are within 0.25 m and 2 degrees, by
-the light and the distance of the keyframe: means over districts, and for the keyframe's pose the difference to the
-first weights with its 95 % interval.
+the truth as that in a random direction, and the truth; ``gn-net`` starts from the keyframe's pose and from its own
+matches. Printed is how many answers are within 0.25 m and 2 degrees, by the light and the distance of the keyframe:
+means over districts, and the difference to the first weights with its 95 % interval. Other trackers (``-m``) stand
+beside them.
 
 The answers of a weights file are kept in ``--scratch`` under its SHA-256; when it is run again, only what is missing is
 made.
 
-    python benchmarks/publish/keyframe_start.py --scratch S [-w NAME=FILE ...] [--districts 51,52,53,100,101,102]
+    python benchmarks/publish/keyframe_start.py --scratch S [-w NAME=FILE[,KEY=VALUE...] ...] [-m METHOD ...]
 
-Without ``-w``, it asks the weights that come with the package. The last line is JSON.
+A KEY is a parameter of the tracker: ``-w both=mine.safetensors,first_levels=4,halvings=1``. Without ``-w``, it asks the
+weights that come with the package. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -29,10 +31,11 @@ import torch
 from answers import Answer, in_percent, kept, questions
 from calibration import VALIDATION, build_district
 
-from baselines.gn_net.tracker import SHIPPED, GnNet, GnNetFromPrior
+from baselines.gn_net.tracker import SHIPPED, GnNet
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import se3_exp
+from relocbench.methods import parse_method
 from relocbench.metrics.statistics.intervals import paired_difference
 
 KEYFRAME, ASIDE, TRUTH, MATCHES = "the keyframe's pose", "as far, elsewhere", "the truth", "its matches too"
@@ -50,7 +53,8 @@ GROUPS: Mapping[str, Callable[[Answer], bool]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, required=True)
-    parser.add_argument("--weights", "-w", action="append", help="NAME=FILE; repeat for several")
+    parser.add_argument("--weights", "-w", action="append", help="NAME=FILE[,KEY=VALUE...]; repeat for several")
+    parser.add_argument("--method", "-m", action="append", default=[], help="another tracker; repeat for several")
     parser.add_argument("--districts", default=",".join(map(str, VALIDATION)))
     parser.add_argument("--pairs", type=int, default=40, help="pairs of a district")
     parser.add_argument("--workers", "-j", type=int, default=2, help="processes that render")
@@ -59,23 +63,44 @@ def main() -> None:
     torch.set_num_threads(1)
     seeds = [int(part) for part in options.districts.split(",")]
     named = [text.partition("=") for text in options.weights or [f"shipped={SHIPPED / 'gn-net.safetensors'}"]]
-    files = {name: Path(file) for name, _, file in named}
-    answers = {name: {seed: answers_of(file, seed, options) for seed in seeds} for name, file in files.items()}
+    answers = {name: {seed: answers_of(asked, seed, options) for seed in seeds} for name, _, asked in named}
+    answers |= {name: {seed: answers_of_other(name, seed, options) for seed in seeds} for name in options.method}
     told = {name: table(name, answers, chosen) for name, chosen in GROUPS.items()}
     print(json.dumps({"benchmark": "keyframe_start", **told}))
 
 
-def answers_of(weights: Path, seed: int, options: argparse.Namespace) -> list[Answer]:
-    """The answers with a weights file to the pairs of a district."""
-    digest = sha256(weights.read_bytes()).hexdigest()[:16]
-    path = Path(options.scratch) / "keyframe_start" / f"{digest}-{seed}-{options.pairs}.jsonl"
-    return kept(path, lambda: ask(weights, build_district(options.scratch, seed, options.workers), options.pairs, seed))
+def answers_of(asked: str, seed: int, options: argparse.Namespace) -> list[Answer]:
+    """The answers with a weights file and parameters (FILE,KEY=VALUE...) to the pairs of a district."""
+    file, *settings = asked.split(",")
+    digest = sha256(Path(file).read_bytes()).hexdigest()[:16]
+    path = Path(options.scratch) / "keyframe_start" / "-".join([digest, *settings, f"{seed}-{options.pairs}.jsonl"])
+
+    def make() -> Iterator[Answer]:
+        trackers = [
+            parse_method(name, [*settings, f"weights={file}", "min_agreement=0"]).create()
+            for name in ("gn-net-from-prior", "gn-net")
+        ]
+        return ask(*trackers, build_district(options.scratch, seed, options.workers), options.pairs, seed)
+
+    return kept(path, make)
 
 
-def ask(weights: Path, dataset: Dataset, count: int, seed: int) -> Iterator[Answer]:
+def answers_of_other(method: str, seed: int, options: argparse.Namespace) -> list[Answer]:
+    """The answers of another tracker, which is given no prior."""
+    path = Path(options.scratch) / "keyframe_start" / f"{method}-{seed}-{options.pairs}.jsonl"
+
+    def make() -> Iterator[Answer]:
+        tracker = parse_method(method).create()
+        for question in questions(build_district(options.scratch, seed, options.workers), options.pairs, seed):
+            found = tracker.track(tracker.prepare(question.reference), question.query)
+            yield question.answer(KEYFRAME, found.T_query_ref)
+
+    return kept(path, make)
+
+
+def ask(alone: GnNet, matched: GnNet, dataset: Dataset, count: int, seed: int) -> Iterator[Answer]:
     """The answers to the pairs of a district from all starts."""
     rng = np.random.default_rng([seed, count])
-    alone, matched = GnNetFromPrior(weights=weights, min_agreement=0.0), GnNet(weights=weights, min_agreement=0.0)
     for question in questions(dataset, count, seed):
         aside = beside(question.truth, question.metres, question.degrees, rng)
         prepared = alone.prepare(question.reference)
@@ -102,6 +127,7 @@ def table(name: str, answers: Mapping[str, Mapping[int, Sequence[Answer]]], chos
         ]
         for weights, of_weights in answers.items()
         for start in STARTS
+        if any(a.row == start for of_seed in of_weights.values() for a in of_seed)
     }
     pairs = sum(map(len, right[first, KEYFRAME]))
     print(f"\n## {name}: {pairs} pairs of {len(seeds)} districts, right answers in %\n")
@@ -111,15 +137,16 @@ def table(name: str, answers: Mapping[str, Mapping[int, Sequence[Answer]]], chos
     )
     told: dict[str, Any] = {"pairs": pairs}
     for weights in answers:
-        means = [100 * float(np.mean([d.mean() for d in right[weights, start]])) for start in STARTS]
-        less = ["", ""]
-        if weights != first:
-            less = [
-                in_percent(paired_difference(right[weights, start], right[first, start], roads=seeds))
-                for start in (KEYFRAME, MATCHES)
-            ]
-        print(f"| {weights} | {' | '.join(f'{mean:.1f}' for mean in means)} | {' | '.join(less)} |")
-        told[weights] = dict(zip(STARTS, means, strict=True))
+        means = {start: 100 * float(np.mean([d.mean() for d in right[w, start]])) for w, start in right if w == weights}
+        less = [
+            in_percent(paired_difference(right[weights, start], right[first, start], roads=seeds))
+            if weights != first and start in means
+            else ""
+            for start in (KEYFRAME, MATCHES)
+        ]
+        cells = [f"{means[start]:.1f}" if start in means else "" for start in STARTS]
+        print(f"| {weights} | {' | '.join([*cells, *less])} |")
+        told[weights] = means
     return told
 
 

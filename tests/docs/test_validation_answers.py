@@ -66,11 +66,13 @@ def test_starts_are_compared_with_those_of_the_first_weights(capsys: pytest.Capt
         name: {seed: [answer(start, right) for start in keyframe_start.STARTS for right in which] for seed in (1, 2, 3)}
         for name, which in rights.items()
     }
+    of_weights["orb-pnp"] = {seed: [answer(keyframe_start.KEYFRAME, True)] * 2 for seed in (1, 2, 3)}
     told = keyframe_start.table("farther", of_weights, lambda each: not each.same_drive)
     page = capsys.readouterr().out
     assert "6 pairs of 3 districts" in page
     assert "| first | 0.0 | 0.0 | 0.0 | 0.0 |  |  |" in page
     assert "| second | 50.0 | 50.0 | 50.0 | 50.0 | +50.0 [" in page
+    assert "| orb-pnp | 100.0 |  |  |  | +100.0 [" in page
     assert told["second"][keyframe_start.KEYFRAME] == 50.0
 
 

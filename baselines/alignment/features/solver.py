@@ -155,7 +155,7 @@ def align_features(
             return outcome, f"features are not finite at {int(statistics[NOT_FINITE_POINTS])} points on level {level}"
         return outcome, failure_of(outcome, T)
 
-    coarsest = _coarsest(reference, query, settings)
+    coarsest = coarsest_level(reference, query, settings)
     begin = coarsest if first_level is None else min(first_level, coarsest)
     walk = coarse_to_fine(begin, minimise, rival.outcomes if rival else ())
     return FeatureAlignment(compose(T), walk.outcomes, points, residuals, H, variance, walk.failure, walk.abandoned)
@@ -177,7 +177,7 @@ def align_features_best(
     )
 
 
-def _coarsest(reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings) -> int:
+def coarsest_level(reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings) -> int:
     """The coarsest level such that it and all finer ones have enough points."""
     coarsest = 0
     for level in range(min(len(reference), len(query))):

@@ -15,6 +15,7 @@ from repository import ROOT
 from small_dataset import WITHIN, make_small_dataset, render, small_camera, small_pose
 
 from baselines.alignment.features.pyramid import FeaturePyramid
+from baselines.alignment.shared.pyramid import level_camera
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.start import find_landmarks
@@ -134,6 +135,36 @@ def test_from_a_prior_coarse_levels_can_be_left_out(weights: Path) -> None:
     assert levels[None, False] == levels[None, True] == levels[0, True] == levels[1, True] == [2, 1, 0]
     assert levels[1, False] == [1, 0]
     assert levels[0, False] == [0]
+
+
+def test_halved_images_give_coarser_levels(weights: Path) -> None:
+    image, camera = a_reference((193, 144)).image, small_camera(193, 144)
+    plain, halved = GnNet(weights=weights), GnNet(weights=weights, halvings=1)
+    half = image[:, :192].reshape(72, 2, 96, 2, -1).astype(np.float32).mean((1, 3)) / 255
+    coarsest = plain.net(torch.from_numpy(half).permute(2, 0, 1)[None])[-1][0].permute(1, 2, 0)
+    before, after = plain.features(image, camera).levels, halved.features(image, camera).levels
+    assert len(after) == len(before) + 1
+    for one, other in zip(before, after, strict=False):
+        np.testing.assert_array_equal(one.map, other.map)
+    np.testing.assert_allclose(after[-1].map, coarsest, atol=1e-5)
+    assert after[-1].camera == level_camera(before[0].camera, len(before))
+    assert len(GnNet(weights=weights, halvings=99).features(image, camera).levels) < 9
+
+
+def test_of_several_first_levels_the_lowest_energy_wins(weights: Path) -> None:
+    pair, found = (a_reference(), a_query(small_pose(3))), {}
+    for first_levels in (1, 2, 3, 9):
+        tracker = GnNetFromPrior(weights=weights, first_levels=first_levels, min_agreement=0.0)
+        found[first_levels] = tracker.track(tracker.prepare(pair[0]), pair[1]).info
+    alone = [
+        GnNetFromPrior(weights=weights, prior_level=level, min_agreement=0.0).track(
+            tracker.prepare(pair[0]), pair[1], np.eye(4)
+        )
+        for level in (2, 1, 0)
+    ]
+    for count, info in found.items():
+        assert info["energy"] == min(one.info["energy"] for one in alone[:count])
+    assert found[9] == found[3]
 
 
 def test_confidences_of_the_network_weigh_the_keyframes_points(tmp_path: Path) -> None:
