@@ -3,10 +3,10 @@ CPU.
 
 The reference is the time of torchvision's ResNet-18 for its features of the same 512x512 image (without pooling and
 classifier), in channels-last layout and with batch normalisation folded like the network's. The two run alternately, so
-that other programs affect both: on two threads in wall-clock time, and on one thread in processor time. The weights are
-random, since the time does not depend on them.
+that other programs affect both: on two threads in wall-clock time, and on one thread in processor time. Without
+``--weights`` the network is that of the default options, with random weights, since the time does not depend on them.
 
-    python benchmarks/speed/gn_net.py [--repeats N]
+    python benchmarks/speed/gn_net.py [--repeats N] [--weights FILE]
 """
 
 # ruff: noqa: E402  (the number of threads must be set before torch is imported)
@@ -34,7 +34,7 @@ from torchvision.models import resnet18
 
 from baselines.gn_net.losses import GaussNewtonOptions, LossOptions, total_loss
 from baselines.gn_net.network import FeatureNet
-from baselines.gn_net.weights import save_weights
+from baselines.gn_net.weights import load_weights, save_weights
 
 SIZE = 512
 POINTS = 1024
@@ -86,10 +86,12 @@ def loss_work(net: FeatureNet, options: LossOptions) -> Callable[[], object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=15)
-    repeats = parser.parse_args().repeats
+    parser.add_argument("--weights", type=Path, help="weights file, whose network is timed")
+    asked = parser.parse_args()
+    repeats = asked.repeats
     torch.set_num_threads(THREADS)
 
-    net = FeatureNet()
+    net = load_weights(asked.weights) if asked.weights else FeatureNet()
     tracking, reference = net.for_tracking(), plain_reference()
     image = torch.rand((1, 3, SIZE, SIZE), generator=torch.Generator().manual_seed(0))
     image = image.to(memory_format=torch.channels_last)
@@ -104,7 +106,12 @@ def main() -> None:
             {"network": lambda: tracking(image), "resnet18": lambda: reference(image)}, repeats, time.process_time
         )
     starts = {
-        start: loss_work(tracking, LossOptions(gauss_newton=replace(GaussNewtonOptions(), start=start)))
+        start: loss_work(
+            tracking,
+            LossOptions(
+                gauss_newton=replace(GaussNewtonOptions(), start=start), level_weights=(1.0,) * net.options.levels
+            ),
+        )
         for start in ("drawn", "affine", "integrated")
     }
     losses = medians_ms(starts, max(3, repeats // 3), time.process_time)
@@ -115,7 +122,7 @@ def main() -> None:
     print(f"one image, {THREADS} threads           {forward['network']:.0f} ms, ResNet-18 {forward['resnet18']:.0f} ms")
     print(f"one image, one thread          {alone['network']:.0f} ms, ResNet-18 {alone['resnet18']:.0f} ms (processor)")
     for start, ms in losses.items():
-        print(f"losses of a pair, {start:<10}   {ms:.0f} ms ({POINTS} points, four levels, there and back, one thread)")
+        print(f"losses of a pair, {start:<10}   {ms:.0f} ms ({POINTS} points, all levels, there and back, one thread)")
     summary = {
         "benchmark": "gn_net",
         "parameters": net.parameters_count,

@@ -5,7 +5,7 @@ The pairs are of a short drive through the procedural town, 512x512 pixels, with
 Timed are the search for the matched start and the alignment from both starts; the time of ``dso`` includes the query's
 pyramid.
 
-    python benchmarks/speed/gn_net_tracking.py [--repeats N] [--weights FILE]
+    python benchmarks/speed/gn_net_tracking.py [--repeats N] [--weights FILE] [--set KEY=VALUE ...]
 
 The last line is JSON.
 """
@@ -31,8 +31,8 @@ import cv2
 import numpy as np
 
 from baselines.dso import Dso
-from baselines.gn_net.tracker import GnNet
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.methods import parse_method
 from relocbench.tracking import Query, Reference
 
 
@@ -65,6 +65,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--weights", type=Path, help="weights file; default: the weights that come with the package")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="parameter of gn-net")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:
@@ -75,9 +76,10 @@ def main() -> None:
             check=True,
         )  # fmt: skip
         pairs = views(root)
+    settings = [*options.set, *([f"weights={options.weights}"] if options.weights else [])]
     trackers: dict[str, Any] = {
-        "gn-net": GnNet(options.weights),
-        "gn-net, matched_start=false": GnNet(options.weights, matched_start=False),
+        "gn-net": parse_method("gn-net", settings).create(),
+        "gn-net, matched_start=false": parse_method("gn-net", [*settings, "matched_start=false"]).create(),
         "dso": Dso(),
     }
     told: dict[str, Any] = {"benchmark": "gn_net_tracking", "pairs": len(pairs)}
