@@ -19,7 +19,7 @@ from baselines.alignment.shared.keyframe import choose_points
 from baselines.alignment.shared.levels import LevelOutcome
 from baselines.alignment.shared.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
 from baselines.alignment.shared.selection import select_pixels
-from baselines.alignment.shared.starts import Start, small_rotations
+from baselines.alignment.shared.starts import Start, moved_along, small_rotations
 
 __all__ = [
     "DSO_DAMPING",
@@ -52,6 +52,7 @@ __all__ = [
     "linearize",
     "match_pixels",
     "match_pixels_by_level",
+    "moved_along",
     "require_pinhole",
     "sample_points",
     "select_pixels",

@@ -26,6 +26,7 @@ from baselines.alignment import (
     image_pyramid,
     match_pixels,
     match_pixels_by_level,
+    moved_along,
     small_rotations,
 )
 from baselines.calibration import DSO, DSO_MULTISTART, Calibration
@@ -74,6 +75,8 @@ class Dso:
             was right on validation districts.
         dso_failure_test: refuse poses with |log gain| > 1.2 or |offset| > 200, as DSO does. The test is meant for
             consecutive frames; between seasons it would reject good poses. Its verdict is in the result either way.
+        along: metres by which the camera of the prior, or of the identity, is moved along its optical axis for further
+            starts, positive ahead; the lowest final energy wins.
         seed: of the choice of points.
     """
 
@@ -91,6 +94,7 @@ class Dso:
         min_points: Annotated[int, Field(ge=8)] = 30,
         min_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.03,
         dso_failure_test: bool = False,
+        along: tuple[float, ...] = (),
         seed: int = 0,
     ) -> None:
         self.points = points
@@ -99,6 +103,7 @@ class Dso:
         self.min_points = min_points
         self.min_correlation = min_correlation
         self.dso_failure_test = dso_failure_test
+        self.along = along
         self.seed = seed
 
     def prepare(self, reference: Reference) -> DsoReference:
@@ -159,7 +164,7 @@ class Dso:
         return MatchSettings(DSO_PATTERN, brightness, damping=MATCH_DAMPING)
 
     def _starts(self, first: Array) -> list[Array]:
-        return [first]
+        return [first, *moved_along(first, self.along)]
 
     def _answer(self, found: Alignment, reference: DsoReference, query: Level) -> TrackResult:
         info = self._info(found)
@@ -206,4 +211,4 @@ class DsoMultiStart(Dso):
     calibration = DSO_MULTISTART
 
     def _starts(self, first: Array) -> list[Array]:
-        return [first, *(rotation @ first for rotation in small_rotations())]
+        return [*super()._starts(first), *(rotation @ first for rotation in small_rotations())]

@@ -32,6 +32,7 @@ from baselines.alignment import (
     level_camera,
     match_pixels,
     match_pixels_by_level,
+    moved_along,
     require_pinhole,
     small_rotations,
 )
@@ -71,8 +72,8 @@ class GnNetReference:
 class GnNet:
     """Direct alignment of learned features from the prior, or from the identity without one.
 
-    The landmarks of the keyframe, at most 400 points, are matched in the query. Their agreement is the share of them
-    that are matched within two pixels (of the finest map) of where the answer projects them. The confidence is the
+    The landmarks of the keyframe are matched in the query. Their agreement is the share of them that are matched within
+    two pixels (of the finest map) of where the answer projects them. The confidence is the
     probability that the answer is within 0.25 m and 2 degrees, from a calibration of the agreement.
 
     Args:
@@ -91,8 +92,12 @@ class GnNet:
             levels; the lowest final energy wins. Coarse levels see far, but may lead away from a pose that is near.
         halvings: how often the image is halved; the coarsest map of each smaller image is one more level. The image of
             which no such map is left is the last.
+        along: metres by which the camera of the prior, or of the identity, is moved along its optical axis for further
+            starts, positive ahead; the lowest final energy wins.
+        landmarks: largest number of landmarks, drawn among the chosen points.
         matched_start: also start from the pose that the matched landmarks give; the lowest final energy wins. The
             default is that of the method.
+        hypotheses: so many poses are searched for among the matched landmarks, with other random samples each.
         multistart: also start from 26 small rotations; the lowest final energy wins.
         min_points: with fewer points that have depth, tracking fails.
         min_agreement: with a smaller agreement, tracking fails; by default the largest one below which no answer was
@@ -126,7 +131,10 @@ class GnNet:
         prior_level: Annotated[int, Field(ge=0)] | None = None,
         first_levels: Annotated[int, Field(ge=1)] = 1,
         halvings: Annotated[int, Field(ge=0)] = 0,
+        along: tuple[float, ...] = (),
+        landmarks: Annotated[int, Field(ge=4)] = StartSettings.points,
         matched_start: bool | None = None,
+        hypotheses: Annotated[int, Field(ge=1)] = 1,
         multistart: bool = False,
         min_points: Annotated[int, Field(ge=8)] = 30,
         min_agreement: Annotated[float, Field(ge=0, le=1)] | None = None,
@@ -144,7 +152,9 @@ class GnNet:
         self.prior_level = prior_level
         self.first_levels = first_levels
         self.halvings = halvings
-        self.start = StartSettings()
+        self.along = along
+        self.start = StartSettings(points=landmarks)
+        self.hypotheses = hypotheses
         self.matched_start = self.usual_matched_start if matched_start is None else matched_start
         self.multistart = multistart
         self.min_points = min_points
@@ -244,13 +254,14 @@ class GnNet:
         if first.level is not None:
             coarsest = min(first.level, coarsest)
         levels = range(coarsest, max(coarsest - self.first_levels, -1), -1)
-        starts = [Start(first.T_query_ref, level) for level in levels]
+        poses = [first.T_query_ref, *moved_along(first.T_query_ref, self.along)]
+        starts = [Start(pose, level) for pose in poses for level in levels]
         if self.multistart:
             starts += [Start(turn @ first.T_query_ref) for turn in small_rotations()]
-        pose = matched.pose(self.seed) if self.matched_start else None
-        if pose is not None:
-            # This start goes first, as it usually wins; the others are then given up early.
-            starts = [Start(pose, self.start.level), *starts]
+        if self.matched_start:
+            # These starts go first, as one of them usually wins; the others are then given up early.
+            found_poses = (matched.pose(self.seed + number) for number in range(self.hypotheses))
+            starts = [*(Start(pose, self.start.level) for pose in found_poses if pose is not None), *starts]
         found = align_features_best(reference.features, features, starts, self.settings)
         info = self._info(found)
         if found.failure:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
@@ -54,7 +55,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, required=True)
     parser.add_argument("--weights", "-w", action="append", help="NAME=FILE[,KEY=VALUE...]; repeat for several")
-    parser.add_argument("--method", "-m", action="append", default=[], help="another tracker; repeat for several")
+    parser.add_argument(
+        "--method", "-m", action="append", default=[], help="another tracker, METHOD[,KEY=VALUE...]; repeat for several"
+    )
     parser.add_argument("--districts", default=",".join(map(str, VALIDATION)))
     parser.add_argument("--pairs", type=int, default=40, help="pairs of a district")
     parser.add_argument("--workers", "-j", type=int, default=2, help="processes that render")
@@ -71,7 +74,7 @@ def main() -> None:
 
 def answers_of(asked: str, seed: int, options: argparse.Namespace) -> list[Answer]:
     """The answers with a weights file and parameters (FILE,KEY=VALUE...) to the pairs of a district."""
-    file, *settings = asked.split(",")
+    file, *settings = split(asked)
     digest = sha256(Path(file).read_bytes()).hexdigest()[:16]
     path = Path(options.scratch) / "keyframe_start" / "-".join([digest, *settings, f"{seed}-{options.pairs}.jsonl"])
 
@@ -85,12 +88,18 @@ def answers_of(asked: str, seed: int, options: argparse.Namespace) -> list[Answe
     return kept(path, make)
 
 
-def answers_of_other(method: str, seed: int, options: argparse.Namespace) -> list[Answer]:
-    """The answers of another tracker, which is given no prior."""
-    path = Path(options.scratch) / "keyframe_start" / f"{method}-{seed}-{options.pairs}.jsonl"
+def split(asked: str) -> list[str]:
+    """``NAME,KEY=VALUE,KEY=[VALUE,VALUE]`` at its outer commas."""
+    return re.split(r",(?=\w+=)", asked)
+
+
+def answers_of_other(asked: str, seed: int, options: argparse.Namespace) -> list[Answer]:
+    """The answers of another tracker (METHOD,KEY=VALUE...), which is given no prior."""
+    method, *settings = split(asked)
+    path = Path(options.scratch) / "keyframe_start" / f"{asked}-{seed}-{options.pairs}.jsonl"
 
     def make() -> Iterator[Answer]:
-        tracker = parse_method(method).create()
+        tracker = parse_method(method, settings).create()
         for question in questions(build_district(options.scratch, seed, options.workers), options.pairs, seed):
             found = tracker.track(tracker.prepare(question.reference), question.query)
             yield question.answer(KEYFRAME, found.T_query_ref)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -30,3 +31,18 @@ def small_rotations() -> list[Array]:
     return [
         make_transform(rotation_from_quaternion([*vector, 1.0]), np.zeros(3)) for vector in components if any(vector)
     ]
+
+
+def moved_along(T_query_ref: Array, metres: Sequence[float]) -> list[Array]:
+    """Poses of a query camera that stands elsewhere on its optical axis.
+
+    A camera that drives looks along the road, and a retrieved keyframe lies ahead of it or behind.
+
+    Args:
+        T_query_ref: (4, 4) the pose that is changed.
+        metres: by how much the camera is moved, positive in its viewing direction.
+
+    Returns:
+        One T_query_ref (4, 4) for each.
+    """
+    return [make_transform(np.eye(3), np.array([0.0, 0.0, -by])) @ T_query_ref for by in metres]

@@ -131,6 +131,15 @@ def test_multi_start_bridges_a_rotation_that_one_start_does_not() -> None:
     assert single.info["energy"] > 100 * best.info["energy"]
 
 
+def test_a_start_ahead_bridges_a_distance_that_the_prior_does_not() -> None:
+    ahead = motion((0, 0, -2), (0.3, 0, 0))
+    single = track(Dso(max_levels=1), dense_reference(), query(ahead))
+    for tracker in (Dso(max_levels=1, along=(-1.8, 1.8)), DsoMultiStart(max_levels=1, along=(1.8,))):
+        best = track(tracker, dense_reference(), query(ahead))
+        assert_right(best, ahead)
+        assert single.info["energy"] > 100 * best.info["energy"]
+
+
 def test_the_small_rotations_are_the_26_of_dso() -> None:
     angles = np.rad2deg([rotation_angle(T[:3, :3]) for T in small_rotations()])
     counts = {round(float(a), 1): int(np.isclose(angles, a, atol=0.05).sum()) for a in angles}

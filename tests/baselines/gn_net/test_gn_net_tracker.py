@@ -18,9 +18,10 @@ from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.shared.pyramid import level_camera
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
-from baselines.gn_net.start import find_landmarks
+from baselines.gn_net.start import MatchedLandmarks, find_landmarks
 from baselines.gn_net.tracker import GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
 from baselines.gn_net.weights import save_weights
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, make_transform, rotation_angle, so3_exp
@@ -165,6 +166,38 @@ def test_of_several_first_levels_the_lowest_energy_wins(weights: Path) -> None:
     for count, info in found.items():
         assert info["energy"] == min(one.info["energy"] for one in alone[:count])
     assert found[9] == found[3]
+
+
+def test_of_several_positions_on_the_optical_axis_the_lowest_energy_wins(weights: Path) -> None:
+    pair, metres = (a_reference(), a_query(small_pose(3))), (-0.3, 0.2, 0.4)
+    along = GnNetFromPrior(weights=weights, first_levels=2, along=metres, min_agreement=0.0)
+    info = along.track(along.prepare(pair[0]), pair[1]).info
+    single = GnNetFromPrior(weights=weights, first_levels=2, min_agreement=0.0)
+    reference = single.prepare(pair[0])
+    alone = [
+        single.track(reference, pair[1], make_transform(np.eye(3), [0.0, 0.0, -by])).info["energy"]
+        for by in (0.0, *metres)
+    ]
+    assert info["energy"] == min(alone)
+
+
+def test_each_hypothesis_is_searched_for_with_other_samples(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth, asked = small_pose(1), []
+
+    def pose(_: MatchedLandmarks, seed: int) -> Array | None:
+        asked.append(seed)
+        return (None, make_transform(np.eye(3), [1.0, 0.0, 0.0]), truth)[seed - 7]
+
+    monkeypatch.setattr(MatchedLandmarks, "pose", pose)
+    tracker = GnNet(weights=weights, landmarks=50, hypotheses=3, min_agreement=0.0, seed=7)
+    reference = tracker.prepare(a_reference())
+    assert len(reference.landmarks) == 50
+    found = tracker.track(reference, a_query(truth))
+    assert asked == [7, 8, 9]
+    monkeypatch.setattr(MatchedLandmarks, "pose", lambda *_: truth)
+    usual = GnNet(weights=weights, landmarks=50, min_agreement=0.0, seed=7)
+    expected = usual.track(reference, a_query(truth))
+    assert found.info["energy"] <= expected.info["energy"]
 
 
 def test_confidences_of_the_network_weigh_the_keyframes_points(tmp_path: Path) -> None:
