@@ -16,12 +16,13 @@ from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSetting
 from baselines.alignment.shared.damping import DSO_DAMPING, Damping
 from baselines.alignment.shared.depth_map import LevelPoints, coarse_points, sample_points
 from baselines.alignment.shared.keyframe import choose_points
-from baselines.alignment.shared.levels import LevelOutcome
+from baselines.alignment.shared.levels import ABANDON_FACTOR, LevelOutcome
 from baselines.alignment.shared.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
 from baselines.alignment.shared.selection import select_pixels
 from baselines.alignment.shared.starts import Start, moved_along, small_rotations
 
 __all__ = [
+    "ABANDON_FACTOR",
     "DSO_DAMPING",
     "DSO_PATTERN",
     "LM_RELOC_DAMPING",

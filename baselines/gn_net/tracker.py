@@ -15,6 +15,7 @@ from pydantic import Field
 from torch.nn import functional
 
 from baselines.alignment import (
+    ABANDON_FACTOR,
     DSO_DAMPING,
     LM_RELOC_DAMPING,
     SINGLE_PIXEL,
@@ -99,6 +100,8 @@ class GnNet:
             default is that of the method.
         hypotheses: so many poses are searched for among the matched landmarks, with other random samples each.
         multistart: also start from 26 small rotations; the lowest final energy wins.
+        give_up: one of several starts is given up on the first level whose root mean energy is this many times that of
+            the best start so far.
         min_points: with fewer points that have depth, tracking fails.
         min_agreement: with a smaller agreement, tracking fails; by default the largest one below which no answer was
             right on validation districts.
@@ -136,6 +139,7 @@ class GnNet:
         matched_start: bool | None = None,
         hypotheses: Annotated[int, Field(ge=1)] = 1,
         multistart: bool = False,
+        give_up: Annotated[float, Field(gt=1)] = ABANDON_FACTOR,
         min_points: Annotated[int, Field(ge=8)] = 30,
         min_agreement: Annotated[float, Field(ge=0, le=1)] | None = None,
         device: str = "cpu",
@@ -146,6 +150,7 @@ class GnNet:
             cutoff=cutoff,
             cutoff_levels=cutoff_levels,
             per_channel=per_channel,
+            give_up=give_up,
             damping=LM_RELOC_DAMPING if (damping or self.usual_damping) == "lm-reloc" else DSO_DAMPING,
         )
         self.points = points

@@ -9,6 +9,7 @@ import numpy as np
 
 from baselines.alignment.features.reference import FeaturePoints
 from baselines.alignment.shared.damping import DSO_DAMPING, Damping
+from baselines.alignment.shared.levels import ABANDON_FACTOR
 from relocbench.errors import MethodError
 
 LM_RELOC_DAMPING = Damping(first=2.0, extrapolate_below=0.0, smallest_step=1e-4)
@@ -23,7 +24,7 @@ class FeatureSettings:
     """Robust loss, iterations and damping.
 
     Raises:
-        MethodError: the cutoff is below the Huber threshold, or a number is not positive.
+        MethodError: the cutoff is below the Huber threshold, a number is not positive, or ``give_up`` is not above 1.
     """
 
     huber: float = 0.3
@@ -42,6 +43,8 @@ class FeatureSettings:
     iterations: tuple[int, ...] = (10, 20, 50, 50, 50)
     """the largest number on each level, finest first; the last entry holds for all coarser levels"""
     damping: Damping = DSO_DAMPING
+    give_up: float = ABANDON_FACTOR
+    """of several starts, one is given up on the first level whose root mean energy is this many times the best one's"""
     min_points: int = 8
     """a coarse level with fewer points is left out; with fewer on the finest level the alignment fails"""
 
@@ -52,6 +55,8 @@ class FeatureSettings:
             raise MethodError(f"unit is '{self.unit}', expected spread or absolute")
         if not self.iterations or min(*self.iterations, self.min_points, 1) < 1:
             raise MethodError("iterations and min_points must be at least 1")
+        if not self.give_up > 1:
+            raise MethodError(f"give_up is {self.give_up}, expected more than 1")
 
     def iterations_of(self, level: int) -> int:
         """The largest number of iterations on a level."""

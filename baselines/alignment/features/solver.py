@@ -101,7 +101,7 @@ def align_features(
         T_start: (4, 4) first guess of T_query_ref.
         settings: see there.
         rival: the best alignment so far from another start; this one is abandoned on the first level whose root mean
-            energy is 1.5 times the rival's or more.
+            energy exceeds the rival's by the factor of the settings.
         first_level: coarser levels are left out.
 
     Raises:
@@ -157,7 +157,7 @@ def align_features(
 
     coarsest = coarsest_level(reference, query, settings)
     begin = coarsest if first_level is None else min(first_level, coarsest)
-    walk = coarse_to_fine(begin, minimise, rival.outcomes if rival else ())
+    walk = coarse_to_fine(begin, minimise, rival.outcomes if rival else (), settings.give_up)
     return FeatureAlignment(compose(T), walk.outcomes, points, residuals, H, variance, walk.failure, walk.abandoned)
 
 

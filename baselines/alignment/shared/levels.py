@@ -60,18 +60,22 @@ class CoarseToFine:
 
 
 def coarse_to_fine(
-    coarsest: int, minimise: Callable[[int], tuple[LevelOutcome, str]], rival: Sequence[LevelOutcome] = ()
+    coarsest: int,
+    minimise: Callable[[int], tuple[LevelOutcome, str]],
+    rival: Sequence[LevelOutcome] = (),
+    give_up: float = ABANDON_FACTOR,
 ) -> CoarseToFine:
     """Align one level after another, from ``coarsest`` down to 0.
 
     The first level whose cutoff had to be raised is repeated once. The alignment ends at the first failure, or on a
-    level whose root mean energy is more than 1.5 times the rival's.
+    level whose root mean energy is more than ``give_up`` times the rival's.
 
     Args:
         coarsest: number of the first level; -1: there is no level.
         minimise: aligns one level, beginning where the previous one ended; returns its outcome, and in words why it
             failed or an empty string.
         rival: outcomes of the best alignment so far from another start.
+        give_up: DSO's factor by default.
     """
     rival_energy = {outcome.level: outcome.energy for outcome in rival}
     outcomes: list[LevelOutcome] = []
@@ -82,7 +86,7 @@ def coarse_to_fine(
         outcomes.append(outcome)
         if failure:
             return CoarseToFine(tuple(outcomes), failure, abandoned=False)
-        if outcome.energy > ABANDON_FACTOR**2 * rival_energy.get(level, np.inf):
+        if outcome.energy > give_up**2 * rival_energy.get(level, np.inf):
             return CoarseToFine(tuple(outcomes), "another start fits clearly better", abandoned=True)
         if outcome.cutoff_factor > 1 and not repeated:
             repeated = True

@@ -185,6 +185,21 @@ def test_the_lowest_final_energy_wins_among_starts(reference: ReferenceFeatures,
         align_features_best(reference, query, [], settings)
 
 
+def test_a_start_is_given_up_where_its_root_mean_energy_exceeds_the_best_ones_by_the_factor(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    far = motion((3, 2, 0), (20, 30, 20))
+    rival, lost = (align_features(reference, query, start, FeatureSettings()) for start in (MOTION, far))
+    best = {outcome.level: outcome.energy for outcome in rival.outcomes}
+    ratio = next((each.energy / best[each.level]) ** 0.5 for each in lost.outcomes)
+    assert ratio > 1.1
+    for factor, levels in ((0.99 * ratio, 1), (1000 * ratio, len(lost.outcomes))):
+        given_up = align_features(reference, query, far, FeatureSettings(give_up=factor), rival)
+        assert len(given_up.outcomes) == levels
+    with pytest.raises(MethodError, match="give_up is 1"):
+        FeatureSettings(give_up=1.0)
+
+
 def test_a_start_on_a_finer_level_leaves_the_coarser_ones_out(
     reference: ReferenceFeatures, query: FeaturePyramid
 ) -> None:
