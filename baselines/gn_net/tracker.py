@@ -101,7 +101,8 @@ class GnNet:
         hypotheses: so many poses are searched for among the matched landmarks, with other random samples each.
         multistart: also start from 26 small rotations; the lowest final energy wins.
         give_up: one of several starts is given up on the first level whose root mean energy is this many times that of
-            the best start so far.
+            the best one.
+        kept: of several starts, so many go on after each level, finest first; after coarser levels than given, all.
         min_points: with fewer points that have depth, tracking fails.
         min_agreement: with a smaller agreement, tracking fails; by default the largest one below which no answer was
             right on validation districts.
@@ -140,6 +141,7 @@ class GnNet:
         hypotheses: Annotated[int, Field(ge=1)] = 1,
         multistart: bool = False,
         give_up: Annotated[float, Field(gt=1)] = ABANDON_FACTOR,
+        kept: tuple[Annotated[int, Field(ge=1)], ...] = (),
         min_points: Annotated[int, Field(ge=8)] = 30,
         min_agreement: Annotated[float, Field(ge=0, le=1)] | None = None,
         device: str = "cpu",
@@ -151,6 +153,7 @@ class GnNet:
             cutoff_levels=cutoff_levels,
             per_channel=per_channel,
             give_up=give_up,
+            kept=kept,
             damping=LM_RELOC_DAMPING if (damping or self.usual_damping) == "lm-reloc" else DSO_DAMPING,
         )
         self.points = points
@@ -264,7 +267,6 @@ class GnNet:
         if self.multistart:
             starts += [Start(turn @ first.T_query_ref) for turn in small_rotations()]
         if self.matched_start:
-            # These starts go first, as one of them usually wins; the others are then given up early.
             found_poses = (matched.pose(self.seed + number) for number in range(self.hypotheses))
             starts = [*(Start(pose, self.start.level) for pose in found_poses if pose is not None), *starts]
         found = align_features_best(reference.features, features, starts, self.settings)

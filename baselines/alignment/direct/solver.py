@@ -76,7 +76,7 @@ def align(
     coarsest = min(len(reference), len(query)) - 1
     walk = coarse_to_fine(coarsest, minimise, rival.outcomes if rival else ())
     size = len(reference[0])
-    return Alignment(compose(T), brightness[0], brightness[1], walk.outcomes, size, walk.failure, walk.abandoned)
+    return Alignment(compose(T), brightness[0], brightness[1], tuple(walk.outcomes), size, walk.failure, walk.abandoned)
 
 
 def align_best(

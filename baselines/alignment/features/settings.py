@@ -24,7 +24,8 @@ class FeatureSettings:
     """Robust loss, iterations and damping.
 
     Raises:
-        MethodError: the cutoff is below the Huber threshold, a number is not positive, or ``give_up`` is not above 1.
+        MethodError: the cutoff is below the Huber threshold, a number is not positive, a number of kept starts is below
+            1, or ``give_up`` is not above 1.
     """
 
     huber: float = 0.3
@@ -44,7 +45,9 @@ class FeatureSettings:
     """the largest number on each level, finest first; the last entry holds for all coarser levels"""
     damping: Damping = DSO_DAMPING
     give_up: float = ABANDON_FACTOR
-    """of several starts, one is given up on the first level whose root mean energy is this many times the best one's"""
+    """of several starts, one is given up on the first level whose root mean energy is this many times the lowest"""
+    kept: tuple[int, ...] = ()
+    """of several starts, at most so many are kept after each level, finest first; after coarser levels all"""
     min_points: int = 8
     """a coarse level with fewer points is left out; with fewer on the finest level the alignment fails"""
 
@@ -55,12 +58,18 @@ class FeatureSettings:
             raise MethodError(f"unit is '{self.unit}', expected spread or absolute")
         if not self.iterations or min(*self.iterations, self.min_points, 1) < 1:
             raise MethodError("iterations and min_points must be at least 1")
+        if any(count < 1 for count in self.kept):
+            raise MethodError(f"kept is {list(self.kept)}, expected 1 or more for each level")
         if not self.give_up > 1:
             raise MethodError(f"give_up is {self.give_up}, expected more than 1")
 
     def iterations_of(self, level: int) -> int:
         """The largest number of iterations on a level."""
         return self.iterations[min(level, len(self.iterations) - 1)]
+
+    def kept_on(self, level: int) -> int | None:
+        """How many starts are kept at most after a level; None: all."""
+        return self.kept[level] if level < len(self.kept) else None
 
     def thresholds(self, reference: FeaturePoints, level: int) -> tuple[float, float]:
         """The Huber threshold and the cutoff of a level, in the features' own units; NaN if the spread is NaN."""

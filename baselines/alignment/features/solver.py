@@ -12,7 +12,7 @@ from baselines.alignment.features.problem import FeatureProblem
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.features.reference import ReferenceFeatures
 from baselines.alignment.features.settings import FeatureSettings
-from baselines.alignment.shared.levels import LevelOutcome, best_of, coarse_to_fine, failure_of
+from baselines.alignment.shared.levels import Descent, LevelOutcome, failure_of
 from baselines.alignment.shared.levenberg import (
     COUNT,
     ENERGY,
@@ -31,6 +31,8 @@ from relocbench.errors import MethodError
 from relocbench.geometry import compose
 
 UNKNOWNS = 6
+SAME_M, SAME_RAD = 0.02, 0.002
+"""estimates of several starts that are nearer to each other are at the same pose"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +54,8 @@ class FeatureAlignment:
     """variance of one channel's residual at omega = 1, estimated from the inliers of the last level; NaN without any"""
     failure: str = ""
     """why there is no pose; empty if there is one"""
-    abandoned: bool = False
-    """the alignment was given up because another start was clearly better"""
+    starts: tuple[int, ...] = ()
+    """how many starts were aligned on each level, finest first"""
 
     @property
     def final(self) -> LevelOutcome:
@@ -90,7 +92,6 @@ def align_features(
     query: FeaturePyramid,
     T_start: Array,
     settings: FeatureSettings,
-    rival: FeatureAlignment | None = None,
     first_level: int | None = None,
 ) -> FeatureAlignment:
     """Align from one start, beginning with the coarsest level that both sides have and that has enough points.
@@ -100,81 +101,148 @@ def align_features(
         query: maps of each level, with as many channels.
         T_start: (4, 4) first guess of T_query_ref.
         settings: see there.
-        rival: the best alignment so far from another start; this one is abandoned on the first level whose root mean
-            energy exceeds the rival's by the factor of the settings.
         first_level: coarser levels are left out.
 
     Raises:
         MethodError: the numbers of channels differ, or a side has no level.
     """
-    _require_same_channels(reference, query)
-    T, H, variance = np.array(T_start, dtype=np.float64), np.zeros((UNKNOWNS, UNKNOWNS)), float("nan")
-    points = len(reference.levels[0])
-    residuals = points * (reference.levels[0].values.shape[1] if settings.per_channel else 1)
-
-    def stopped(failure: str) -> FeatureAlignment:
-        return FeatureAlignment(T, (), points, residuals, H, variance, failure)
-
-    if not np.all(np.isfinite(T)):
-        return stopped("the start is not finite")
-    if points < settings.min_points:
-        return stopped(f"the reference has {points} points, at least {settings.min_points} are needed")
-
-    def minimise(level: int) -> tuple[LevelOutcome, str]:
-        nonlocal T, H, variance
-        of_level, query_level = reference.levels[level], query.levels[level]
-        huber, cutoff = settings.thresholds(of_level, level)
-        if not huber > 0:
-            reason = "all the same" if huber == 0 else "not finite"
-            nothing = LevelOutcome(level, 0, float("inf"), 0, 0, 1.0, NO_RESIDUALS)
-            return nothing, f"the reference's features are {reason} on level {level}"
-        problem = FeatureProblem(
-            query_level.map,
-            of_level.points,
-            of_level.values,
-            of_level.weights,
-            camera_intrinsics(query_level.camera),
-            huber,
-            settings.per_channel,
-            workspace_for(of_level.points),
-        )
-        T, _, mean_H, statistics, iterations, factor, end = minimise_level(
-            problem,
-            T,
-            np.zeros(2),
-            (UNKNOWNS, UNKNOWNS),
-            cutoff,
-            settings.iterations_of(level),
-            settings.damping.schedule,
-        )
-        H = mean_H * statistics[WEIGHT]
-        valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])
-        variance = _variance(statistics, query_level.channels, settings.per_channel)
-        outcome = LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)
-        if end == NOT_FINITE:
-            return outcome, f"features are not finite at {int(statistics[NOT_FINITE_POINTS])} points on level {level}"
-        return outcome, failure_of(outcome, T)
-
-    coarsest = coarsest_level(reference, query, settings)
-    begin = coarsest if first_level is None else min(first_level, coarsest)
-    walk = coarse_to_fine(begin, minimise, rival.outcomes if rival else (), settings.give_up)
-    return FeatureAlignment(compose(T), walk.outcomes, points, residuals, H, variance, walk.failure, walk.abandoned)
+    return align_features_best(reference, query, [Start(T_start, first_level)], settings)
 
 
 def align_features_best(
     reference: ReferenceFeatures, query: FeaturePyramid, starts: Sequence[Start], settings: FeatureSettings
 ) -> FeatureAlignment:
-    """Align from every start and return the alignment of lowest final energy.
+    """Align from several starts and return the alignment of lowest final energy.
 
-    A failed alignment is returned only if all of them failed.
+    All starts are aligned on a level before any of them goes on to the next finer one, which those do that are best
+    there: of several that have come to the same pose one; none whose root mean energy is more than ``give_up`` times
+    the lowest; and at most ``kept`` of them. Starts with a finer first level join on it. A failed alignment is returned
+    only if all of them failed.
+
+    Args:
+        reference: points of each level with their features.
+        query: maps of each level, with as many channels.
+        starts: at least one.
+        settings: see there.
 
     Raises:
         ValueError: there is no start.
-        MethodError: the numbers of channels differ.
+        MethodError: the numbers of channels differ, or a side has no level.
     """
-    return best_of(
-        starts, lambda start, rival: align_features(reference, query, start.T_query_ref, settings, rival, start.level)
-    )
+    if not starts:
+        raise ValueError("an alignment needs at least one start")
+    _require_same_channels(reference, query)
+    coarsest = coarsest_level(reference, query, settings)
+    estimates = [_Estimate(reference, query, start, settings, coarsest) for start in starts]
+    aligned = [0] * (coarsest + 1)
+    for level in range(coarsest, -1, -1):
+        reached = [estimate for estimate in estimates if estimate.descent.level == level and not estimate.descent.ended]
+        aligned[level] = len(reached)
+        for estimate in reached:
+            estimate.align(level)
+        _keep_best([estimate for estimate in reached if not estimate.descent.failure], level, settings)
+    # Nobody is given up before somebody fits better; where all failed, the first reason is told.
+    ended = [estimate for estimate in estimates if not estimate.descent.abandoned]
+    right = [estimate for estimate in ended if not estimate.descent.failure]
+    best = min(right, key=lambda estimate: estimate.energy) if right else ended[0]
+    return best.alignment(tuple(aligned))
+
+
+def _keep_best(reached: Sequence[_Estimate], level: int, settings: FeatureSettings) -> None:
+    """Give up all but the best of the estimates that have reached a level, see :func:`align_features_best`."""
+    kept: list[_Estimate] = []
+    for estimate in sorted(reached, key=lambda each: each.energy):
+        worse = kept and estimate.energy > settings.give_up**2 * kept[0].energy
+        if worse or len(kept) == settings.kept_on(level) or any(estimate.is_at(better) for better in kept):
+            estimate.descent.give_up()
+        else:
+            kept.append(estimate)
+
+
+class _Estimate:
+    """The pose of one start on its way from level to level, with the normal equations of the last one."""
+
+    def __init__(
+        self,
+        reference: ReferenceFeatures,
+        query: FeaturePyramid,
+        start: Start,
+        settings: FeatureSettings,
+        coarsest: int,
+    ) -> None:
+        self.reference, self.query, self.settings = reference, query, settings
+        self.T = np.array(start.T_query_ref, dtype=np.float64)
+        self.H = np.zeros((UNKNOWNS, UNKNOWNS))
+        self.variance = float("nan")
+        self.descent = Descent(coarsest if start.level is None else min(start.level, coarsest), self._minimise)
+        points = len(reference.levels[0])
+        if not np.all(np.isfinite(self.T)):
+            self.descent.failure = "the start is not finite"
+        elif points < settings.min_points:
+            self.descent.failure = f"the reference has {points} points, at least {settings.min_points} are needed"
+
+    @property
+    def energy(self) -> float:
+        return self.descent.outcomes[-1].energy
+
+    def is_at(self, other: _Estimate) -> bool:
+        """Whether the camera stands where another estimate has it, and looks the same way."""
+        return (
+            float(np.linalg.norm(self.T[:3, 3] - other.T[:3, 3])) < SAME_M
+            and float(np.linalg.norm(self.T[:3, :3] - other.T[:3, :3])) < np.sqrt(2) * SAME_RAD
+        )
+
+    def align(self, level: int) -> None:
+        """Work on a level until it is done."""
+        while self.descent.level == level and not self.descent.ended:
+            self.descent.work()
+
+    def alignment(self, starts: tuple[int, ...]) -> FeatureAlignment:
+        finest = self.reference.levels[0]
+        return FeatureAlignment(
+            T_query_ref=compose(self.T),
+            outcomes=tuple(self.descent.outcomes),
+            points=len(finest),
+            residuals=len(finest) * (finest.values.shape[1] if self.settings.per_channel else 1),
+            H=self.H,
+            variance=self.variance,
+            failure=self.descent.failure,
+            starts=starts,
+        )
+
+    def _minimise(self, level: int) -> tuple[LevelOutcome, str]:
+        points, query = self.reference.levels[level], self.query.levels[level]
+        huber, cutoff = self.settings.thresholds(points, level)
+        if not huber > 0:
+            reason = "all the same" if huber == 0 else "not finite"
+            nothing = LevelOutcome(level, 0, float("inf"), 0, 0, 1.0, NO_RESIDUALS)
+            return nothing, f"the reference's features are {reason} on level {level}"
+        problem = FeatureProblem(
+            query.map,
+            points.points,
+            points.values,
+            points.weights,
+            camera_intrinsics(query.camera),
+            huber,
+            self.settings.per_channel,
+            workspace_for(points.points),
+        )
+        self.T, _, mean_H, statistics, iterations, factor, end = minimise_level(
+            problem,
+            self.T,
+            np.zeros(2),
+            (UNKNOWNS, UNKNOWNS),
+            cutoff,
+            self.settings.iterations_of(level),
+            self.settings.damping.schedule,
+        )
+        self.H = mean_H * statistics[WEIGHT]
+        valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])
+        self.variance = _variance(statistics, query.channels, self.settings.per_channel)
+        outcome = LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)
+        if end == NOT_FINITE:
+            return outcome, f"features are not finite at {int(statistics[NOT_FINITE_POINTS])} points on level {level}"
+        return outcome, failure_of(outcome, self.T)
 
 
 def coarsest_level(reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings) -> int:

@@ -1,4 +1,4 @@
-"""Coarse to fine over the levels, and the best of several starts, for both engines."""
+"""Coarse to fine over the levels, for both engines, and the best of several starts, one after another."""
 
 from __future__ import annotations
 
@@ -47,52 +47,65 @@ def failure_of(outcome: LevelOutcome, *estimate: Array) -> str:
     return ""
 
 
-@dataclass(frozen=True)
-class CoarseToFine:
-    """The outcomes of all levels that were worked on."""
+class Descent:
+    """One alignment on its way from a coarse level to the finest, one level after another.
 
-    outcomes: tuple[LevelOutcome, ...]
-    """in the order of work"""
-    failure: str
-    """why the finest level was not reached; empty if it was"""
-    abandoned: bool
-    """whether the failure is that another start fits clearly better"""
-
-
-def coarse_to_fine(
-    coarsest: int,
-    minimise: Callable[[int], tuple[LevelOutcome, str]],
-    rival: Sequence[LevelOutcome] = (),
-    give_up: float = ABANDON_FACTOR,
-) -> CoarseToFine:
-    """Align one level after another, from ``coarsest`` down to 0.
-
-    The first level whose cutoff had to be raised is repeated once. The alignment ends at the first failure, or on a
-    level whose root mean energy is more than ``give_up`` times the rival's.
+    The first level whose cutoff had to be raised is repeated once. The way ends at the first failure.
 
     Args:
         coarsest: number of the first level; -1: there is no level.
         minimise: aligns one level, beginning where the previous one ended; returns its outcome, and in words why it
             failed or an empty string.
+    """
+
+    def __init__(self, coarsest: int, minimise: Callable[[int], tuple[LevelOutcome, str]]) -> None:
+        self.level = coarsest
+        """that is worked on next; -1 at the end"""
+        self.outcomes: list[LevelOutcome] = []
+        """in the order of work"""
+        self.failure = ""
+        """why the finest level was not reached; empty if it was, or while it still can be"""
+        self.abandoned = False
+        """whether the failure is that another start fits better"""
+        self._minimise = minimise
+        self._repeated = False
+
+    @property
+    def ended(self) -> bool:
+        return bool(self.failure) or self.level < 0
+
+    def work(self) -> None:
+        """Align the next level, or the same one once more."""
+        outcome, self.failure = self._minimise(self.level)
+        self.outcomes.append(outcome)
+        if outcome.cutoff_factor > 1 and not self._repeated:
+            self._repeated = True
+        else:
+            self.level -= 1
+
+    def give_up(self) -> None:
+        """End here, since another start fits better."""
+        self.failure, self.abandoned = "another start fits better", True
+
+
+def coarse_to_fine(
+    coarsest: int, minimise: Callable[[int], tuple[LevelOutcome, str]], rival: Sequence[LevelOutcome] = ()
+) -> Descent:
+    """Align all levels, or give up on the first one whose root mean energy is more than 1.5 times the rival's.
+
+    Args:
+        coarsest: see :class:`Descent`.
+        minimise: see :class:`Descent`.
         rival: outcomes of the best alignment so far from another start.
-        give_up: DSO's factor by default.
     """
     rival_energy = {outcome.level: outcome.energy for outcome in rival}
-    outcomes: list[LevelOutcome] = []
-    repeated = False
-    level = coarsest
-    while level >= 0:
-        outcome, failure = minimise(level)
-        outcomes.append(outcome)
-        if failure:
-            return CoarseToFine(tuple(outcomes), failure, abandoned=False)
-        if outcome.energy > give_up**2 * rival_energy.get(level, np.inf):
-            return CoarseToFine(tuple(outcomes), "another start fits clearly better", abandoned=True)
-        if outcome.cutoff_factor > 1 and not repeated:
-            repeated = True
-            continue
-        level -= 1
-    return CoarseToFine(tuple(outcomes), "", abandoned=False)
+    descent = Descent(coarsest, minimise)
+    while not descent.ended:
+        descent.work()
+        reached = descent.outcomes[-1]
+        if not descent.failure and reached.energy > ABANDON_FACTOR**2 * rival_energy.get(reached.level, np.inf):
+            descent.give_up()
+    return descent
 
 
 class Attempt(Protocol):

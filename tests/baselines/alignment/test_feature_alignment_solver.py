@@ -179,8 +179,6 @@ def test_the_lowest_final_energy_wins_among_starts(reference: ReferenceFeatures,
     assert error(lost.T_query_ref)[0] > 1
     for starts in ([Start(far), Start(MOTION)], [Start(MOTION), Start(far)], [Start(far), Start(MOTION, 1)]):
         assert error(align_features_best(reference, query, starts, settings).T_query_ref)[0] < 0.002
-    rival = align_features(reference, query, MOTION, settings)
-    assert align_features(reference, query, far, settings, rival).abandoned
     with pytest.raises(ValueError, match="start"):
         align_features_best(reference, query, [], settings)
 
@@ -189,15 +187,37 @@ def test_a_start_is_given_up_where_its_root_mean_energy_exceeds_the_best_ones_by
     reference: ReferenceFeatures, query: FeaturePyramid
 ) -> None:
     far = motion((3, 2, 0), (20, 30, 20))
-    rival, lost = (align_features(reference, query, start, FeatureSettings()) for start in (MOTION, far))
-    best = {outcome.level: outcome.energy for outcome in rival.outcomes}
+    right, lost = (align_features(reference, query, start, FeatureSettings()) for start in (MOTION, far))
+    best = {outcome.level: outcome.energy for outcome in right.outcomes}
     ratio = next((each.energy / best[each.level]) ** 0.5 for each in lost.outcomes)
     assert ratio > 1.1
-    for factor, levels in ((0.99 * ratio, 1), (1000 * ratio, len(lost.outcomes))):
-        given_up = align_features(reference, query, far, FeatureSettings(give_up=factor), rival)
-        assert len(given_up.outcomes) == levels
+    for starts in ([Start(far), Start(MOTION)], [Start(MOTION), Start(far)]):
+        for factor, on_the_second in ((0.99 * ratio, 1), (1000 * ratio, 2)):
+            found = align_features_best(reference, query, starts, FeatureSettings(give_up=factor))
+            assert found.starts[-2:] == (on_the_second, 2)
+            assert np.array_equal(found.T_query_ref, right.T_query_ref)
     with pytest.raises(MethodError, match="give_up is 1"):
         FeatureSettings(give_up=1.0)
+
+
+def test_only_the_best_of_several_starts_are_kept_after_a_level(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    """Starts too far off to come to the same place; a start on a finer level joins those that are left."""
+    aside = [Start(motion((metres, 0, 0), (0, 0, 0))) for metres in (6, -6, 9, -9)]
+    starts = [*aside, Start(MOTION), Start(MOTION, 1)]
+    assert align_features_best(reference, query, starts, FeatureSettings(give_up=1e6)).starts[3] == 5
+    found = align_features_best(reference, query, starts, FeatureSettings(give_up=1e6, kept=(5, 2, 2, 3)))
+    assert found.starts[1:] == (3, 3, 5)
+    assert error(found.T_query_ref)[0] < 0.002
+    with pytest.raises(MethodError, match="kept is \\[0\\], expected 1 or more"):
+        FeatureSettings(kept=(0,))
+
+
+def test_of_starts_that_come_to_the_same_pose_one_is_kept(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
+    starts = [Start(MOTION), Start(np.eye(4)), Start(MOTION, 2)]
+    found = align_features_best(reference, query, starts, FeatureSettings())
+    assert found.starts == (1, 1, 2, 2)
 
 
 def test_a_start_on_a_finer_level_leaves_the_coarser_ones_out(

@@ -164,7 +164,8 @@ def test_of_several_first_levels_the_lowest_energy_wins(weights: Path) -> None:
         for level in (2, 1, 0)
     ]
     for count, info in found.items():
-        assert info["energy"] == min(one.info["energy"] for one in alone[:count])
+        # Starts that come to the same pose go on as one.
+        assert info["energy"] == pytest.approx(min(one.info["energy"] for one in alone[:count]), rel=1e-3)
     assert found[9] == found[3]
 
 
@@ -178,7 +179,7 @@ def test_of_several_positions_on_the_optical_axis_the_lowest_energy_wins(weights
         single.track(reference, pair[1], make_transform(np.eye(3), [0.0, 0.0, -by])).info["energy"]
         for by in (0.0, *metres)
     ]
-    assert info["energy"] == min(alone)
+    assert info["energy"] == pytest.approx(min(alone), rel=1e-2)  # those that come to the same pose go on as one
 
 
 def test_each_hypothesis_is_searched_for_with_other_samples(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
