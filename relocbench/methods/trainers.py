@@ -85,7 +85,7 @@ def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: 
     chosen = _copy(defaults)
     if config is not None:
         values, _ = load_yaml_values(config, _OPTIONS, ConfigError)
-        _merge(chosen, values, config, "")
+        _merge(chosen, defaults, values, config, "")
     for setting in settings:
         key, separator, text = setting.partition("=")
         if not separator:
@@ -93,20 +93,23 @@ def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: 
         nested: Any = _value(setting, text)
         for part in reversed(key.split(".")):
             nested = {part: nested}
-        _merge(chosen, nested, None, "")
+        _merge(chosen, defaults, nested, None, "")
     return chosen
 
 
-def _merge(into: dict[str, Any], values: Mapping[str, Any], path: Path | None, prefix: str) -> None:
+def _merge(
+    into: dict[str, Any], usual: Mapping[str, Any], values: Mapping[str, Any], path: Path | None, prefix: str
+) -> None:
+    """Override options in place. A group that is empty by default takes any names."""
     for key, value in values.items():
         name = f"{prefix}{key}"
-        if key not in into:
+        if key not in into and usual:
             meant = hint(str(key), into, prefix)
             raise ConfigError(f"unknown option '{name}'{meant}; there is {', '.join(into)}", path)
-        if isinstance(into[key], dict):
+        if isinstance(into.get(key), dict):
             if not isinstance(value, Mapping):
-                raise ConfigError(f"option '{name}' is a group of options: {', '.join(into[key])}", path)
-            _merge(into[key], value, path, f"{name}.")
+                raise ConfigError(f"option '{name}' is a group of options: {', '.join(into[key]) or 'NAME=VALUE'}", path)
+            _merge(into[key], usual[key], value, path, f"{name}.")
         else:
             into[key] = value
 

@@ -57,6 +57,15 @@ def test_options_come_from_defaults_then_file_then_settings(tmp_path: Path) -> N
         trainer_options(usual, None, ["loss=3"])
 
 
+def test_a_group_without_defaults_takes_any_names() -> None:
+    usual: dict[str, Any] = {"shares": {}}
+    chosen = trainer_options(usual, None, ["shares.town=0.2", "shares.walk=0.1", "shares.town=0.3"])
+    assert chosen == {"shares": {"town": 0.3, "walk": 0.1}}
+    assert usual == {"shares": {}}
+    with pytest.raises(ConfigError, match="'shares' is a group of options: NAME=VALUE"):
+        trainer_options(usual, None, ["shares=3"])
+
+
 def test_pairs_of_a_split_hold_what_both_images_see(dataset: Dataset) -> None:
     data = DatasetPairs([dataset.root])
     accepted = {name: dataset.pair_set(name).pairs for name in (ACROSS, WITHIN)}
