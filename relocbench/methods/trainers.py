@@ -108,7 +108,8 @@ def _merge(
             raise ConfigError(f"unknown option '{name}'{meant}; there is {', '.join(into)}", path)
         if isinstance(into.get(key), dict):
             if not isinstance(value, Mapping):
-                raise ConfigError(f"option '{name}' is a group of options: {', '.join(into[key]) or 'NAME=VALUE'}", path)
+                names = ", ".join(into[key]) or "NAME=VALUE"
+                raise ConfigError(f"option '{name}' is a group of options: {names}", path)
             _merge(into[key], usual[key], value, path, f"{name}.")
         else:
             into[key] = value

@@ -10,7 +10,7 @@ of the first n draws floor(share n).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from fractions import Fraction
 
 from baselines.training.random_streams import shuffled_round
@@ -26,19 +26,18 @@ class EvenDraw:
     Args:
         data: pairs to draw from.
         seed: of the order.
-        shares: share of the draws by the name of a dataset; all others are drawn evenly in the rest.
+        shares: share of the draws by a dataset's name, with its fingerprint (NAME@FINGERPRINT) where several have the
+            name; all others are drawn evenly in the rest.
 
     Raises:
-        ConfigError: a share is of a dataset that has no pairs, or nothing is left for the others.
+        ConfigError: a share is of a dataset that has no pairs, or of several, or nothing is left for the others.
     """
 
     def __init__(self, data: TrainingData, seed: int, shares: Mapping[str, float] | None = None) -> None:
         by_dataset: dict[str, list[int]] = {}
         for index in range(len(data)):
             by_dataset.setdefault(data.label(index).dataset, []).append(index)
-        shares = shares or {}
-        if absent := sorted(shares.keys() - by_dataset.keys()):
-            raise ConfigError(f"shares.{absent[0]}: the data has pairs of {', '.join(sorted(by_dataset))}")
+        shares = {_told(name, by_dataset): share for name, share in (shares or {}).items()}
         left, parts = Fraction(1), []
         for name in sorted(shares):
             share = Fraction(str(shares[name]))
@@ -65,6 +64,16 @@ class EvenDraw:
                 return rounds[before]
             draw -= before
         raise AssertionError("the last part takes every draw")
+
+
+def _told(name: str, datasets: Collection[str]) -> str:
+    """The label of the dataset that a name, or a name with fingerprint, tells."""
+    of_name = sorted(label for label in datasets if name in (label, label.rpartition("@")[0]))
+    if len(of_name) == 1:
+        return of_name[0]
+    if of_name:
+        raise ConfigError(f"shares.{name}: {len(of_name)} datasets have that name, such as {of_name[0]}; say which")
+    raise ConfigError(f"shares.{name}: the data has pairs of {', '.join(sorted(datasets))}")
 
 
 class _Rounds:

@@ -91,6 +91,15 @@ def test_shares_that_cannot_be_are_refused(shares: Mapping[str, float], told: st
         EvenDraw(MadePairs(datasets=["town", "walk"] * 2), 0, shares)
 
 
+def test_a_share_is_of_the_dataset_that_its_name_tells() -> None:
+    data = MadePairs(datasets=["town@a1", "town@b2", "walk@c3"] * 2)
+    for name in ("walk", "walk@c3"):
+        draw = EvenDraw(data, 0, {name: 0.5})
+        assert {data.label(draw[number]).dataset for number in range(1, 40, 2)} == {"walk@c3"}
+    with pytest.raises(ConfigError, match=r"shares\.town: 2 datasets have that name, such as town@a1; say which"):
+        EvenDraw(data, 0, {"town": 0.5})
+
+
 def test_shares_are_above_0_and_at_most_1() -> None:
     for shares in ({"town": 0.0}, {"town": 0.6, "walk": 0.6}):
         with pytest.raises(ConfigError, match=r"shares is .*, expected shares above 0, at most 1 together"):
