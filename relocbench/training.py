@@ -121,8 +121,8 @@ class ValidationScores:
     together: Mapping[str, float]
     """metric -> value over all pairs; for a retriever, the mean over the directions"""
     by_conditions: Mapping[str, Mapping[str, float]]
-    """``REFERENCE -> QUERY`` conditions -> metric -> value; for a retriever ``QUERY-GALLERY`` views -> metric, chance
-    level and spread of descriptors"""
+    """``REFERENCE -> QUERY`` conditions -> metric -> value; for a retriever ``QUERY-GALLERY`` views, or conditions of
+    its only view -> metric, chance level and spread of descriptors"""
     pairs: Mapping[str, int]
     """number of pairs for each ``REFERENCE -> QUERY``; for a retriever, of queries for each direction"""
     messages: tuple[str, ...] = ()

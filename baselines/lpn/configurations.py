@@ -41,6 +41,8 @@ class Configuration:
     """number of candidates of each ranking that are re-ranked by aligned parts (``dmli``)"""
     paired: bool = False
     """whether each row of a batch shows the same building by drone and by satellite"""
+    views: tuple[str, ...] = ("drone", "satellite")
+    """views that are learnt from unless others are named"""
     backbone_rate: float = 1e-4
     """learning rate of the backbone"""
     rate: float = 1e-3
@@ -164,6 +166,12 @@ _ALL = (
         backbone_rate=3e-4,
         rate=3e-3,
         logged=Logged(81.51, 84.11),
+    ),
+    Configuration(
+        "street",
+        "the mean over the whole map, of drives along streets",
+        NetworkOptions(backbone="efficientnet-lite0", parts=1, street="shared"),
+        views=("street",),
     ),
 )
 

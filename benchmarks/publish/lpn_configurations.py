@@ -64,6 +64,7 @@ WITH_INTERVAL = "R@1"
 COMPARED = ("R@1", "AP")
 LOGGED = "drone-satellite"
 """the direction that the log of trials reports"""
+FROM_ABOVE = [name for name, system in CONFIGURATIONS.items() if "satellite" in system.views]
 FIRST = "lpn"
 """the configuration that others start from"""
 
@@ -347,7 +348,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--train", nargs="+", required=True, help="cross-view folders with train/")
     parser.add_argument("--test", nargs="+", required=True, help="cross-view folders with test/, or two sheets")
     parser.add_argument("--scratch", required=True, help="folder that keeps trainings and results")
-    parser.add_argument("--config", nargs="+", default=list(CONFIGURATIONS), help="configurations [default: all]")
+    parser.add_argument("--config", nargs="+", default=FROM_ABOVE, help="configurations [default: all from above]")
     parser.add_argument("--seed", nargs="+", type=int, default=[0, 1, 2], help="[default: 0 1 2]")
     parser.add_argument(
         "--set",

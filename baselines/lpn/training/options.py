@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 from baselines.lpn.configurations import Configuration, configuration
 from baselines.lpn.losses import LossOptions
@@ -150,6 +151,7 @@ def usual_options(name: str) -> TrainOptions:
     system = configuration(name)
     return TrainOptions(
         configuration=name,
+        views=cast(tuple[View, ...], system.views),
         epochs={stage.name: stage.epochs for stage in system.stages},
         paired=system.paired,
         loss=system.loss,

@@ -1,4 +1,4 @@
-"""Training data of retrievers: the train folders of one or several cross-view sets."""
+"""Training data of retrievers: the train folders of cross-view sets, or places along the drives of datasets."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.cross_view import open_cross_view
+from relocbench.datasets.learning.drive_places import drive_places
 from relocbench.errors import ConfigError
 from relocbench.progress import Reporter
 from relocbench.retrieval import PlaceData
@@ -16,16 +18,22 @@ def training_places(roots: Sequence[Path], reporter: Reporter) -> PlaceData:
     """Images of known places from one or several sets; places of different sets are different.
 
     Args:
-        roots: folders of cross-view sets.
+        roots: folders of cross-view sets, or of datasets.
         reporter: receives notes on empty folders and on places that are also in the test folders.
 
     Raises:
-        DatasetError: a folder is not a cross-view set or has no training images.
-        ConfigError: a folder is given twice.
+        DatasetError: a folder is neither a cross-view set nor a dataset, or has no training images.
+        ConfigError: a folder is given twice, or a dataset's training split shares a traversal with its test split.
     """
     if len({root.resolve() for root in roots}) < len(roots):
         raise ConfigError("a dataset is given twice")
-    return joined([open_cross_view(root, reporter).training() for root in roots])
+    return joined([_places(root, reporter) for root in roots])
+
+
+def _places(root: Path, reporter: Reporter) -> PlaceData:
+    return (
+        drive_places(root) if DatasetLayout(root).dataset_yaml.exists() else open_cross_view(root, reporter).training()
+    )
 
 
 def joined(sets: Sequence[PlaceData]) -> PlaceData:

@@ -144,8 +144,8 @@ class StreetPlaces:
             relevance = _paired(pair_set, keyframes, times)
         return RetrievalTask(
             name=pair_set.name,
-            queries=tuple(_view(query, camera, t) for t in times),
-            gallery=tuple(_view(reference, camera, t) for t in keyframes),
+            queries=tuple(street_view(query, camera, t) for t in times),
+            gallery=tuple(street_view(reference, camera, t) for t in keyframes),
             relevance=relevance,
             condition_query=str(query.condition),
             condition_gallery=str(reference.condition),
@@ -205,7 +205,8 @@ def image_key(traversal: Traversal, camera: str, timestamp_ns: int) -> str:
     return path.relative_to(traversal.layout.root.parent.parent).as_posix()
 
 
-def _view(traversal: Traversal, camera: str, time: int) -> ImageView:
+def street_view(traversal: Traversal, camera: str, time: int) -> ImageView:
+    """An image of a drive as a retriever sees it."""
     key = image_key(traversal, camera, time)
     return ImageView(key, VIEW, partial(_read, traversal.layout.root, camera, time))
 

@@ -1,12 +1,12 @@
 """Validation of retrievers during training: scoring them in memory on held-out places.
 
-Every view is a query set for every other view. Rankings use descriptors alone, without reranking, and nothing is
-written.
+Every view is a query set for every other view; images of a single view are divided by condition instead. Rankings use
+descriptors alone, without reranking, and nothing is written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import permutations
 
@@ -52,20 +52,28 @@ class PlaceValidation:
         data: the held-out places.
         views: the views that the retriever is for; images of other views are ignored.
         seed: of the choice of images.
-        images_per_place: the largest number of images of each place and view.
+        images_per_place: the largest number of images of each place and view, or condition.
 
     Raises:
-        ConfigError: there are no two views to retrieve between.
+        ConfigError: there are no two views to retrieve between, and no two conditions of the only one.
     """
 
     def __init__(
         self, data: PlaceData, views: Sequence[str], seed: int = 0, images_per_place: int = IMAGES_PER_PLACE
     ) -> None:
-        chosen = _thinned([each for each in data.images if each.image.view in views], images_per_place, seed)
-        self._of_view = {view: [each for each in chosen if each.image.view == view] for view in views}
-        missing = [view for view, of_view in self._of_view.items() if not of_view]
-        if missing or len(self._of_view) < 2:
-            told = f"no held-out image of view '{missing[0]}'" if missing else f"'{''.join(self._of_view)}' alone"
+        of_views = [each for each in data.images if each.image.view in views]
+        grouped = _view if len(views) > 1 else _condition
+        chosen = _thinned(of_views, grouped, images_per_place, seed)
+        groups = list(views) if len(views) > 1 else sorted({each.condition for each in of_views})
+        self._of_group = {group: [each for each in chosen if grouped(each) == group] for group in groups}
+        missing = [group for group, of_group in self._of_group.items() if not of_group]
+        if len(views) == 1 and of_views and len(groups) < 2:
+            raise ConfigError(
+                f"validation retrieves between views, or between conditions of view '{views[0]}': there is one alone; "
+                "give other data, or --no-validation"
+            )
+        if missing or len(groups) < 2:
+            told = f"no held-out image of view '{[*missing, *views][0]}'"
             raise ConfigError(
                 f"validation retrieves between views: {told} (there are {', '.join(data.views)}); "
                 "choose others with --set views=[...], or --no-validation"
@@ -73,20 +81,20 @@ class PlaceValidation:
 
     def __len__(self) -> int:
         """The number of images that each call describes."""
-        return sum(map(len, self._of_view.values()))
+        return sum(map(len, self._of_group.values()))
 
     def __call__(self, retriever: Retriever) -> ValidationScores:
         """Describe all images and score each direction."""
-        described = {view: _described(retriever, of_view) for view, of_view in self._of_view.items()}
+        described = {group: _described(retriever, of_group) for group, of_group in self._of_group.items()}
         spread = _variance(np.concatenate(list(described.values())))
         by_direction, queries = {}, {}
-        for view_query, view_gallery in permutations(self._of_view, 2):
-            asked, searched = (_places(self._of_view[view]) for view in (view_query, view_gallery))
+        for asked_group, gallery_group in permutations(self._of_group, 2):
+            asked, searched = (_places(self._of_group[group]) for group in (asked_group, gallery_group))
             relevance = relevance_from_labels(asked, searched)
-            ranking = rank_descriptors(described[view_query], described[view_gallery], relevance)
+            ranking = rank_descriptors(described[asked_group], described[gallery_group], relevance)
             values = summarize_retrieval(score_retrieval(ranking), METRICS).values
             chance = float(np.mean(relevance.positives / relevance.gallery))
-            name = f"{view_query}-{view_gallery}"
+            name = f"{asked_group}-{gallery_group}"
             by_direction[name] = {**values, CHANCE: chance, SPREAD: spread}
             queries[name] = len(asked)
         together = {name: float(np.mean([values[name] for values in by_direction.values()])) for name in METRICS}
@@ -121,12 +129,22 @@ def _places(images: Sequence[PlaceImage]) -> NDArray[np.int64]:
     return np.array([each.place for each in images], dtype=np.int64)
 
 
-def _thinned(images: Sequence[PlaceImage], count: int, seed: int) -> list[PlaceImage]:
-    """At most ``count`` images of each place and view, in the order given."""
+def _view(image: PlaceImage) -> str:
+    return image.image.view
+
+
+def _condition(image: PlaceImage) -> str:
+    return image.condition
+
+
+def _thinned(
+    images: Sequence[PlaceImage], grouped: Callable[[PlaceImage], str], count: int, seed: int
+) -> list[PlaceImage]:
+    """At most ``count`` images of each place and group, in the order given."""
     kept: dict[tuple[int, str], int] = {}
     chosen = []
     for number in np.random.default_rng(seed).permutation(len(images)):
-        key = (images[number].place, images[number].image.view)
+        key = (images[number].place, grouped(images[number]))
         kept[key] = kept.get(key, 0) + 1
         if kept[key] <= count:
             chosen.append(int(number))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
+from itertools import permutations
 from typing import Any
 
 import cv2
@@ -11,7 +13,7 @@ import pytest
 from made_places import made_places
 
 from baselines.floors import ColourHistogram, OrbBagOfWords, RandomOrder
-from relocbench.errors import MethodError
+from relocbench.errors import ConfigError, MethodError
 from relocbench.evaluation.retrieval.training_validation import PlaceValidation
 from relocbench.retrieval import FittingRetriever, ImageView, PlaceData, PlaceImage, Retriever
 
@@ -82,6 +84,21 @@ def test_colours_find_places_of_other_colours() -> None:
     )
     assert one @ other == 0  # black and white share no cell
     assert sorted(one)[-1] == 1
+
+
+def test_images_of_one_view_are_retrieved_between_conditions() -> None:
+    data = made_places(6, 3)
+    drones = [each for each in data.images if each.image.view == "drone"]
+    by_light = [replace(each, condition=f"light {number % 3}") for number, each in enumerate(drones)]
+    validation = PlaceValidation(replace(data, images=tuple(by_light)), ("drone",))
+    assert len(validation) == 18
+    scores = validation(ColourHistogram())
+    assert set(scores.by_conditions) == {f"light {a}-light {b}" for a, b in permutations(range(3), 2)}
+    assert scores.together["R@1"] > 0.8
+    with pytest.raises(ConfigError, match="or between conditions of view 'drone': there is one alone"):
+        PlaceValidation(data, ("drone",))
+    with pytest.raises(ConfigError, match=r"no held-out image of view 'street' \(there are drone, satellite\)"):
+        PlaceValidation(data, ("street",))
 
 
 def test_orb_words_find_places_of_other_corners() -> None:

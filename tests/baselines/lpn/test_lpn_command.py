@@ -12,8 +12,13 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from made_places import TINY, NarrowResNet, picture
+from small_dataset import ACROSS, make_small_dataset
 
+from baselines.lpn.retriever import Lpn
+from baselines.lpn.weights import load_weights
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.learning.training_places import training_places
+from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import ConfigError
 from relocbench.methods import RETRIEVERS, installed_methods
 from relocbench.methods.trainers import chosen_options, installed_trainers, trainer_named
@@ -114,6 +119,24 @@ def test_mistakes_are_one_line_each(university: Path, tmp_path: Path) -> None:
         other = relocbench("train", "gn-net", option, value, "--show-options")
         assert other.status == 2
         assert f"{option} is an option for trainers of retrievers, and 'gn-net' trains trackers" in other.complaint
+
+
+@pytest.mark.slow
+def test_drives_become_weights_that_retrieve_along_streets(tmp_path: Path) -> None:
+    """Each dataset is one place, since its drives are shorter than places are apart."""
+    roots = [
+        make_small_dataset(tmp_path / name, seed=seed, splits={"train": [ACROSS]}).root
+        for seed, name in enumerate(("first", "second", "third"))
+    ]
+    out, more = tmp_path / "out", [word for root in roots[1:] for word in ("-d", root)]
+    done = train(roots[0], out, *more, "--config", "street", "--no-validation")
+    assert done.status == 0, done.err
+    assert "3 places: 3 in street" in done.err
+    _, about = load_weights(out / "weights.safetensors")
+    assert (about.configuration, about.views) == ("street", ("street",))
+    (task,) = StreetPlaces(Dataset(roots[0])).tasks()
+    described = Lpn(weights=out / "weights.safetensors").describe(task.queries)
+    assert np.allclose(np.linalg.norm(described, axis=1), 1)
 
 
 @pytest.mark.slow
