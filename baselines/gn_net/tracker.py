@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import Field
 from torch.nn import functional
 
@@ -44,6 +45,7 @@ from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.weights import load_weights
+from baselines.remembered import RememberedImages
 from relocbench.arrays import Array, Image
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
@@ -53,6 +55,8 @@ SHIPPED = Path(__file__).parent / "shipped"
 """weights that come with the package, as NAME.safetensors"""
 SELECTION_LEVELS = 3
 """levels of the intensity pyramid on which points are chosen"""
+Maps = tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]
+"""features (H, W, D) and confidences (H, W, 1) of each level, finest first; no confidences if the network has none"""
 MIN_VALID_SHARE = 0.1
 """share of the reference's points that must project into the query"""
 
@@ -106,6 +110,8 @@ class GnNet:
         min_points: with fewer points that have depth, tracking fails.
         min_agreement: with a smaller agreement, tracking fails; by default the largest one below which no answer was
             right on validation districts.
+        remember: keep the feature maps of so many images for the pairs that show them again. The answers stay the same,
+            and the seconds of a pair no longer say what one costs.
         device: where the network runs; the alignment runs on the CPU.
         seed: of the random choices.
 
@@ -144,6 +150,7 @@ class GnNet:
         kept: tuple[Annotated[int, Field(ge=1)], ...] = (),
         min_points: Annotated[int, Field(ge=8)] = 30,
         min_agreement: Annotated[float, Field(ge=0, le=1)] | None = None,
+        remember: Annotated[int, Field(ge=0)] = 0,
         device: str = "cpu",
         seed: int = 0,
     ) -> None:
@@ -170,6 +177,7 @@ class GnNet:
         self.device = device
         self.seed = seed
         self._last: tuple[Query, FeaturePyramid] | None = None
+        self._remembered: RememberedImages[Maps] = RememberedImages(remember)
         net = weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
         self.net = to_device(net.for_tracking(), device)
 
@@ -231,7 +239,6 @@ class GnNet:
         without = [np.full(np.shape(uv_ref), np.nan) for _ in range(self.net.options.finest)]
         return [*without, *map(self._of_image, found)]
 
-    @torch.inference_mode()
     def features(self, image: Image, camera: Camera) -> FeaturePyramid:
         """The feature maps of an image (H, W) or (H, W, 3); the first is that of level ``finest``, with its camera.
 
@@ -239,6 +246,11 @@ class GnNet:
             MethodError: the camera is not pinhole, or the image is too small for the network.
         """
         require_pinhole(camera)
+        features, confidences = self._remembered.get(image, self._maps)
+        return FeaturePyramid.from_maps(features, level_camera(camera, self.net.options.finest), confidences)
+
+    @torch.inference_mode()
+    def _maps(self, image: Image) -> Maps:
         x = image_tensor(image).to(self.device, memory_format=torch.channels_last)
         try:
             maps = self.net.with_confidences(x)
@@ -250,9 +262,8 @@ class GnNet:
                 break
             coarsest = self.net.with_confidences(x, self.net.options.levels - 1)
             maps = maps[0] + coarsest[0], maps[1] + coarsest[1]
-        of_finest = level_camera(camera, self.net.options.finest)
         features, confidences = ([m[0].permute(1, 2, 0).float().cpu().numpy() for m in each] for each in maps)
-        return FeaturePyramid.from_maps(features, of_finest, confidences)
+        return features, confidences
 
     def _find(
         self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Start

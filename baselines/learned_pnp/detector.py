@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import OrderedDict
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -16,6 +14,7 @@ from torch import Tensor, nn
 from baselines.device import to_device
 from baselines.feature_pnp.features import Features
 from baselines.learned_pnp.images import network_input
+from baselines.remembered import RememberedImages
 
 
 class NetworkDetector(ABC):
@@ -41,8 +40,7 @@ class NetworkDetector(ABC):
         self.features = features
         self.longest_px = longest_px
         self.device = device
-        self.remember = remember
-        self._known: OrderedDict[bytes, Features] = OrderedDict()
+        self._remembered: RememberedImages[Features] = RememberedImages(remember)
         self.net: Any = to_device(self.load(weights), device)
 
     @abstractmethod
@@ -60,15 +58,7 @@ class NetworkDetector(ABC):
         Raises:
             MethodError: the image is smaller than 64 pixels.
         """
-        if not self.remember:
-            return self._found(image)
-        content = sha256(repr(image.shape).encode() + image.tobytes()).digest()
-        if content not in self._known:
-            self._known[content] = self._found(image)
-        self._known.move_to_end(content)
-        if len(self._known) > self.remember:
-            self._known.popitem(last=False)
-        return self._known[content]
+        return self._remembered.get(image, self._found)
 
     @torch.inference_mode()
     def _found(self, image: NDArray[np.uint8]) -> Features:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -150,6 +151,26 @@ def test_halved_images_give_coarser_levels(weights: Path) -> None:
     np.testing.assert_allclose(after[-1].map, coarsest, atol=1e-5)
     assert after[-1].camera == level_camera(before[0].camera, len(before))
     assert len(GnNet(weights=weights, halvings=99).features(image, camera).levels) < 9
+
+
+def test_remembered_maps_are_those_that_the_network_finds(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    forgetful, tracker = (GnNetFromPrior(weights=weights, remember=most, min_agreement=0.0) for most in (0, 2))
+    passed, through = [], tracker.net.with_confidences
+
+    def counted(x: torch.Tensor) -> Any:
+        passed.append(x)
+        return through(x)
+
+    monkeypatch.setattr(tracker.net, "with_confidences", counted)
+    pair = a_reference(), a_query(small_pose(3))
+    expected = forgetful.track(forgetful.prepare(pair[0]), pair[1])
+    for _ in range(2):
+        found = tracker.track(tracker.prepare(pair[0]), pair[1])
+        assert len(passed) == 2
+        assert found.T_query_ref is not None
+        assert expected.T_query_ref is not None
+        np.testing.assert_array_equal(found.T_query_ref, expected.T_query_ref)
+        assert found.info == expected.info
 
 
 def test_of_several_first_levels_the_lowest_energy_wins(weights: Path) -> None:
