@@ -33,6 +33,7 @@ from answers import Answer, in_percent, kept, questions
 from calibration import VALIDATION, build_district
 
 from baselines.gn_net.tracker import SHIPPED, GnNet
+from baselines.remembered import RememberedImages
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import se3_exp
@@ -42,7 +43,10 @@ from relocbench.metrics.statistics.intervals import paired_difference
 KEYFRAME, ASIDE, TRUTH, MATCHES = "the keyframe's pose", "as far, elsewhere", "the truth", "its matches too"
 STARTS = (KEYFRAME, ASIDE, TRUTH, MATCHES)
 NEAR_M = 1.0
-
+IMAGES = 500
+"""whose feature maps are kept: those of all districts"""
+_REMEMBERED: dict[tuple[str, int], RememberedImages[Any]] = {}
+"""by the digest of the weights and the halvings of the image"""
 
 GROUPS: Mapping[str, Callable[[Answer], bool]] = {
     "one drive": lambda answer: answer.same_drive,
@@ -79,10 +83,13 @@ def answers_of(asked: str, seed: int, options: argparse.Namespace) -> list[Answe
     path = Path(options.scratch) / "keyframe_start" / "-".join([digest, *settings, f"{seed}-{options.pairs}.jsonl"])
 
     def make() -> Iterator[Answer]:
-        trackers = [
+        trackers: list[GnNet] = [
             parse_method(name, [*settings, f"weights={file}", "min_agreement=0"]).create()
             for name in ("gn-net-from-prior", "gn-net")
         ]
+        for tracker in trackers:
+            # Trackers that differ in their parameters alone take each image through the network once.
+            tracker._remembered = _REMEMBERED.setdefault((digest, tracker.halvings), RememberedImages(IMAGES))
         return ask(*trackers, build_district(options.scratch, seed, options.workers), options.pairs, seed)
 
     return kept(path, make)
