@@ -84,6 +84,7 @@ class GnNet:
     Args:
         weights: a file of ``relocbench train``; by default the weights that come with the package.
         points: approximate number of pixels chosen from a dense depth image; all points of a sparse map are used.
+        coarse_points: at most so many of them on all levels but the two finest; all by default.
         huber: in units of the spread of the reference's features on the level; larger residuals are downweighted.
         cutoff: in the same units; larger residuals are treated as outliers.
         cutoff_levels: number of the finest levels on which the cutoff applies; coarser ones only have the Huber loss.
@@ -133,6 +134,7 @@ class GnNet:
         self,
         weights: Path | None = None,
         points: Annotated[int, Field(ge=1)] = 2000,
+        coarse_points: Annotated[int, Field(ge=8)] | None = None,
         huber: Annotated[float, Field(gt=0)] = 0.3,
         cutoff: Annotated[float, Field(gt=0)] = 1.0,
         cutoff_levels: Annotated[int, Field(ge=1)] = 1,
@@ -164,6 +166,7 @@ class GnNet:
             damping=LM_RELOC_DAMPING if (damping or self.usual_damping) == "lm-reloc" else DSO_DAMPING,
         )
         self.points = points
+        self.coarse_points = coarse_points
         self.prior_level = prior_level
         self.first_levels = first_levels
         self.halvings = halvings
@@ -197,7 +200,8 @@ class GnNet:
         pyramid = self.features(reference.image, reference.camera)
         on_finest = replace(chosen, uv=self._on_finest(chosen.uv))
         landmarks = Landmarks.at(on_finest, pyramid, self.start.points, np.random.default_rng(self.seed))
-        return GnNetReference(ReferenceFeatures.at_points(on_finest, pyramid), pyramid, len(chosen), landmarks)
+        features = ReferenceFeatures.at_points(on_finest, pyramid, coarse_points=self.coarse_points)
+        return GnNetReference(features, pyramid, len(chosen), landmarks)
 
     def track(self, reference: GnNetReference, query: Query, prior: Array | None = None) -> TrackResult:
         """Align a query to a prepared reference.

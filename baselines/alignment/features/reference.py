@@ -15,6 +15,9 @@ from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
 
+FULL_LEVELS = 2
+"""the finest levels, on which all points are used"""
+
 
 @dataclass(frozen=True, eq=False)
 class FeaturePoints:
@@ -83,7 +86,11 @@ class ReferenceFeatures:
 
     @classmethod
     def at_points(
-        cls, points: KeyframePoints, pyramid: FeaturePyramid, weights: Array | None = None
+        cls,
+        points: KeyframePoints,
+        pyramid: FeaturePyramid,
+        weights: Array | None = None,
+        coarse_points: int | None = None,
     ) -> ReferenceFeatures:
         """The same points on every level, at fractions of a pixel, with features interpolated bilinearly.
 
@@ -93,6 +100,8 @@ class ReferenceFeatures:
             points: N pixels of level 0 with inverse depth.
             pyramid: of the keyframe.
             weights: (N,) positive; 1 by default. Where the pyramid has confidences, they multiply the weights.
+            coarse_points: at most so many, evenly spread in their order, on all levels but the two finest, whose maps
+                have fewer pixels than there are points; all by default.
 
         Raises:
             MethodError: the number of weights is not that of the points, or a weight is not a positive number.
@@ -106,11 +115,14 @@ class ReferenceFeatures:
             uv = level_coordinates(points.uv, number)
             last = np.array([level.camera.width, level.camera.height]) - 1 - KEPT_BORDER
             kept = known & np.all((uv >= KEPT_BORDER) & (uv <= last), axis=1)
-            uv = uv[kept]
-            values, of_points = sample(level.map, uv), weights[kept]
+            rows = np.flatnonzero(kept)
+            if coarse_points is not None and number >= FULL_LEVELS and len(rows) > coarse_points:
+                rows = rows[np.linspace(0, len(rows) - 1, coarse_points).round().astype(int)]
+            uv = uv[rows]
+            values, of_points = sample(level.map, uv), weights[rows]
             if level.confidence is not None:
                 of_points = of_points * sample(level.confidence, uv)[:, 0]
-            levels.append(FeaturePoints.at(uv, points.inverse_depth[kept], values, level.camera, of_points))
+            levels.append(FeaturePoints.at(uv, points.inverse_depth[rows], values, level.camera, of_points))
         return cls(tuple(levels))
 
     def __len__(self) -> int:

@@ -86,6 +86,17 @@ def test_points_keep_their_place_and_depth_on_every_level() -> None:
         np.testing.assert_array_equal(kept, np.flatnonzero(inside))
 
 
+def test_coarse_levels_may_have_fewer_points() -> None:
+    points = keyframe_points()
+    whole, some = (ReferenceFeatures.at_points(points, pyramid(), coarse_points=most) for most in (None, 50))
+    assert [len(level) for level in some.levels[:2]] == [len(level) for level in whole.levels[:2]]
+    for thinned, level in zip(some.levels[2:], whole.levels[2:], strict=True):
+        assert len(thinned) == 50 < len(level)
+        rows = [int(np.flatnonzero((point == level.points.T).all(axis=1))[0]) for point in thinned.points.T]
+        assert max(np.diff([0, *rows, len(level) - 1])) <= len(level) / 49 + 1
+        np.testing.assert_array_equal(thinned.values, level.values[rows])
+
+
 def test_confidences_multiply_the_weights_of_their_level() -> None:
     points, maps = keyframe_points(), [level.map for level in pyramid().levels]
     rng = np.random.default_rng(0)
