@@ -3,19 +3,22 @@
 Who chooses seeds by hand can choose those on which a method looks well. The phrase of ``docs/test-districts.md`` was
 written down before the methods that are tested on it were finished, and the districts follow from it.
 
-    python benchmarks/publish/districts.py
+    python benchmarks/publish/districts.py [--next]
 
 The last line is JSON.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 PHRASE = "seven brass clocks disagree about the hour the harbour froze"
+NEXT_PHRASE = "eleven umbrellas crossed the bridge before the lamps were lit"
+"""of districts that nobody was asked yet: those of the next publication"""
 COUNT = 12
 CONDITIONS = (
     "Fog",
@@ -61,9 +64,13 @@ def _digest(text: str) -> str:
 
 
 def main() -> None:
-    for district in districts():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--next", action="store_true", help="those of the phrase that was asked nothing yet")
+    phrase = NEXT_PHRASE if parser.parse_args().next else PHRASE
+    found = list(districts(phrase))
+    for district in found:
         print(f"district {district.number:2d}: seed {district.seed}, {', '.join(district.conditions)}")
-    print(json.dumps({"benchmark": "districts", "phrase": PHRASE, "seeds": [d.seed for d in districts()]}))
+    print(json.dumps({"benchmark": "districts", "phrase": phrase, "seeds": [d.seed for d in found]}))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import districts
 def test_the_page_has_the_phrase_the_seeds_and_the_conditions() -> None:
     page = (ROOT / "docs" / "test-districts.md").read_text()
     assert f"> {districts.PHRASE}\n" in page
+    assert f"> {districts.NEXT_PHRASE}\n" in page
     for each in districts.districts():
         assert f"| {each.number} | {each.seed} | {', '.join(each.conditions)} |" in page
 
@@ -27,7 +28,7 @@ def test_a_district_has_three_conditions_that_exist_and_a_seed_of_its_own() -> N
     assert all(len(set(each.conditions)) == 3 for each in found)
 
 
-@pytest.mark.parametrize("phrase", ["", "another phrase"])
+@pytest.mark.parametrize("phrase", ["", "another phrase", districts.NEXT_PHRASE])
 def test_another_phrase_gives_other_districts(phrase: str) -> None:
     ours = {each.seed for each in districts.districts()}
     assert not ours & {each.seed for each in districts.districts(phrase)}
