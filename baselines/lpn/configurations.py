@@ -177,6 +177,8 @@ _ALL = (
 
 CONFIGURATIONS = {each.name: each for each in _ALL}
 """by name, in the order of the table"""
+FROM_ABOVE = tuple(each.name for each in _ALL if "satellite" in each.views)
+"""the names of those for drone and satellite images"""
 
 REPLACED_PARTITION_LOSS = Logged(71.38, 75.29)
 """what the log reports for its replacement of the partition loss, whose formula is not public; it may be compared with

@@ -39,7 +39,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.lpn.configurations import CONFIGURATIONS, REPLACED_PARTITION_LOSS, configuration
+from baselines.lpn.configurations import CONFIGURATIONS, FROM_ABOVE, REPLACED_PARTITION_LOSS, configuration
 from baselines.lpn.training.card import differences
 from baselines.lpn.training.initial_weights import start_of
 from baselines.lpn.training.options import TrainOptions
@@ -64,7 +64,6 @@ WITH_INTERVAL = "R@1"
 COMPARED = ("R@1", "AP")
 LOGGED = "drone-satellite"
 """the direction that the log of trials reports"""
-FROM_ABOVE = [name for name, system in CONFIGURATIONS.items() if "satellite" in system.views]
 FIRST = "lpn"
 """the configuration that others start from"""
 
@@ -348,7 +347,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--train", nargs="+", required=True, help="cross-view folders with train/")
     parser.add_argument("--test", nargs="+", required=True, help="cross-view folders with test/, or two sheets")
     parser.add_argument("--scratch", required=True, help="folder that keeps trainings and results")
-    parser.add_argument("--config", nargs="+", default=FROM_ABOVE, help="configurations [default: all from above]")
+    parser.add_argument(
+        "--config", nargs="+", default=list(FROM_ABOVE), help="configurations [default: all from above]"
+    )
     parser.add_argument("--seed", nargs="+", type=int, default=[0, 1, 2], help="[default: 0 1 2]")
     parser.add_argument(
         "--set",

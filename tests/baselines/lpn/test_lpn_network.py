@@ -18,7 +18,13 @@ from torchvision.models import resnet18, resnet50  # type: ignore[import-untyped
 from baselines.lpn.attention import AttentionOptions, LocalAttention
 from baselines.lpn.backbone import make_backbone
 from baselines.lpn.backbone_weights import load_backbone
-from baselines.lpn.configurations import CONFIGURATIONS, REPLACED_PARTITION_LOSS, Configuration, configuration
+from baselines.lpn.configurations import (
+    CONFIGURATIONS,
+    FROM_ABOVE,
+    REPLACED_PARTITION_LOSS,
+    Configuration,
+    configuration,
+)
 from baselines.lpn.head import PartHead, PartHeads
 from baselines.lpn.losses import total_loss
 from baselines.lpn.network import LpnNetwork, View, copy_weights
@@ -423,7 +429,10 @@ def test_the_table_has_these_rows() -> None:
     assert configuration("lpn-rpp").stages == INDUCED
     dwdr = configuration("lpn-dwdr")
     assert (dwdr.network.ring_mean, dwdr.loss.decorrelation.weight, dwdr.paired) == ("ring", 0.1, True)
-    assert all(config.network.backbone == "resnet50" for config in CONFIGURATIONS.values())
+    assert all(configuration(name).network.backbone == "resnet50" for name in FROM_ABOVE)
+    street = configuration("street")
+    assert (street.views, street.network.street, street.network.parts) == (("street",), "shared", 1)
+    assert set(CONFIGURATIONS) == {*FROM_ABOVE, "street"}
     with pytest.raises(ConfigError, match="no configuration 'lpn2', there are global-average, lpn, "):
         configuration("lpn2")
 

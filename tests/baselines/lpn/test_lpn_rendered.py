@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_places import TINY, NarrowResNet
 
-from baselines.lpn.configurations import CONFIGURATIONS
+from baselines.lpn.configurations import CONFIGURATIONS, FROM_ABOVE
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.training.trainer import LpnTrainer
 from relocbench.datasets.cross_view import CrossViewSet
@@ -30,7 +30,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> CrossViewSet:
     return cross_view.build_places([], options, tmp_path_factory.mktemp("places") / "out", Silent(), Run(1))
 
 
-@pytest.mark.parametrize("name", CONFIGURATIONS)
+@pytest.mark.parametrize("name", FROM_ABOVE)
 def test_each_configuration_trains_and_is_evaluated(
     name: str, rendered: CrossViewSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
