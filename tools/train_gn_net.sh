@@ -23,7 +23,7 @@ district() { # SEED OPTION...: one drive a condition, seen by six cameras
     --correspondences 1500 --out "$out/districts/$seed" -j 1 -q "$@"
 }
 render() { # SEED: near and far keyframes, in all conditions or in half of them
-  all=Sunny,Neutral,Overcast,Rain,Snow,Night,Fog,WetNoon,SoftRainNoon,WetCloudySunset
+  all=Sunny,Rain,Night,Fog,WetNoon,Neutral,Overcast,Snow,SoftRainNoon,WetCloudySunset
   case $1 in
     22 | 25) district "$1" --conditions Sunny,Rain,Night,Fog,WetNoon --steps 6 --speed 14 ;;
     23 | 26) district "$1" --conditions Neutral,Overcast,Snow,SoftRainNoon,WetCloudySunset --steps 6 --speed 14 ;;

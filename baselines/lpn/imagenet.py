@@ -58,10 +58,10 @@ class ImageNetAverage:
     @torch.inference_mode()
     def describe(self, images: Sequence[ImageView]) -> NDArray[np.floating]:
         """The descriptors (N, 320) of images, float32 of norm 1."""
-        rows = []
+        rows = np.zeros((len(images), self._network.channels["layer4"]), dtype=np.float32)
         for start in range(0, len(images), self._batch):
             squares = as_bytes([resized(image.image, self._size) for image in images[start : start + self._batch]])
             x = (as_network_takes_them(squares, self._device) - self._mean) / self._deviation
             means = with_mirror_image(lambda each: self._network(each).mean((2, 3)), x)
-            rows.append(descriptors(means[:, None]).cpu().numpy())
-        return np.concatenate(rows)
+            rows[start : start + self._batch] = descriptors(means[:, None]).cpu().numpy()
+        return rows

@@ -6,8 +6,7 @@ by night. Every walk is searched in every other one. R@1 is the share of queries
 
     python benchmarks/truth/walks.py WALKS [--method NAME] ... [--set NAME.key=value] ... [--tolerance N]
 
-It prints a table; the last line is JSON. A leading word of a method's name that is no method names its class, as in
-``colours=baselines.floors:ColourHistogram``.
+It prints a table; the last line is JSON.
 """
 
 from __future__ import annotations

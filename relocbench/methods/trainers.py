@@ -110,7 +110,7 @@ def _merge(
             if not isinstance(value, Mapping):
                 names = ", ".join(into[key]) or "NAME=VALUE"
                 raise ConfigError(f"option '{name}' is a group of options: {names}", path)
-            _merge(into[key], usual[key], value, path, f"{name}.")
+            _merge(into[key], usual.get(key, {}), value, path, f"{name}.")
         else:
             into[key] = value
 

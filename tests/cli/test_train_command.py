@@ -62,6 +62,8 @@ def test_a_group_without_defaults_takes_any_names() -> None:
     chosen = trainer_options(usual, None, ["shares.town=0.2", "shares.walk=0.1", "shares.town=0.3"])
     assert chosen == {"shares": {"town": 0.3, "walk": 0.1}}
     assert usual == {"shares": {}}
+    deeper = trainer_options(usual, None, ["shares.town.a=1", "shares.town.b=2"])
+    assert deeper == {"shares": {"town": {"a": 1, "b": 2}}}  # which the options refuse, with one line
     with pytest.raises(ConfigError, match="'shares' is a group of options: NAME=VALUE"):
         trainer_options(usual, None, ["shares=3"])
 

@@ -11,7 +11,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.learning.training_pairs import refuse_test_split
-from relocbench.datasets.pairs.street_places import street_view
+from relocbench.datasets.pairs.street_places import check_one_world, street_view
 from relocbench.errors import DatasetError
 from relocbench.retrieval import PlaceData, PlaceImage
 
@@ -38,9 +38,9 @@ class _Shot:
 def drive_places(root: Path, radius_m: float = RADIUS_M, apart_m: float = APART_M) -> PlaceData:
     """The places of the split ``train`` of a dataset.
 
-    The traversals must share a world. Each is gone through in time; the first image that is ``apart_m`` or
-    ``APART_DEG`` away from all places so far begins another one. Places that only one traversal shows teach nothing
-    about light and weather and are left out.
+    The traversals must share a world, which is checked where pairs tell. Each is gone through in time; the first image
+    that is ``apart_m`` or ``APART_DEG`` away from all places so far begins another one. Places that only one traversal
+    shows teach nothing about light and weather and are left out.
 
     Args:
         root: folder of a dataset.
@@ -49,10 +49,14 @@ def drive_places(root: Path, radius_m: float = RADIUS_M, apart_m: float = APART_
 
     Raises:
         ConfigError: the split shares a traversal with the test split.
-        DatasetError: the dataset is bad, has no such split, or no two of its traversals show one place.
+        DatasetError: the dataset is bad, has no such split, or no two of its traversals show one place, or their
+            poses are in different worlds.
     """
     dataset = Dataset(root)
     refuse_test_split(dataset, SPLIT)
+    for pair_set in dataset.pair_sets(SPLIT):
+        reference, query = dataset.traversal(pair_set.reference), dataset.traversal(pair_set.query)
+        check_one_world(pair_set, reference, query, "places along drives need a common one")
     shots = list(_shots(dataset))
     place_of = _assigned(shots, radius_m, apart_m)
     seen: dict[int, set[str]] = {}
@@ -66,12 +70,12 @@ def drive_places(root: Path, radius_m: float = RADIUS_M, apart_m: float = APART_
             root,
         )
     number = {place: k for k, place in enumerate(kept)}
-    drives = {shot.traversal: dataset.traversal(shot.traversal) for shot in shots}
+    traversals = {shot.traversal: dataset.traversal(shot.traversal) for shot in shots}
     images = tuple(
         PlaceImage(
-            street_view(drives[shot.traversal], shot.camera, shot.timestamp_ns),
+            street_view(traversals[shot.traversal], shot.camera, shot.timestamp_ns),
             number[place],
-            str(drives[shot.traversal].condition),
+            str(traversals[shot.traversal].condition),
         )
         for shot, place in zip(shots, place_of, strict=True)
         if place in number

@@ -31,9 +31,9 @@ def training_places(roots: Sequence[Path], reporter: Reporter) -> PlaceData:
 
 
 def _places(root: Path, reporter: Reporter) -> PlaceData:
-    return (
-        drive_places(root) if DatasetLayout(root).dataset_yaml.exists() else open_cross_view(root, reporter).training()
-    )
+    layout = DatasetLayout(root)
+    drives = layout.dataset_yaml.exists() or layout.build_yaml.exists()  # of a build that was not finished the second
+    return drive_places(root) if drives else open_cross_view(root, reporter).training()
 
 
 def joined(sets: Sequence[PlaceData]) -> PlaceData:

@@ -154,7 +154,7 @@ class StreetPlaces:
     def _within(
         self, pair_set: PairSet, reference: Traversal, query: Traversal, keyframes: list[int], times: list[int]
     ) -> Relevance:
-        _check_one_world(pair_set, reference, query)
+        check_one_world(pair_set, reference, query, "use --positives pairs")
         at = [
             np.stack([t.T_world_cam(pair_set.camera, time) for time in of])
             for t, of in ((query, times), (reference, keyframes))
@@ -181,8 +181,8 @@ def _paired(pair_set: PairSet, keyframes: list[int], times: list[int]) -> Releva
     return relevance_from_lists(list(found.values()), len(keyframes))
 
 
-def _check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal) -> None:
-    """Raise DatasetError if the pairs' poses show that the two traversals' poses are in different worlds."""
+def check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal, remedy: str) -> None:
+    """Raise DatasetError, with a remedy, if the pairs' poses show that two traversals are in different worlds."""
     camera = pair_set.camera
     off = []
     for pair in pair_set.pairs[:: max(1, len(pair_set.pairs) // 100)]:
@@ -194,7 +194,7 @@ def _check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal) 
     if off and np.median(off) > _ONE_WORLD_M:
         raise DatasetError(
             f"the poses of {query.name} and {reference.name} differ from those of the pairs by {np.median(off):.1f} m, "
-            "so they are not in one world; use --positives pairs",
+            f"so they are not in one world; {remedy}",
             pair_set.layout.pair_file(pair_set.name),
         )
 

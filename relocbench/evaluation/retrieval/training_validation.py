@@ -1,6 +1,7 @@
 """Validation of retrievers during training: scoring them in memory on held-out places.
 
-Every view is a query set for every other view; images of a single view are divided by condition instead. Rankings use
+Every view is a query set for every other view. Images of a single view are divided by condition instead; towns may be
+shown in different conditions, and a place that the other condition does not show is not asked for. Rankings use
 descriptors alone, without reranking, and nothing is written.
 """
 
@@ -62,15 +63,17 @@ class PlaceValidation:
         self, data: PlaceData, views: Sequence[str], seed: int = 0, images_per_place: int = IMAGES_PER_PLACE
     ) -> None:
         of_views = [each for each in data.images if each.image.view in views]
-        grouped = _view if len(views) > 1 else _condition
+        self._by_condition = len(views) == 1
+        grouped = _condition if self._by_condition else _view
         chosen = _thinned(of_views, grouped, images_per_place, seed)
-        groups = list(views) if len(views) > 1 else sorted({each.condition for each in of_views})
+        groups = sorted({each.condition for each in of_views}) if self._by_condition else list(views)
         self._of_group = {group: [each for each in chosen if grouped(each) == group] for group in groups}
         missing = [group for group, of_group in self._of_group.items() if not of_group]
-        if len(views) == 1 and of_views and len(groups) < 2:
+        pairs = permutations(({each.place for each in of_group} for of_group in self._of_group.values()), 2)
+        if self._by_condition and of_views and not any(one & other for one, other in pairs):
             raise ConfigError(
-                f"validation retrieves between views, or between conditions of view '{views[0]}': there is one alone; "
-                "give other data, or --no-validation"
+                f"validation retrieves between views, or between conditions of view '{views[0]}': no held-out place is "
+                "shown in two; give other data, or --no-validation"
             )
         if missing or len(groups) < 2:
             told = f"no held-out image of view '{[*missing, *views][0]}'"
@@ -90,13 +93,16 @@ class PlaceValidation:
         by_direction, queries = {}, {}
         for asked_group, gallery_group in permutations(self._of_group, 2):
             asked, searched = (_places(self._of_group[group]) for group in (asked_group, gallery_group))
-            relevance = relevance_from_labels(asked, searched)
-            ranking = rank_descriptors(described[asked_group], described[gallery_group], relevance)
+            shown = np.isin(asked, searched) if self._by_condition else np.ones(len(asked), dtype=bool)
+            if not shown.any():
+                continue
+            relevance = relevance_from_labels(asked[shown], searched)
+            ranking = rank_descriptors(described[asked_group][shown], described[gallery_group], relevance)
             values = summarize_retrieval(score_retrieval(ranking), METRICS).values
             chance = float(np.mean(relevance.positives / relevance.gallery))
             name = f"{asked_group}-{gallery_group}"
             by_direction[name] = {**values, CHANCE: chance, SPREAD: spread}
-            queries[name] = len(asked)
+            queries[name] = int(shown.sum())
         together = {name: float(np.mean([values[name] for values in by_direction.values()])) for name in METRICS}
         return ValidationScores(together, by_direction, queries, tuple(_complaints(spread, described)))
 

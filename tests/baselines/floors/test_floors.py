@@ -95,7 +95,11 @@ def test_images_of_one_view_are_retrieved_between_conditions() -> None:
     scores = validation(ColourHistogram())
     assert set(scores.by_conditions) == {f"light {a}-light {b}" for a, b in permutations(range(3), 2)}
     assert scores.together["R@1"] > 0.8
-    with pytest.raises(ConfigError, match="or between conditions of view 'drone': there is one alone"):
+    elsewhere = [replace(each, condition="fog") if each.place < 2 else each for each in by_light]
+    found = PlaceValidation(replace(data, images=tuple(elsewhere)), ("drone",))(ColourHistogram())
+    assert set(found.by_conditions) == set(scores.by_conditions), "no place is shown in fog and in another condition"
+    assert set(found.pairs.values()) == {4}
+    with pytest.raises(ConfigError, match="or between conditions of view 'drone': no held-out place is shown in two"):
         PlaceValidation(data, ("drone",))
     with pytest.raises(ConfigError, match=r"no held-out image of view 'street' \(there are drone, satellite\)"):
         PlaceValidation(data, ("street",))

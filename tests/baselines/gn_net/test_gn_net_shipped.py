@@ -38,3 +38,15 @@ def test_weights_are_small_and_their_card_says_how_to_make_them_again(tracker: t
 @pytest.mark.parametrize("tracker", TRACKERS, ids=lambda tracker: tracker.name)
 def test_a_tracker_without_settings_takes_them(tracker: type[GnNet]) -> None:
     assert tracker().net.options.levels == 4
+
+
+def test_the_weights_that_are_not_the_default_load_and_tell_what_they_were_made_of() -> None:
+    path = SHIPPED / "gn-net-lite0.safetensors"
+    assert path.stat().st_size < 25_000_000
+    options = GnNet(weights=path).net.options
+    assert (options.levels, options.encoder, options.confidence) == (5, "efficientnet-lite0", True)
+    told = path.with_suffix(".md").read_text(encoding="utf-8")
+    for fingerprint in json.loads(read_card(path)["data"]).values():
+        assert fingerprint in told
+    for word in ("Apache-2.0", "MIT", "CC-BY-4.0", "tools/train_gn_net.sh"):
+        assert word in told

@@ -63,6 +63,22 @@ def test_drives_of_the_test_split_are_refused(tmp_path: Path) -> None:
         drive_places(dataset.root)
 
 
+def test_drives_in_different_worlds_are_refused(tmp_path: Path) -> None:
+    """Poses that begin at the same place in worlds of their own would make one place of two."""
+    off = np.eye(4)
+    off[0, 3] = 40.0
+    other = make_small_dataset(tmp_path / "off", splits=LEARNT, pose_fault=off)
+    with pytest.raises(DatasetError, match="not in one world; places along drives need a common one"):
+        drive_places(other.root)
+
+
+def test_a_build_that_was_not_finished_is_called_so(tmp_path: Path) -> None:
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "build.yaml").write_text("kind: synthetic\n")
+    with pytest.raises(DatasetError, match="the build was not finished; run it again"):
+        training_places([tmp_path / "half"], Silent())
+
+
 def test_sets_of_both_kinds_are_learnt_from_together(dataset: Dataset, tmp_path: Path) -> None:
     other = make_small_dataset(tmp_path / "other", frames=3, splits=LEARNT)
     both = training_places([dataset.root, other.root], Silent())
