@@ -77,6 +77,8 @@ class Dso:
             consecutive frames; between seasons it would reject good poses. Its verdict is in the result either way.
         along: metres by which the camera of the prior, or of the identity, is moved along its optical axis for further
             starts, positive ahead; the lowest final energy wins.
+        turns_deg: degrees, positive to the right, by which it is turned there, as on a bend of the road: there is a
+            start for each position and turn.
         seed: of the choice of points.
     """
 
@@ -95,6 +97,7 @@ class Dso:
         min_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.03,
         dso_failure_test: bool = False,
         along: tuple[float, ...] = (),
+        turns_deg: tuple[float, ...] = (0.0,),
         seed: int = 0,
     ) -> None:
         self.points = points
@@ -104,6 +107,7 @@ class Dso:
         self.min_correlation = min_correlation
         self.dso_failure_test = dso_failure_test
         self.along = along
+        self.turns = tuple(np.deg2rad(turns_deg))
         self.seed = seed
 
     def prepare(self, reference: Reference) -> DsoReference:
@@ -164,7 +168,7 @@ class Dso:
         return MatchSettings(DSO_PATTERN, brightness, damping=MATCH_DAMPING)
 
     def _starts(self, first: Array) -> list[Array]:
-        return [first, *moved_along(first, self.along)]
+        return [first, *moved_along(first, self.along, self.turns)]
 
     def _answer(self, found: Alignment, reference: DsoReference, query: Level) -> TrackResult:
         info = self._info(found)

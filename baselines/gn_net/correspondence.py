@@ -86,15 +86,15 @@ def _search(landmarks: Landmarks, query: FeaturePyramid, level: int) -> tuple[ND
     height, width = query.levels[level].map.shape[:2]
     values = np.concatenate(landmarks.values[level:], axis=1)
     columns = _hypercolumns(query, level).reshape(height * width, -1)
-    # The nearest pixel g maximises -||f - g||^2 + ||f||^2 = 2 f g - ||g||^2, which is one matrix product.
-    likeness = 2.0 * values @ columns.T
-    likeness -= np.sum(columns**2, axis=1)
-    nearest = np.argmax(likeness, axis=1)
-    own = np.sum(values**2, axis=1)[:, None]
-    mutual = np.flatnonzero(np.argmax(likeness[:, nearest] - own, axis=0) == np.arange(len(values)))
+    # -||f - g||^2 = 2 f g - ||g||^2 - ||f||^2. The nearest pixel g of a landmark f needs no ||f||^2.
+    own = np.sum(values**2, axis=1)
+    twice = np.concatenate([2.0 * values, np.full((len(values), 1), -1.0, values.dtype)], axis=1)
+    columns = np.concatenate([columns, np.einsum("ij,ij->i", columns, columns)[:, None]], axis=1)
+    nearest = np.argmax(twice @ columns.T, axis=1)
+    likeness = twice @ columns[nearest].T - own[:, None]
+    mutual = np.flatnonzero(np.argmax(likeness, axis=0) == np.arange(len(values)))
     v, u = np.divmod(nearest[mutual], width)
-    distances = own[mutual, 0] - likeness[mutual, nearest[mutual]]
-    return mutual, np.stack([u, v], axis=1).astype(np.float64), distances
+    return mutual, np.stack([u, v], axis=1).astype(np.float64), -likeness[mutual, mutual]
 
 
 def _hypercolumns(pyramid: FeaturePyramid, level: int) -> Features:

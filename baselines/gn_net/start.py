@@ -2,17 +2,19 @@
 
 Direct alignment converges only from within a few pixels of its coarsest level. LM-Reloc (von Stumberg et al., 3DV 2020)
 trains a second network on the correlation of coarse features for the initial pose (``baselines.lm_reloc``). Here the
-features that are aligned are matched and the pose is found by robust PnP, which needs no training of its own.
+features that are aligned are matched and the pose is found by robust PnP, which needs no training of its own, with
+PoseLib (Larsson et al., https://github.com/PoseLib/PoseLib): P3P in LO-RANSAC, then refinement.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import poselib
 
 from baselines.alignment import FeaturePyramid
-from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
 from baselines.gn_net.correspondence import Landmarks, match_landmarks
 from relocbench.arrays import Array
 from relocbench.errors import ConfigError
@@ -38,8 +40,10 @@ class StartSettings:
     """half-widths, in pixels of the level, of the windows on the finer levels, coarser ones first"""
     threshold: float = 2.0
     """pixels of the finest map; the inlier threshold of RANSAC and of an answer's agreement"""
-    iterations: int = 2000
+    iterations: int = 1000
     """largest number of RANSAC iterations"""
+    fewest_iterations: int = 50
+    """however early the pose seems certain"""
     confidence: float = 0.999
     """the probability of success at which RANSAC stops early"""
 
@@ -56,8 +60,10 @@ class StartSettings:
 class MatchedLandmarks:
     """The landmarks of a reference that were matched in a query."""
 
-    matches: Matches2D3D
-    """with pixels of the query's finest map; nearest features first"""
+    points: Array
+    """(M, 3) metres, reference camera; nearest features first"""
+    pixels: Array
+    """(M, 2) of the query's finest map"""
     sought: int
     """number of landmarks of the reference"""
     camera: Camera
@@ -65,17 +71,43 @@ class MatchedLandmarks:
     settings: StartSettings
     """that they were matched with"""
 
-    def pose(self, seed: int) -> Array | None:
-        """The T_query_ref (4, 4) that RANSAC with this seed finds; None if it finds none."""
-        return ransac_pose(
-            self.matches,
-            self.camera,
-            self.settings.threshold,
-            self.settings.iterations,
-            self.settings.confidence,
-            seed,
-            best_first=True,
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def pose(self, seed: int, best_first: bool = False) -> Array | None:
+        """The T_query_ref (4, 4) that RANSAC with this seed finds; None if it finds none.
+
+        Args:
+            seed: of the samples.
+            best_first: draw early samples among the nearest features (PROSAC: Chum and Matas, CVPR 2005).
+        """
+        if len(self) < SMALLEST_SAMPLE:
+            return None
+        # PoseLib counts pixels from the image's corner.
+        fx, fy, cx, cy = self.camera.fx, self.camera.fy, self.camera.cx + 0.5, self.camera.cy + 0.5
+        size = {"width": self.camera.width, "height": self.camera.height}
+        found, told = poselib.estimate_absolute_pose(
+            self.pixels + 0.5,
+            self.points,
+            {"model": "PINHOLE", **size, "params": [fx, fy, cx, cy]},
+            {
+                "max_reproj_error": self.settings.threshold,
+                "max_iterations": self.settings.iterations,
+                "min_iterations": self.settings.fewest_iterations,
+                "success_prob": self.settings.confidence,
+                "progressive_sampling": best_first,
+                "seed": seed,
+            },
         )
+        pose = np.vstack([np.asarray(found.Rt), [0.0, 0.0, 0.0, 1.0]])
+        return pose if told["num_inliers"] >= SMALLEST_SAMPLE and np.all(np.isfinite(pose)) else None
+
+    def poses(self, count: int, seed: int) -> Iterator[Array]:
+        """At most ``count`` poses of :meth:`pose`, every second one from samples among the nearest features first."""
+        for number in range(count):
+            pose = self.pose(seed + number, best_first=number % 2 == 1)
+            if pose is not None:
+                yield pose
 
     def agreement(self, T_query_ref: Array) -> float:
         """The share of all landmarks that are matched within the threshold of where a pose projects them.
@@ -85,8 +117,8 @@ class MatchedLandmarks:
         """
         if not self.sought:
             return 0.0
-        projected, _ = self.camera.project(apply(T_query_ref, self.matches.points))
-        agree = np.linalg.norm(projected - self.matches.pixels, axis=1) <= self.settings.threshold
+        projected, _ = self.camera.project(apply(T_query_ref, self.points))
+        agree = np.linalg.norm(projected - self.pixels, axis=1) <= self.settings.threshold
         return float(np.count_nonzero(agree) / self.sought)
 
 
@@ -95,6 +127,4 @@ def find_landmarks(landmarks: Landmarks, query: FeaturePyramid, settings: StartS
     rows, pixels = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
     if len(landmarks) >= SMALLEST_SAMPLE:
         rows, pixels = match_landmarks(landmarks, query, min(settings.level, len(query) - 1), settings.windows)
-    points = landmarks.points[rows]
-    matches = Matches2D3D(points, pixels, np.ones(len(points)), np.zeros_like(points))
-    return MatchedLandmarks(matches, len(landmarks), query.levels[0].camera, settings)
+    return MatchedLandmarks(landmarks.points[rows], pixels, len(landmarks), query.levels[0].camera, settings)

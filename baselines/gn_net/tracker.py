@@ -44,6 +44,7 @@ from baselines.device import to_device
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
+from baselines.gn_net.usual import ONE_START, Usual
 from baselines.gn_net.weights import load_weights
 from baselines.remembered import RememberedImages
 from relocbench.arrays import Array, Image
@@ -57,8 +58,6 @@ SELECTION_LEVELS = 3
 """levels of the intensity pyramid on which points are chosen"""
 Maps = tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]
 """features (H, W, D) and confidences (H, W, 1) of each level, finest first; no confidences if the network has none"""
-MIN_VALID_SHARE = 0.1
-"""share of the reference's points that must project into the query"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +80,17 @@ class GnNet:
     two pixels (of the finest map) of where the answer projects them. The confidence is the
     probability that the answer is within 0.25 m and 2 degrees, from a calibration of the agreement.
 
+    Parameters that are None have the method's own default (:mod:`baselines.gn_net.usual`).
+
     Args:
         weights: a file of ``relocbench train``; by default the weights that come with the package.
         points: approximate number of pixels chosen from a dense depth image; all points of a sparse map are used.
-        coarse_points: at most so many of them on all levels but the two finest; all by default.
+        coarse_points: at most so many of them on all levels but the two finest.
         huber: in units of the spread of the reference's features on the level; larger residuals are downweighted.
         cutoff: in the same units; larger residuals are treated as outliers.
         cutoff_levels: number of the finest levels on which the cutoff applies; coarser ones only have the Huber loss.
         per_channel: apply the robust loss to each channel instead of the norm over all channels.
+        iterations: largest number on each level, finest first; the last number holds for all coarser levels.
         damping: the Levenberg-Marquardt schedule, that of DSO's tracker or one for features trained by LM-Reloc's loss;
             by default the one that the weights of this method are trained for.
         prior_level: the level at which alignment from the prior begins, 0 the finest map; by default the coarsest one.
@@ -99,10 +101,11 @@ class GnNet:
         halvings: how often the image is halved; the coarsest map of each smaller image is one more level. The image of
             which no such map is left is the last.
         along: metres by which the camera of the prior, or of the identity, is moved along its optical axis for further
-            starts, positive ahead; the lowest final energy wins.
+            starts, positive ahead; the lowest final energy wins. Empty, or with ``prior_level``: no further starts.
+        turns_deg: degrees, positive to the right, by which it is turned there, as on a bend of the road: there is a
+            start for each position and turn.
         landmarks: largest number of landmarks, drawn among the chosen points.
-        matched_start: also start from the pose that the matched landmarks give; the lowest final energy wins. The
-            default is that of the method.
+        matched_start: also start from the pose that the matched landmarks give; the lowest final energy wins.
         hypotheses: so many poses are searched for among the matched landmarks, with other random samples each.
         multistart: also start from 26 small rotations; the lowest final energy wins.
         give_up: one of several starts is given up on the first level whose root mean energy is this many times that of
@@ -124,9 +127,7 @@ class GnNet:
     name: ClassVar[str] = "gn-net"
     trainer: ClassVar[str] = "gn-net"
     """the trainer whose weights are used"""
-    usual_damping: ClassVar[Literal["dso", "lm-reloc"]] = "dso"
-    usual_matched_start: ClassVar[bool] = True
-    usual_min_agreement: ClassVar[float] = 0.025
+    usual: ClassVar[Usual] = Usual()
     calibration: ClassVar[Calibration | None] = GN_NET
     """None where none was fitted: answers have no confidence then"""
 
@@ -139,44 +140,55 @@ class GnNet:
         cutoff: Annotated[float, Field(gt=0)] = 1.0,
         cutoff_levels: Annotated[int, Field(ge=1)] = 1,
         per_channel: bool = False,
+        iterations: tuple[Annotated[int, Field(ge=1)], ...] | None = None,
         damping: Literal["dso", "lm-reloc"] | None = None,
         prior_level: Annotated[int, Field(ge=0)] | None = None,
-        first_levels: Annotated[int, Field(ge=1)] = 1,
+        first_levels: Annotated[int, Field(ge=1)] | None = None,
         halvings: Annotated[int, Field(ge=0)] = 0,
-        along: tuple[float, ...] = (),
-        landmarks: Annotated[int, Field(ge=4)] = StartSettings.points,
+        along: tuple[float, ...] | None = None,
+        turns_deg: tuple[float, ...] | None = None,
+        landmarks: Annotated[int, Field(ge=4)] | None = None,
         matched_start: bool | None = None,
-        hypotheses: Annotated[int, Field(ge=1)] = 1,
+        hypotheses: Annotated[int, Field(ge=1)] | None = None,
         multistart: bool = False,
         give_up: Annotated[float, Field(gt=1)] = ABANDON_FACTOR,
-        kept: tuple[Annotated[int, Field(ge=1)], ...] = (),
+        kept: tuple[Annotated[int, Field(ge=1)], ...] | None = None,
         min_points: Annotated[int, Field(ge=8)] = 30,
         min_agreement: Annotated[float, Field(ge=0, le=1)] | None = None,
         remember: Annotated[int, Field(ge=0)] = 0,
         device: str = "cpu",
         seed: int = 0,
     ) -> None:
+        given: dict[str, Any] = {
+            "matched_start": matched_start,
+            "min_agreement": min_agreement,
+            "damping": damping,
+            "landmarks": landmarks,
+            "hypotheses": hypotheses,
+            "coarse_points": coarse_points,
+            "iterations": iterations,
+            "first_levels": first_levels,
+            "along": along,
+            "turns_deg": turns_deg,
+            "kept": kept,
+        }
+        self.search = replace(self.usual, **{name: value for name, value in given.items() if value is not None})
         self.settings = FeatureSettings(
             huber=huber,
             cutoff=cutoff,
             cutoff_levels=cutoff_levels,
             per_channel=per_channel,
+            iterations=self.search.iterations,
             give_up=give_up,
-            kept=kept,
-            damping=LM_RELOC_DAMPING if (damping or self.usual_damping) == "lm-reloc" else DSO_DAMPING,
+            kept=self.search.kept,
+            damping=LM_RELOC_DAMPING if self.search.damping == "lm-reloc" else DSO_DAMPING,
         )
         self.points = points
-        self.coarse_points = coarse_points
         self.prior_level = prior_level
-        self.first_levels = first_levels
         self.halvings = halvings
-        self.along = along
-        self.start = StartSettings(points=landmarks)
-        self.hypotheses = hypotheses
-        self.matched_start = self.usual_matched_start if matched_start is None else matched_start
+        self.start = StartSettings(points=self.search.landmarks)
         self.multistart = multistart
         self.min_points = min_points
-        self.min_agreement = self.usual_min_agreement if min_agreement is None else min_agreement
         self.device = device
         self.seed = seed
         self._last: tuple[Query, FeaturePyramid] | None = None
@@ -200,7 +212,7 @@ class GnNet:
         pyramid = self.features(reference.image, reference.camera)
         on_finest = replace(chosen, uv=self._on_finest(chosen.uv))
         landmarks = Landmarks.at(on_finest, pyramid, self.start.points, np.random.default_rng(self.seed))
-        features = ReferenceFeatures.at_points(on_finest, pyramid, coarse_points=self.coarse_points)
+        features = ReferenceFeatures.at_points(on_finest, pyramid, coarse_points=self.search.coarse_points)
         return GnNetReference(features, pyramid, len(chosen), landmarks)
 
     def track(self, reference: GnNetReference, query: Query, prior: Array | None = None) -> TrackResult:
@@ -276,19 +288,21 @@ class GnNet:
         coarsest = coarsest_level(reference.features, features, self.settings)
         if first.level is not None:
             coarsest = min(first.level, coarsest)
-        levels = range(coarsest, max(coarsest - self.first_levels, -1), -1)
-        poses = [first.T_query_ref, *moved_along(first.T_query_ref, self.along)]
+        levels = range(coarsest, max(coarsest - self.search.first_levels, -1), -1)
+        poses = [first.T_query_ref]
+        if first.level is None:
+            poses += moved_along(poses[0], self.search.along, np.deg2rad(self.search.turns_deg).tolist())
         starts = [Start(pose, level) for pose in poses for level in levels]
         if self.multistart:
             starts += [Start(turn @ first.T_query_ref) for turn in small_rotations()]
-        if self.matched_start:
-            found_poses = (matched.pose(self.seed + number) for number in range(self.hypotheses))
-            starts = [*(Start(pose, self.start.level) for pose in found_poses if pose is not None), *starts]
+        if self.search.matched_start:
+            hypotheses = matched.poses(self.search.hypotheses, self.seed)
+            starts = [*(Start(pose, self.start.level) for pose in hypotheses), *starts]
         found = align_features_best(reference.features, features, starts, self.settings)
         info = self._info(found)
         if found.failure:
             return TrackResult.failure(found.failure, **info)
-        if found.final.valid < max(self.min_points, MIN_VALID_SHARE * found.residuals):
+        if found.final.valid < self.min_points:
             return TrackResult.failure(
                 f"only {found.final.valid} of {found.residuals} residuals project into the query", **info
             )
@@ -311,11 +325,11 @@ class GnNet:
     def _answer(self, T_query_ref: Array, matched: MatchedLandmarks, info: dict[str, Any]) -> TrackResult:
         """The pose with its confidence, or a failure if too few landmarks agree with it."""
         agreement = matched.agreement(T_query_ref)
-        info |= {"matches": len(matched.matches), "agreement": agreement}
-        if agreement < self.min_agreement:
+        info |= {"matches": len(matched), "agreement": agreement}
+        if agreement < self.search.min_agreement:
             return TrackResult.failure(
                 f"{agreement:.1%} of {matched.sought} landmarks agree with the pose, at least "
-                f"{self.min_agreement:.1%} are needed",
+                f"{self.search.min_agreement:.1%} are needed",
                 **info,
             )
         confidence = None if self.calibration is None else self.calibration.confidence(info)
@@ -346,10 +360,14 @@ class GnNet:
 
 
 class GnNetFromPrior(GnNet):
-    """As :class:`GnNet`, started from the prior or the identity alone: the tracker of the paper."""
+    """As :class:`GnNet`, without matches: started from the prior or the identity, and along the road from there.
+
+    With ``first_levels=1`` and an empty ``along`` it starts from the prior or the identity alone, as the paper's
+    tracker does.
+    """
 
     name = "gn-net-from-prior"
-    usual_matched_start = False
+    usual = replace(GnNet.usual, matched_start=False)
     calibration = GN_NET_FROM_PRIOR
 
 
@@ -368,7 +386,7 @@ class GnNetPnp(GnNet):
     ) -> TrackResult:
         pose = matched.pose(self.seed)
         if pose is None:
-            count = len(matched.matches)
+            count = len(matched)
             return TrackResult.failure(f"no pose agrees with the {count} matched landmarks", matches=count)
         return self._answer(pose, matched, {})
 
@@ -377,21 +395,21 @@ class GnNetContrastive(GnNet):
     """As :class:`GnNet`, with weights trained without the Gauss-Newton loss, to show what that loss contributes."""
 
     name = trainer = "gn-net-contrastive"
-    usual_min_agreement = 0.005
+    usual = replace(GnNet.usual, min_agreement=0.005)
     calibration = GN_NET_CONTRASTIVE
 
 
 class LmNet(GnNet):
-    """As :class:`GnNet`, with weights trained by LM-Reloc's descent loss, and its damping."""
+    """As :class:`GnNet`, with weights trained by LM-Reloc's descent loss and its damping, from fewer starts."""
 
     name = trainer = "lm-net"
     calibration: ClassVar[Calibration | None] = LM_NET
-    usual_damping = "lm-reloc"
+    usual = replace(ONE_START, damping="lm-reloc")
 
 
 class LmNetFromPrior(LmNet):
     """As :class:`LmNet`, started from the prior or the identity alone. Answers have no confidence: none was fitted."""
 
     name = "lm-net-from-prior"
-    usual_matched_start = False
+    usual = replace(LmNet.usual, matched_start=False)
     calibration = None

@@ -140,7 +140,7 @@ class LmReloc:
         pose_weights: Path | None = None,
         points: Annotated[int, Field(ge=1)] = 2000,
         damping: Literal["dso", "lm-reloc"] = "lm-reloc",
-        min_agreement: Annotated[float, Field(ge=0, le=1)] = LmNetFromPrior.usual_min_agreement,
+        min_agreement: Annotated[float, Field(ge=0, le=1)] = LmNetFromPrior.usual.min_agreement,
         device: str = "cpu",
         seed: int = 0,
     ) -> None:

@@ -25,7 +25,7 @@ class FeatureSettings:
 
     Raises:
         MethodError: the cutoff is below the Huber threshold, a number is not positive, a number of kept starts is below
-            1, or ``give_up`` is not above 1.
+            1, a share is not between 0 and 1, or ``give_up`` is not above 1.
     """
 
     huber: float = 0.3
@@ -48,6 +48,9 @@ class FeatureSettings:
     """of several starts, one is given up on the first level whose root mean energy is this many times the lowest"""
     kept: tuple[int, ...] = ()
     """of several starts, at most so many are kept after each level, finest first; after coarser levels all"""
+    min_valid_share: float = 0.1
+    """share of a level's residuals that must be in view where its alignment ends; with fewer the start has failed. The
+    energy is a mean over those in view, and lowest where next to nothing is"""
     min_points: int = 8
     """a coarse level with fewer points is left out; with fewer on the finest level the alignment fails"""
 
@@ -60,6 +63,8 @@ class FeatureSettings:
             raise MethodError("iterations and min_points must be at least 1")
         if any(count < 1 for count in self.kept):
             raise MethodError(f"kept is {list(self.kept)}, expected 1 or more for each level")
+        if not 0 <= self.min_valid_share <= 1:
+            raise MethodError(f"min_valid_share is {self.min_valid_share}, expected 0 to 1")
         if not self.give_up > 1:
             raise MethodError(f"give_up is {self.give_up}, expected more than 1")
 

@@ -198,12 +198,11 @@ class _Estimate:
             self.descent.work()
 
     def alignment(self, starts: tuple[int, ...]) -> FeatureAlignment:
-        finest = self.reference.levels[0]
         return FeatureAlignment(
             T_query_ref=compose(self.T),
             outcomes=tuple(self.descent.outcomes),
-            points=len(finest),
-            residuals=len(finest) * (finest.values.shape[1] if self.settings.per_channel else 1),
+            points=len(self.reference.levels[0]),
+            residuals=self._residuals(0),
             H=self.H,
             variance=self.variance,
             failure=self.descent.failure,
@@ -242,7 +241,18 @@ class _Estimate:
         outcome = LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)
         if end == NOT_FINITE:
             return outcome, f"features are not finite at {int(statistics[NOT_FINITE_POINTS])} points on level {level}"
-        return outcome, failure_of(outcome, self.T)
+        return outcome, failure_of(outcome, self.T) or self._out_of_view(outcome)
+
+    def _out_of_view(self, outcome: LevelOutcome) -> str:
+        residuals = self._residuals(outcome.level)
+        if outcome.valid >= self.settings.min_valid_share * residuals:
+            return ""
+        return f"only {outcome.valid} of {residuals} residuals project into the query on level {outcome.level}"
+
+    def _residuals(self, level: int) -> int:
+        """The number of a level's residuals, in view or not."""
+        points = self.reference.levels[level]
+        return len(points) * (points.values.shape[1] if self.settings.per_channel else 1)
 
 
 def coarsest_level(reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings) -> int:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.geometry import make_transform, rotation_from_quaternion
+from relocbench.geometry import make_transform, rotation_from_quaternion, se3_exp
 
 SMALL_ROTATION = 0.02
 """quaternion component before normalising: 2.3, 3.2 and 4.0 degrees about one, two and three axes"""
@@ -33,16 +33,20 @@ def small_rotations() -> list[Array]:
     ]
 
 
-def moved_along(T_query_ref: Array, metres: Sequence[float]) -> list[Array]:
-    """Poses of a query camera that stands elsewhere on its optical axis.
+def moved_along(T_query_ref: Array, metres: Sequence[float], turns: Sequence[float] = (0.0,)) -> list[Array]:
+    """Poses of a query camera that has driven on from where it stands, along arcs of circles.
 
-    A camera that drives looks along the road, and a retrieved keyframe lies ahead of it or behind.
+    A camera that drives looks along the road, and a retrieved keyframe lies ahead of it or behind, on a bend at another
+    angle. The arc begins in the viewing direction and lies in the image's horizontal plane, so that the camera turns
+    about its y axis.
 
     Args:
         T_query_ref: (4, 4) the pose that is changed.
-        metres: by how much the camera is moved, positive in its viewing direction.
+        metres: lengths of the arcs, positive in the viewing direction.
+        turns: radians by which the camera is turned at the end of each, positive to the right; 0 is the optical axis.
 
     Returns:
-        One T_query_ref (4, 4) for each.
+        One T_query_ref (4, 4) for each length and turn, all turns of the first length first.
     """
-    return [make_transform(np.eye(3), np.array([0.0, 0.0, -by])) @ T_query_ref for by in metres]
+    twists = (np.array([0.0, 0.0, by, 0.0, turn, 0.0]) for by, turn in product(metres, turns))
+    return [se3_exp(-twist) @ T_query_ref for twist in twists]

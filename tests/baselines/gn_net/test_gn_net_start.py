@@ -65,7 +65,7 @@ def test_too_few_points_give_no_pose() -> None:
     for landmarks in (few, none):
         seen = find_landmarks(landmarks, query, SETTINGS)
         assert seen.pose(seed=0) is None
-        assert (len(seen.matches), seen.agreement(np.eye(4))) == (0, 0.0)
+        assert (len(seen), seen.agreement(np.eye(4))) == (0, 0.0)
 
 
 @pytest.mark.parametrize("right", [1.0, 0.4])
