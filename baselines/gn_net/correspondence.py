@@ -100,13 +100,21 @@ def _search(landmarks: Landmarks, query: FeaturePyramid, level: int) -> tuple[ND
 def _hypercolumns(pyramid: FeaturePyramid, level: int) -> Features:
     """The features of all levels from this one on (H, W, channels), at the pixels of this level."""
     height, width = pyramid.levels[level].map.shape[:2]
-    v, u = np.divmod(np.arange(height * width), width)
-    uv = np.stack([u, v], axis=1).astype(np.float64)
-    coarser = [
-        _read(of_level.map, level_coordinates(uv, number)).reshape(height, width, -1)
-        for number, of_level in enumerate(pyramid.levels[level + 1 :], start=1)
-    ]
+    coarser = []
+    for number, of_level in enumerate(pyramid.levels[level + 1 :], start=1):
+        across = _between(of_level.map, 1, width, number)
+        coarser.append(_between(across, 0, height, number))
     return np.concatenate([pyramid.levels[level].map, *coarser], axis=2)
+
+
+def _between(level_map: Features, axis: int, count: int, number: int) -> Features:
+    """A map interpolated linearly along an axis at the ``count`` pixels of a level that is ``number`` levels finer."""
+    last = level_map.shape[axis] - 1
+    at = np.clip(level_coordinates(np.arange(count, dtype=np.float64), number), 0, last)
+    before = at.astype(np.intp)
+    share = (at - before).astype(np.float32).reshape([-1 if axis == each else 1 for each in range(level_map.ndim)])
+    left, right = level_map.take(before, axis), level_map.take(np.minimum(before + 1, last), axis)
+    return np.asarray(left + share * (right - left), dtype=np.float32)
 
 
 def _move(

@@ -50,6 +50,8 @@ class StartSettings:
     def __post_init__(self) -> None:
         if self.level < 0 or min(self.points, self.iterations) < SMALLEST_SAMPLE or self.threshold <= 0:
             raise ConfigError("a start from matches needs level >= 0, four points and iterations, threshold > 0")
+        if not 0 <= self.fewest_iterations <= self.iterations:
+            raise ConfigError(f"{self.fewest_iterations} iterations at least and {self.iterations} at most")
         if any(half_width < 1 for half_width in self.windows):
             raise ConfigError(f"windows of a start from matches are {self.windows}, expected half-widths of 1 or more")
         if not 0 < self.confidence < 1:

@@ -183,6 +183,7 @@ class GnNet:
             kept=self.search.kept,
             damping=LM_RELOC_DAMPING if self.search.damping == "lm-reloc" else DSO_DAMPING,
         )
+        self._along = moved_along(np.eye(4), self.search.along, np.deg2rad(self.search.turns_deg).tolist())
         self.points = points
         self.prior_level = prior_level
         self.halvings = halvings
@@ -291,7 +292,7 @@ class GnNet:
         levels = range(coarsest, max(coarsest - self.search.first_levels, -1), -1)
         poses = [first.T_query_ref]
         if first.level is None:
-            poses += moved_along(poses[0], self.search.along, np.deg2rad(self.search.turns_deg).tolist())
+            poses += [moved @ first.T_query_ref for moved in self._along]
         starts = [Start(pose, level) for pose in poses for level in levels]
         if self.multistart:
             starts += [Start(turn @ first.T_query_ref) for turn in small_rotations()]

@@ -65,17 +65,19 @@ FORMER_TESTS = (100, 101, 102)
 """validation districts that lie in the split ``test`` of the procedural town"""
 CAMERA = "front"
 FARTHEST_M, WIDEST_DEG = 14.0, 45.0
+REMEMBERED = 200
+"""images whose features a method keeps for the pairs that show them again: those of two districts"""
 METHODS: Mapping[str, Callable[[], Any]] = {
-    "gn-net": lambda: GnNet(min_agreement=0.0),
-    "gn-net-pnp": lambda: GnNetPnp(min_agreement=0.0),
-    "gn-net-from-prior": lambda: GnNetFromPrior(min_agreement=0.0),
-    "gn-net-contrastive": lambda: GnNetContrastive(min_agreement=0.0),
-    "lm-net": lambda: LmNet(min_agreement=0.0),
+    "gn-net": lambda: GnNet(min_agreement=0.0, remember=REMEMBERED),
+    "gn-net-pnp": lambda: GnNetPnp(min_agreement=0.0, remember=REMEMBERED),
+    "gn-net-from-prior": lambda: GnNetFromPrior(min_agreement=0.0, remember=REMEMBERED),
+    "gn-net-contrastive": lambda: GnNetContrastive(min_agreement=0.0, remember=REMEMBERED),
+    "lm-net": lambda: LmNet(min_agreement=0.0, remember=REMEMBERED),
     "dso": lambda: Dso(min_correlation=-1.0),
     "dso-multistart": lambda: DsoMultiStart(min_correlation=-1.0),
     "orb-pnp": OrbPnp,
     "sift-pnp": SiftPnp,
-    "aliked-pnp": AlikedPnp,
+    "aliked-pnp": lambda: AlikedPnp(remember=REMEMBERED),
 }
 """each without a limit on the evidence of its answers"""
 GIVEN_WEIGHTS = ("aliked-pnp",)

@@ -10,7 +10,7 @@ import numpy as np
 from baselines.alignment.features.kernel import workspace_for
 from baselines.alignment.features.problem import FeatureProblem
 from baselines.alignment.features.pyramid import FeaturePyramid
-from baselines.alignment.features.reference import ReferenceFeatures
+from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.features.settings import FeatureSettings
 from baselines.alignment.shared.levels import Descent, LevelOutcome, failure_of
 from baselines.alignment.shared.levenberg import (
@@ -22,7 +22,7 @@ from baselines.alignment.shared.levenberg import (
     SATURATED,
     SQUARES,
     WEIGHT,
-    minimise_level,
+    minimise_level_from_each,
 )
 from baselines.alignment.shared.pyramid import camera_intrinsics
 from baselines.alignment.shared.starts import Start
@@ -133,19 +133,31 @@ def align_features_best(
         raise ValueError("an alignment needs at least one start")
     _require_same_channels(reference, query)
     coarsest = coarsest_level(reference, query, settings)
-    estimates = [_Estimate(reference, query, start, settings, coarsest) for start in starts]
+    estimates = [_Estimate(start, coarsest) for start in starts]
+    _refuse_starts(estimates, len(reference.levels[0]), settings)
     aligned = [0] * (coarsest + 1)
     for level in range(coarsest, -1, -1):
-        reached = [estimate for estimate in estimates if estimate.descent.level == level and not estimate.descent.ended]
+        reached = [estimate for estimate in estimates if estimate.is_on(level)]
         aligned[level] = len(reached)
-        for estimate in reached:
-            estimate.align(level)
+        pending = reached
+        while pending:
+            _minimise(pending, level, reference, query, settings)
+            pending = [estimate for estimate in pending if estimate.is_on(level)]
         _keep_best([estimate for estimate in reached if not estimate.descent.failure], level, settings)
     # Nobody is given up before somebody fits better; where all failed, the first reason is told.
     ended = [estimate for estimate in estimates if not estimate.descent.abandoned]
     right = [estimate for estimate in ended if not estimate.descent.failure]
     best = min(right, key=lambda estimate: estimate.energy) if right else ended[0]
-    return best.alignment(tuple(aligned))
+    return FeatureAlignment(
+        T_query_ref=compose(best.T),
+        outcomes=tuple(best.descent.outcomes),
+        points=len(reference.levels[0]),
+        residuals=_residuals(reference.levels[0], settings),
+        H=best.H,
+        variance=best.variance,
+        failure=best.descent.failure,
+        starts=tuple(aligned),
+    )
 
 
 def _keep_best(reached: Sequence[_Estimate], level: int, settings: FeatureSettings) -> None:
@@ -162,28 +174,19 @@ def _keep_best(reached: Sequence[_Estimate], level: int, settings: FeatureSettin
 class _Estimate:
     """The pose of one start on its way from level to level, with the normal equations of the last one."""
 
-    def __init__(
-        self,
-        reference: ReferenceFeatures,
-        query: FeaturePyramid,
-        start: Start,
-        settings: FeatureSettings,
-        coarsest: int,
-    ) -> None:
-        self.reference, self.query, self.settings = reference, query, settings
+    def __init__(self, start: Start, coarsest: int) -> None:
         self.T = np.array(start.T_query_ref, dtype=np.float64)
         self.H = np.zeros((UNKNOWNS, UNKNOWNS))
         self.variance = float("nan")
-        self.descent = Descent(coarsest if start.level is None else min(start.level, coarsest), self._minimise)
-        points = len(reference.levels[0])
-        if not np.all(np.isfinite(self.T)):
-            self.descent.failure = "the start is not finite"
-        elif points < settings.min_points:
-            self.descent.failure = f"the reference has {points} points, at least {settings.min_points} are needed"
+        self.descent = Descent(coarsest if start.level is None else min(start.level, coarsest))
 
     @property
     def energy(self) -> float:
         return self.descent.outcomes[-1].energy
+
+    def is_on(self, level: int) -> bool:
+        """Whether this level is the next to be worked on."""
+        return self.descent.level == level and not self.descent.ended
 
     def is_at(self, other: _Estimate) -> bool:
         """Whether the camera stands where another estimate has it, and looks the same way."""
@@ -192,67 +195,69 @@ class _Estimate:
             and float(np.linalg.norm(self.T[:3, :3] - other.T[:3, :3])) < np.sqrt(2) * SAME_RAD
         )
 
-    def align(self, level: int) -> None:
-        """Work on a level until it is done."""
-        while self.descent.level == level and not self.descent.ended:
-            self.descent.work()
 
-    def alignment(self, starts: tuple[int, ...]) -> FeatureAlignment:
-        return FeatureAlignment(
-            T_query_ref=compose(self.T),
-            outcomes=tuple(self.descent.outcomes),
-            points=len(self.reference.levels[0]),
-            residuals=self._residuals(0),
-            H=self.H,
-            variance=self.variance,
-            failure=self.descent.failure,
-            starts=starts,
-        )
+def _refuse_starts(estimates: Sequence[_Estimate], points: int, settings: FeatureSettings) -> None:
+    """Fail the starts that are not finite; all of them if the reference has too few points."""
+    for estimate in estimates:
+        if not np.all(np.isfinite(estimate.T)):
+            estimate.descent.failure = "the start is not finite"
+        elif points < settings.min_points:
+            estimate.descent.failure = f"the reference has {points} points, at least {settings.min_points} are needed"
 
-    def _minimise(self, level: int) -> tuple[LevelOutcome, str]:
-        points, query = self.reference.levels[level], self.query.levels[level]
-        huber, cutoff = self.settings.thresholds(points, level)
-        if not huber > 0:
-            reason = "all the same" if huber == 0 else "not finite"
-            nothing = LevelOutcome(level, 0, float("inf"), 0, 0, 1.0, NO_RESIDUALS)
-            return nothing, f"the reference's features are {reason} on level {level}"
-        problem = FeatureProblem(
-            query.map,
-            points.points,
-            points.values,
-            points.weights,
-            camera_intrinsics(query.camera),
-            huber,
-            self.settings.per_channel,
-            workspace_for(points.points),
-        )
-        self.T, _, mean_H, statistics, iterations, factor, end = minimise_level(
-            problem,
-            self.T,
-            np.zeros(2),
-            (UNKNOWNS, UNKNOWNS),
-            cutoff,
-            self.settings.iterations_of(level),
-            self.settings.damping.schedule,
-        )
-        self.H = mean_H * statistics[WEIGHT]
+
+def _minimise(
+    estimates: Sequence[_Estimate],
+    level: int,
+    reference: ReferenceFeatures,
+    query: FeaturePyramid,
+    settings: FeatureSettings,
+) -> None:
+    """Align a level from where each of the estimates is."""
+    points, seen = reference.levels[level], query.levels[level]
+    huber, cutoff = settings.thresholds(points, level)
+    if not huber > 0:
+        reason = "all the same" if huber == 0 else "not finite"
+        nothing = LevelOutcome(level, 0, float("inf"), 0, 0, 1.0, NO_RESIDUALS)
+        for estimate in estimates:
+            estimate.descent.advance(nothing, f"the reference's features are {reason} on level {level}")
+        return
+    problem = FeatureProblem(
+        seen.map,
+        points.points,
+        points.values,
+        points.weights,
+        camera_intrinsics(seen.camera),
+        huber,
+        settings.per_channel,
+        workspace_for(points.points),
+    )
+    found = minimise_level_from_each(
+        problem,
+        np.stack([estimate.T for estimate in estimates]),
+        UNKNOWNS,
+        cutoff,
+        settings.iterations_of(level),
+        settings.damping.schedule,
+    )
+    residuals = _residuals(points, settings)
+    for estimate, T, mean_H, statistics, iterations, factor, end in zip(estimates, *found, strict=True):
+        estimate.T, estimate.H = T, mean_H * statistics[WEIGHT]
+        estimate.variance = _variance(statistics, seen.channels, settings.per_channel)
         valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])
-        self.variance = _variance(statistics, query.channels, self.settings.per_channel)
-        outcome = LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)
+        outcome = LevelOutcome(
+            level, int(iterations), float(statistics[ENERGY]), valid, saturated, float(factor), int(end)
+        )
+        failure = failure_of(outcome, T)
         if end == NOT_FINITE:
-            return outcome, f"features are not finite at {int(statistics[NOT_FINITE_POINTS])} points on level {level}"
-        return outcome, failure_of(outcome, self.T) or self._out_of_view(outcome)
+            failure = f"features are not finite at {int(statistics[NOT_FINITE_POINTS])} points on level {level}"
+        elif not failure and valid < settings.min_valid_share * residuals:
+            failure = f"only {valid} of {residuals} residuals project into the query on level {level}"
+        estimate.descent.advance(outcome, failure)
 
-    def _out_of_view(self, outcome: LevelOutcome) -> str:
-        residuals = self._residuals(outcome.level)
-        if outcome.valid >= self.settings.min_valid_share * residuals:
-            return ""
-        return f"only {outcome.valid} of {residuals} residuals project into the query on level {outcome.level}"
 
-    def _residuals(self, level: int) -> int:
-        """The number of a level's residuals, in view or not."""
-        points = self.reference.levels[level]
-        return len(points) * (points.values.shape[1] if self.settings.per_channel else 1)
+def _residuals(points: FeaturePoints, settings: FeatureSettings) -> int:
+    """The number of a level's residuals, in view or not."""
+    return len(points) * (points.values.shape[1] if settings.per_channel else 1)
 
 
 def coarsest_level(reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings) -> int:

@@ -54,11 +54,9 @@ class Descent:
 
     Args:
         coarsest: number of the first level; -1: there is no level.
-        minimise: aligns one level, beginning where the previous one ended; returns its outcome, and in words why it
-            failed or an empty string.
     """
 
-    def __init__(self, coarsest: int, minimise: Callable[[int], tuple[LevelOutcome, str]]) -> None:
+    def __init__(self, coarsest: int) -> None:
         self.level = coarsest
         """that is worked on next; -1 at the end"""
         self.outcomes: list[LevelOutcome] = []
@@ -67,16 +65,20 @@ class Descent:
         """why the finest level was not reached; empty if it was, or while it still can be"""
         self.abandoned = False
         """whether the failure is that another start fits better"""
-        self._minimise = minimise
         self._repeated = False
 
     @property
     def ended(self) -> bool:
         return bool(self.failure) or self.level < 0
 
-    def work(self) -> None:
-        """Align the next level, or the same one once more."""
-        outcome, self.failure = self._minimise(self.level)
+    def advance(self, outcome: LevelOutcome, failure: str) -> None:
+        """Go on after the alignment of a level.
+
+        Args:
+            outcome: of the level.
+            failure: in words why it failed, or an empty string.
+        """
+        self.failure = failure
         self.outcomes.append(outcome)
         if outcome.cutoff_factor > 1 and not self._repeated:
             self._repeated = True
@@ -95,13 +97,14 @@ def coarse_to_fine(
 
     Args:
         coarsest: see :class:`Descent`.
-        minimise: see :class:`Descent`.
+        minimise: aligns one level, beginning where the previous one ended; returns its outcome, and in words why it
+            failed or an empty string.
         rival: outcomes of the best alignment so far from another start.
     """
     rival_energy = {outcome.level: outcome.energy for outcome in rival}
-    descent = Descent(coarsest, minimise)
+    descent = Descent(coarsest)
     while not descent.ended:
-        descent.work()
+        descent.advance(*minimise(descent.level))
         reached = descent.outcomes[-1]
         if not descent.failure and reached.energy > ABANDON_FACTOR**2 * rival_energy.get(reached.level, np.inf):
             descent.give_up()

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.alignment.shared.small_matrices import product, se3_exp, solve_cholesky
 from relocbench.arrays import Array
@@ -120,6 +121,37 @@ def minimise_level(
         if not _length(step) > smallest_step:
             return T, brightness, H, now, iteration + 1, factor, CONVERGED
     return T, brightness, H, now, max_iterations, factor, ITERATIONS_SPENT
+
+
+@njit(cache=True)
+def minimise_level_from_each(
+    problem: Any,
+    T_starts: Array,
+    size: int,
+    base_cutoff: float,
+    max_iterations: int,
+    schedule: tuple[float, float, float, float, float, float],
+) -> tuple[Array, Array, Array, NDArray[np.integer], Array, NDArray[np.integer]]:
+    """As :func:`minimise_level`, of a problem that does not estimate brightness, from each of several starts.
+
+    Args:
+        problem: see :func:`linearize_at`.
+        T_starts: (S, 4, 4).
+        size: of the problem's H.
+        base_cutoff, max_iterations, schedule: see :func:`minimise_level`.
+
+    Returns:
+        For each start T_query_ref (S, 4, 4), H (S, size, size) and the statistics (S, 6) there, the number of
+        iterations (S,), the factor by which the cutoff was raised (S,), and how the level ended (S,).
+    """
+    starts = len(T_starts)
+    T, H, statistics = np.empty((starts, 4, 4)), np.empty((starts, size, size)), np.empty((starts, STATISTICS))
+    iterations, factors, ends = np.empty(starts, np.int64), np.empty(starts), np.empty(starts, np.int64)
+    for i in range(starts):
+        T[i], _, H[i], statistics[i], iterations[i], factors[i], ends[i] = minimise_level(
+            problem, T_starts[i], np.zeros(2), (6, size), base_cutoff, max_iterations, schedule
+        )
+    return T, H, statistics, iterations, factors, ends
 
 
 @njit(cache=True)

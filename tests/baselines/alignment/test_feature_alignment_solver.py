@@ -216,6 +216,24 @@ def test_only_the_best_of_several_starts_are_kept_after_a_level(
         FeatureSettings(kept=(0,))
 
 
+def test_a_start_of_which_next_to_nothing_is_in_view_has_failed(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    """The mean energy of the few residuals that are left may be the lowest one."""
+    away = Start(motion((0, 0, 0), (0, 58, 0)), 0)
+    lenient, strict = FeatureSettings(min_valid_share=0.0, give_up=1e6), FeatureSettings(give_up=1e6)
+    alone = align_features_best(reference, query, [away], lenient)
+    assert not alone.failure
+    assert 0 < alone.final.valid < 0.1 * alone.residuals
+    refused = align_features_best(reference, query, [away], strict)
+    assert refused.failure == (
+        f"only {alone.final.valid} of {alone.residuals} residuals project into the query on level 0"
+    )
+    assert error(align_features_best(reference, query, [away, Start(MOTION)], strict).T_query_ref)[0] < 0.002
+    with pytest.raises(MethodError, match="min_valid_share is 2, expected 0 to 1"):
+        FeatureSettings(min_valid_share=2)
+
+
 def test_of_starts_that_come_to_the_same_pose_one_is_kept(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
     starts = [Start(MOTION), Start(np.eye(4)), Start(MOTION, 2)]
     found = align_features_best(reference, query, starts, FeatureSettings())

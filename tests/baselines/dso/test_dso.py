@@ -13,7 +13,7 @@ from alignment_scene import CAMERA, motion, render, to_image
 from answer_contract import fault_of
 from numpy.typing import NDArray
 
-from baselines.alignment import Level, image_pyramid
+from baselines.alignment import Level, image_pyramid, moved_along
 from baselines.dso import Dso, DsoMultiStart, small_rotations
 from baselines.dso.evidence import evidence_for
 from relocbench.errors import MethodError
@@ -138,6 +138,15 @@ def test_a_start_ahead_bridges_a_distance_that_the_prior_does_not() -> None:
         best = track(tracker, dense_reference(), query(ahead))
         assert_right(best, ahead)
         assert single.info["energy"] > 100 * best.info["energy"]
+
+
+def test_a_start_on_a_bend_bridges_a_turn_that_one_on_the_axis_does_not() -> None:
+    """To the right by 20 degrees over 2 m, where the camera then stands 0.35 m to the right."""
+    bent = moved_along(np.eye(4), [2.0], [np.deg2rad(20)])[0]
+    straight = track(Dso(max_levels=1, along=(1.9,)), dense_reference(), query(bent))
+    best = track(Dso(max_levels=1, along=(1.9,), turns_deg=(-18.0, 18.0)), dense_reference(), query(bent))
+    assert_right(best, bent)
+    assert straight.info["energy"] > 10 * best.info["energy"]
 
 
 def test_the_small_rotations_are_the_26_of_dso() -> None:

@@ -10,7 +10,7 @@ import pytest
 from baselines.gn_net.tracker import SHIPPED, GnNet, GnNetContrastive, LmNet
 from baselines.gn_net.weights import read_card
 
-LARGEST_BYTES = 10_000_000
+LARGEST_BYTES = 25_000_000
 TRACKERS = [
     tracker for tracker in (GnNet, GnNetContrastive, LmNet) if (SHIPPED / f"{tracker.name}.safetensors").exists()
 ]
@@ -32,21 +32,22 @@ def test_weights_are_small_and_their_card_says_how_to_make_them_again(tracker: t
         assert fingerprint in told
     for row in ("data", "seed", "steps", "time", "hardware", "versions", "command"):
         assert re.search(rf"^\| {row} \| \S", told, re.MULTILINE), row
-    assert "| reference -> query | pairs | t_auc@0.5m |" in told
+    validated = "| reference -> query | pairs | t_auc@0.5m |" in told
+    assert validated or "None during the training: the last weights were kept." in told
 
 
 @pytest.mark.parametrize("tracker", TRACKERS, ids=lambda tracker: tracker.name)
 def test_a_tracker_without_settings_takes_them(tracker: type[GnNet]) -> None:
-    assert tracker().net.options.levels == 4
+    options = tracker().net.options
+    expected = {"efficientnet-lite0": 5, "plain": 4}
+    assert options.levels == expected[options.encoder]
+    assert options.confidence == (tracker is GnNet)
 
 
-def test_the_weights_that_are_not_the_default_load_and_tell_what_they_were_made_of() -> None:
-    path = SHIPPED / "gn-net-lite0.safetensors"
-    assert path.stat().st_size < 25_000_000
-    options = GnNet(weights=path).net.options
-    assert (options.levels, options.encoder, options.confidence) == (5, "efficientnet-lite0", True)
-    told = path.with_suffix(".md").read_text(encoding="utf-8")
-    for fingerprint in json.loads(read_card(path)["data"]).values():
-        assert fingerprint in told
+@pytest.mark.parametrize("tracker", TRACKERS, ids=lambda tracker: tracker.name)
+def test_a_card_names_the_licences_of_what_was_not_rendered(tracker: type[GnNet]) -> None:
+    if tracker().net.options.encoder == "plain":
+        return
+    told = (SHIPPED / f"{tracker.name}.md").read_text(encoding="utf-8")
     for word in ("Apache-2.0", "MIT", "CC-BY-4.0", "tools/train_gn_net.sh"):
         assert word in told

@@ -41,9 +41,10 @@ def a_scene(seed: int, right: float) -> tuple[Landmarks, FeaturePyramid]:
     return replace(landmarks, values=(values,)), FeaturePyramid.from_maps(maps[1:], CAMERA)
 
 
+@pytest.mark.parametrize("best_first", [False, True])
 @pytest.mark.parametrize("right", [1.0, 0.4])
-def test_the_pose_is_found_far_from_the_identity(right: float) -> None:
-    found = find_landmarks(*a_scene(0, right), SETTINGS).pose(seed=0)
+def test_the_pose_is_found_far_from_the_identity(right: float, best_first: bool) -> None:
+    found = find_landmarks(*a_scene(0, right), SETTINGS).pose(seed=0, best_first=best_first)
     assert found is not None
     off = np.linalg.inv(found) @ T_QUERY_REF
     assert np.linalg.norm(off[:3, 3]) < 0.05
@@ -58,6 +59,12 @@ def test_the_same_seed_gives_the_same_pose() -> None:
     assert np.array_equal(one, other)
 
 
+def test_several_poses_are_those_of_seeds_that_follow_each_other() -> None:
+    matched = find_landmarks(*a_scene(1, 0.5), SETTINGS)
+    expected = [matched.pose(3), matched.pose(4, best_first=True), matched.pose(5)]
+    np.testing.assert_array_equal(list(matched.poses(3, seed=3)), expected)
+
+
 def test_too_few_points_give_no_pose() -> None:
     landmarks, query = a_scene(2, 1.0)
     few = Landmarks(landmarks.points[:3], (landmarks.values[0][:3],))
@@ -65,6 +72,7 @@ def test_too_few_points_give_no_pose() -> None:
     for landmarks in (few, none):
         seen = find_landmarks(landmarks, query, SETTINGS)
         assert seen.pose(seed=0) is None
+        assert list(seen.poses(2, seed=0)) == []
         assert (len(seen), seen.agreement(np.eye(4))) == (0, 0.0)
 
 
@@ -148,7 +156,15 @@ def test_distances_in_windows_are_those_of_maps_read_bilinearly() -> None:
 
 
 @pytest.mark.parametrize(
-    "changed", [{"points": 3}, {"threshold": 0.0}, {"level": -1}, {"confidence": 1.0}, {"windows": (3, 0)}]
+    "changed",
+    [
+        {"points": 3},
+        {"threshold": 0.0},
+        {"level": -1},
+        {"confidence": 1.0},
+        {"windows": (3, 0)},
+        {"fewest_iterations": 2000},
+    ],
 )
 def test_settings_that_make_no_sense_are_refused(changed: dict[str, float]) -> None:
     with pytest.raises(ConfigError):
