@@ -14,6 +14,9 @@ wrong answers; and how many pairs of different places each answered, which nothi
 and so do the pair sets of a district, which are one series by the step of the drive; intervals are at least as wide as
 the spread of the districts demands (``docs/statistics.md``).
 
+``--next`` asks the districts of the phrase of the next publication, whose errors are best packed into a folder of their
+own: a run that is cut off loses the district in hand.
+
 Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made. With ``--errors``
 the errors of every pair are also packed into a folder, an archive for each method in each district, and what has one is
 not asked again. ``--only-print`` makes nothing and prints what is there: the published page follows from the published
@@ -43,9 +46,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from districts import COUNT, PHRASE, District, districts
+from districts import COUNT, NEXT_PHRASE, PHRASE, District, districts
 from numpy.typing import NDArray
 
+from baselines.gn_net.tracker import GnNetFromPrior
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.results import all_results
@@ -61,6 +65,7 @@ from relocbench.metrics import (
 
 Array = NDArray[np.float64]
 
+ALONG = GnNetFromPrior.usual
 METRICS = ("recall@(0.25m,2deg)", "t_auc@0.5m", "r_auc@0.5deg")
 METHODS = (
     "identity",
@@ -69,8 +74,10 @@ METHODS = (
     "orb-pnp",
     "dso",
     "dso-multistart",
+    "dso-along=dso",
     "dso-from-orb-pnp=dso",
     "dso-from-gn-net-pnp=dso",
+    "gn-net-one-start=gn-net-from-prior",
     "gn-net-from-prior",
     "gn-net-pnp",
     "gn-net-contrastive",
@@ -80,16 +87,29 @@ METHODS = (
     "gn-net-from-aliked-pnp=gn-net-from-prior",
 )
 SETTINGS = (
+    f"dso-along.along={list(ALONG.along)}",
+    f"dso-along.turns_deg={list(ALONG.turns_deg)}",
     "dso-from-orb-pnp.start=orb-pnp",
     "dso-from-gn-net-pnp.start=gn-net-pnp",
+    "dso-from-gn-net-pnp.start.remember=200",
+    "gn-net-one-start.first_levels=1",
+    "gn-net-one-start.along=[]",
+    "gn-net-one-start.remember=200",
+    "gn-net-from-prior.remember=200",
+    "gn-net-pnp.remember=200",
+    "gn-net-contrastive.remember=200",
+    "lm-net.remember=200",
+    "gn-net.remember=200",
     "aliked-pnp.remember=200",
+    "gn-net-from-aliked-pnp.remember=200",
     "gn-net-from-aliked-pnp.start=aliked-pnp",
     "gn-net-from-aliked-pnp.start.remember=200",
     "gn-net-from-aliked-pnp.prior_level=0",
     "gn-net-from-aliked-pnp.min_agreement=0",
 )
-"""A drive has 52 images: ``remember`` saves the network's passes over images that other pair sets of a district showed.
-No seconds are printed."""
+"""``dso-along`` has the starts of ``gn-net-from-prior``, and ``gn-net-one-start`` none but the keyframe's pose. A drive
+has 52 images: ``remember`` saves the network's passes over images that other pair sets of a district showed. No seconds
+are printed."""
 FLOORS = ("identity", "clock")
 SUBJECT = "gn-net"
 RIVALS = ("dso", "orb-pnp")
@@ -158,6 +178,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         scratch = options.scratch or Path(temporary)
         for district in () if options.only_print else districts(options.phrase, options.districts):
+            if district.number < options.first:
+                continue
             left = [m for m in options.methods if not packed(options.errors, district, m.split("=")[0]).exists()]
             if not left:
                 continue
@@ -207,6 +229,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, help="folder for cross_weather.md")
     parser.add_argument("--split", default="test", choices=("test", "validation"))
     parser.add_argument("--districts", type=int, default=COUNT, help="number of districts")
+    parser.add_argument("--first", type=int, default=1, help="number of the first district that is asked")
+    parser.add_argument("--next", action="store_true", help="the districts of the next publication's phrase")
     parser.add_argument("--steps", type=int, default=STEPS, help="images of each drive")
     parser.add_argument("--elsewhere", type=int, default=ELSEWHERE, help="pairs of different places a pair set")
     parser.add_argument("--workers", "-j", type=int, default=2)
@@ -217,7 +241,7 @@ def _options() -> argparse.Namespace:
     options = parser.parse_args()
     options.settings = options.settings or ([] if options.methods else list(SETTINGS))
     options.methods = options.methods or list(METHODS)
-    options.phrase = PHRASE if options.split == "test" else VALIDATION_PHRASE
+    options.phrase = VALIDATION_PHRASE if options.split != "test" else NEXT_PHRASE if options.next else PHRASE
     return options
 
 

@@ -2,9 +2,9 @@
 
 For every pair the alignment starts at the identity, at the truth (which bounds what any start can achieve), and at the
 poses found with several ``StartSettings``: with and without the windows that refine matches to the finest level, with
-fewer points, and with fewer RANSAC samples. For each it prints how close the start is to the truth, how many pairs end
-within 0.25 m and 2 degrees, how many do so if the identity is also tried and the lower energy wins, and the processor
-time of matching and PnP.
+fewer points, with fewer RANSAC samples or others, and by OpenCV's MAGSAC in place of PoseLib. For each it prints how
+close the start is to the truth, how many pairs end within 0.25 m and 2 degrees, how many do so if the identity is also
+tried and the lower energy wins, and the processor time of matching and PnP.
 
     python benchmarks/publish/gn_net_starts.py [-d DATASET] [--pairs N] [--weights FILE]
 
@@ -25,6 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -34,8 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment import FeatureAlignment, align_features
+from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
 from baselines.gn_net.correspondence import Landmarks
-from baselines.gn_net.start import StartSettings, find_landmarks
+from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.tracker import GnNet
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
@@ -45,15 +47,38 @@ from relocbench.geometry import rotation_angle
 Array = NDArray[np.float64]
 
 USUAL = StartSettings()
-KINDS = {
-    "search level alone": replace(USUAL, windows=(), threshold=8.0),
-    "one level finer": replace(USUAL, windows=USUAL.windows[:1], threshold=4.0),
-    "to the finest level": USUAL,
-    "200 points": replace(USUAL, points=200),
-    "800 points": replace(USUAL, points=800),
-    "500 samples": replace(USUAL, iterations=500),
-    "threshold 1.5 px": replace(USUAL, threshold=1.5),
-    "threshold 3 px": replace(USUAL, threshold=3.0),
+
+
+def evenly(matched: MatchedLandmarks) -> Array | None:
+    """The pose from samples that are drawn evenly."""
+    return matched.pose(0)
+
+
+def best_first(matched: MatchedLandmarks) -> Array | None:
+    """The pose from samples among the nearest features first."""
+    return matched.pose(0, best_first=True)
+
+
+def magsac(matched: MatchedLandmarks) -> Array | None:
+    """The pose that OpenCV finds, from samples among the nearest features first."""
+    count, limits = len(matched), matched.settings
+    matches = Matches2D3D(matched.points, matched.pixels, np.ones(count), np.zeros_like(matched.points))
+    return ransac_pose(
+        matches, matched.camera, limits.threshold, limits.iterations, limits.confidence, 0, best_first=True
+    )
+
+
+KINDS: Mapping[str, tuple[StartSettings, Callable[[MatchedLandmarks], Array | None]]] = {
+    "search level alone": (replace(USUAL, windows=(), threshold=8.0), evenly),
+    "one level finer": (replace(USUAL, windows=USUAL.windows[:1], threshold=4.0), evenly),
+    "to the finest level": (USUAL, evenly),
+    "200 points": (replace(USUAL, points=200), evenly),
+    "800 points": (replace(USUAL, points=800), evenly),
+    "500 samples": (replace(USUAL, iterations=500), evenly),
+    "threshold 1.5 px": (replace(USUAL, threshold=1.5), evenly),
+    "threshold 3 px": (replace(USUAL, threshold=3.0), evenly),
+    "nearest features first": (USUAL, best_first),
+    "OpenCV's MAGSAC": (replace(USUAL, iterations=2000), magsac),
 }
 
 
@@ -95,7 +120,7 @@ def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Pa
     """Align every pair from every start."""
     tallies = {name: Tally() for name in ("identity", "truth", *KINDS)}
     tracker = GnNet(weights)
-    tracker.start = replace(USUAL, points=max(kind.points for kind in KINDS.values()))
+    tracker.start = replace(USUAL, points=max(kind.points for kind, _ in KINDS.values()))
     for pair_set, pair in pairs:
         truth = pair.T_query_ref
         query = dataset.query(pair_set, pair)
@@ -106,10 +131,10 @@ def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Pa
         from_identity = align(T_start=np.eye(4))
         tallies["identity"].found.append(right(from_identity, truth))
         tallies["truth"].found.append(right(align(T_start=truth), truth))
-        for name, kind in KINDS.items():
+        for name, (kind, solve) in KINDS.items():
             landmarks, tally = some(reference.landmarks, kind.points), tallies[name]
             since = time.process_time()
-            start = find_landmarks(landmarks, features, kind).pose(0)
+            start = solve(find_landmarks(landmarks, features, kind))
             tally.milliseconds.append(1e3 * (time.process_time() - since))
             if start is None:
                 tally.near.append(False)
