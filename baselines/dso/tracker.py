@@ -34,6 +34,7 @@ from baselines.dso.evidence import evidence_for
 from relocbench.arrays import Array
 from relocbench.tracking import Query, Reference, TrackResult
 
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 LARGEST_LOG_GAIN = 1.2
 LARGEST_OFFSET = 200.0
 """grey levels; beyond either limit DSO considers the tracking of consecutive frames failed"""
@@ -75,10 +76,10 @@ class Dso:
             was right on validation districts.
         dso_failure_test: refuse poses with |log gain| > 1.2 or |offset| > 200, as DSO does. The test is meant for
             consecutive frames; between seasons it would reject good poses. Its verdict is in the result either way.
-        along: metres by which the camera of the prior, or of the identity, is moved along its optical axis for further
-            starts, positive ahead; the lowest final energy wins.
-        turns_deg: degrees, positive to the right, by which it is turned there, as on a bend of the road: there is a
-            start for each position and turn.
+        along: lengths in metres, positive ahead, of arcs of circles along which the camera of the prior, or of the
+            identity, drives to further starts; the lowest final energy wins.
+        turns_deg: degrees, positive to the right, by which the camera is turned at the end of an arc, 0 straight on:
+            there is a start for each length and turn.
         seed: of the choice of points.
     """
 
@@ -96,8 +97,8 @@ class Dso:
         min_points: Annotated[int, Field(ge=8)] = 30,
         min_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.03,
         dso_failure_test: bool = False,
-        along: tuple[float, ...] = (),
-        turns_deg: tuple[float, ...] = (0.0,),
+        along: tuple[Finite, ...] = (),
+        turns_deg: tuple[Finite, ...] = (0.0,),
         seed: int = 0,
     ) -> None:
         self.points = points

@@ -85,20 +85,19 @@ class MatchedLandmarks:
         """
         if len(self) < SMALLEST_SAMPLE:
             return None
-        # PoseLib counts pixels from the image's corner.
-        fx, fy, cx, cy = self.camera.fx, self.camera.fy, self.camera.cx + 0.5, self.camera.cy + 0.5
-        size = {"width": self.camera.width, "height": self.camera.height}
+        camera = self.camera
+        pinhole = {"model": "PINHOLE", "width": camera.width, "height": camera.height}
         found, told = poselib.estimate_absolute_pose(
-            self.pixels + 0.5,
+            self.pixels,
             self.points,
-            {"model": "PINHOLE", **size, "params": [fx, fy, cx, cy]},
+            {**pinhole, "params": [camera.fx, camera.fy, camera.cx, camera.cy]},
             {
                 "max_reproj_error": self.settings.threshold,
                 "max_iterations": self.settings.iterations,
                 "min_iterations": self.settings.fewest_iterations,
                 "success_prob": self.settings.confidence,
                 "progressive_sampling": best_first,
-                "seed": seed,
+                "seed": seed % 2**64,
             },
         )
         pose = np.vstack([np.asarray(found.Rt), [0.0, 0.0, 0.0, 1.0]])

@@ -5,6 +5,7 @@ von Stumberg et al., GN-Net: The Gauss-Newton Loss for Multi-Weather Relocalizat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -40,11 +41,11 @@ from baselines.alignment import (
 )
 from baselines.alignment.features.pyramid import level_coordinates
 from baselines.calibration import GN_NET, GN_NET_CONTRASTIVE, GN_NET_FROM_PRIOR, GN_NET_PNP, LM_NET, Calibration
+from baselines.defaults import with_defaults
 from baselines.device import to_device
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
-from baselines.gn_net.usual import ONE_START, Usual
 from baselines.gn_net.weights import load_weights
 from baselines.remembered import RememberedImages
 from relocbench.arrays import Array, Image
@@ -54,8 +55,23 @@ from relocbench.tracking import Query, Reference, TrackResult
 
 SHIPPED = Path(__file__).parent / "shipped"
 """weights that come with the package, as NAME.safetensors"""
+MIN_AGREEMENT = 0.025
+ALONG = (-10.0, -6.0, -2.0, 2.0, 6.0, 10.0)
+"""metres; 2 m from the multiples of 4 m at which keyframes of rendered drives stand, so that no start is the truth"""
+TURNS_DEG = (-30.0, -15.0, 0.0, 15.0, 30.0)
+ONE_START: Mapping[str, Any] = {
+    "coarse_points": None,
+    "iterations": (10, 20, 50, 50, 50),
+    "first_levels": 1,
+    "along": (),
+    "hypotheses": 1,
+    "kept": (),
+}
+"""parameters of one alignment from the prior or the identity, on all levels and with all points, as GN-Net describes
+it, and, where matches are used, one from the pose that they give"""
 SELECTION_LEVELS = 3
 """levels of the intensity pyramid on which points are chosen"""
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 Maps = tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]
 """features (H, W, D) and confidences (H, W, 1) of each level, finest first; no confidences if the network has none"""
 
@@ -74,46 +90,46 @@ class GnNetReference:
 
 
 class GnNet:
-    """Direct alignment of learned features from the prior, or from the identity without one.
+    """Direct alignment of learned features from several starts, of which the lowest final energy wins.
 
+    Starts are the prior, or the identity without one; poses along the road from there; and poses of matched features.
     The landmarks of the keyframe are matched in the query. Their agreement is the share of them that are matched within
     two pixels (of the finest map) of where the answer projects them. The confidence is the
     probability that the answer is within 0.25 m and 2 degrees, from a calibration of the agreement.
 
-    Parameters that are None have the method's own default (:mod:`baselines.gn_net.usual`).
-
     Args:
         weights: a file of ``relocbench train``; by default the weights that come with the package.
         points: approximate number of pixels chosen from a dense depth image; all points of a sparse map are used.
-        coarse_points: at most so many of them on all levels but the two finest.
+        coarse_points: at most so many of them on all levels but the two finest; None: all.
         huber: in units of the spread of the reference's features on the level; larger residuals are downweighted.
         cutoff: in the same units; larger residuals are treated as outliers.
         cutoff_levels: number of the finest levels on which the cutoff applies; coarser ones only have the Huber loss.
         per_channel: apply the robust loss to each channel instead of the norm over all channels.
         iterations: largest number on each level, finest first; the last number holds for all coarser levels.
-        damping: the Levenberg-Marquardt schedule, that of DSO's tracker or one for features trained by LM-Reloc's loss;
-            by default the one that the weights of this method are trained for.
-        prior_level: the level at which alignment from the prior begins, 0 the finest map; by default the coarsest one.
-            From a prior that is accurate to some pixels, such as another tracker's pose, coarse levels can only lead
-            away. Without a prior the identity starts on the coarsest level all the same.
-        first_levels: the prior, or the identity, is aligned so many times, beginning once on each of the coarsest
-            levels; the lowest final energy wins. Coarse levels see far, but may lead away from a pose that is near.
+        damping: the Levenberg-Marquardt schedule, that of DSO's tracker or one for features trained by LM-Reloc's loss.
+        prior_level: the coarsest level at which alignment from the prior begins, 0 the finest map. From a prior that is
+            accurate to some pixels, such as another tracker's pose, coarse levels and poses along the road can only
+            lead away. None, or without a prior: the coarsest level, with starts along the road.
+        first_levels: each pose but those of matches is aligned so many times, beginning once on each of the coarsest
+            levels, or of those from ``prior_level`` on. Coarse levels see far, but may lead away from a pose that is
+            near.
         halvings: how often the image is halved; the coarsest map of each smaller image is one more level. The image of
             which no such map is left is the last.
-        along: metres by which the camera of the prior, or of the identity, is moved along its optical axis for further
-            starts, positive ahead; the lowest final energy wins. Empty, or with ``prior_level``: no further starts.
-        turns_deg: degrees, positive to the right, by which it is turned there, as on a bend of the road: there is a
-            start for each position and turn.
+        along: lengths in metres, positive ahead, of arcs of circles along which the camera of the prior, or of the
+            identity, drives to further starts.
+        turns_deg: degrees, positive to the right, by which the camera is turned at the end of an arc, 0 straight on:
+            there is a start for each length and turn.
         landmarks: largest number of landmarks, drawn among the chosen points.
-        matched_start: also start from the pose that the matched landmarks give; the lowest final energy wins.
-        hypotheses: so many poses are searched for among the matched landmarks, with other random samples each.
-        multistart: also start from 26 small rotations; the lowest final energy wins.
+        matched_start: also start from the poses that the matched landmarks give.
+        hypotheses: so many poses are searched for among the matched landmarks, every second one from samples among the
+            nearest features first.
+        multistart: also start from 26 small rotations.
         give_up: one of several starts is given up on the first level whose root mean energy is this many times that of
             the best one.
         kept: of several starts, so many go on after each level, finest first; after coarser levels than given, all.
         min_points: with fewer points that have depth, tracking fails.
-        min_agreement: with a smaller agreement, tracking fails; by default the largest one below which no answer was
-            right on validation districts.
+        min_agreement: with a smaller agreement, tracking fails; by default one below which next to no answer was right
+            on validation districts.
         remember: keep the feature maps of so many images for the pairs that show them again. The answers stay the same,
             and the seconds of a pair no longer say what one costs.
         device: where the network runs; the alignment runs on the CPU.
@@ -127,7 +143,6 @@ class GnNet:
     name: ClassVar[str] = "gn-net"
     trainer: ClassVar[str] = "gn-net"
     """the trainer whose weights are used"""
-    usual: ClassVar[Usual] = Usual()
     calibration: ClassVar[Calibration | None] = GN_NET
     """None where none was fitted: answers have no confidence then"""
 
@@ -135,61 +150,52 @@ class GnNet:
         self,
         weights: Path | None = None,
         points: Annotated[int, Field(ge=1)] = 2000,
-        coarse_points: Annotated[int, Field(ge=8)] | None = None,
+        coarse_points: Annotated[int, Field(ge=8)] | None = 200,
         huber: Annotated[float, Field(gt=0)] = 0.3,
         cutoff: Annotated[float, Field(gt=0)] = 1.0,
         cutoff_levels: Annotated[int, Field(ge=1)] = 1,
         per_channel: bool = False,
-        iterations: tuple[Annotated[int, Field(ge=1)], ...] | None = None,
-        damping: Literal["dso", "lm-reloc"] | None = None,
+        iterations: tuple[Annotated[int, Field(ge=1)], ...] = (10, 20, 20, 10, 8),
+        damping: Literal["dso", "lm-reloc"] = "dso",
         prior_level: Annotated[int, Field(ge=0)] | None = None,
-        first_levels: Annotated[int, Field(ge=1)] | None = None,
+        first_levels: Annotated[int, Field(ge=1)] = 3,
         halvings: Annotated[int, Field(ge=0)] = 0,
-        along: tuple[float, ...] | None = None,
-        turns_deg: tuple[float, ...] | None = None,
-        landmarks: Annotated[int, Field(ge=4)] | None = None,
-        matched_start: bool | None = None,
-        hypotheses: Annotated[int, Field(ge=1)] | None = None,
+        along: tuple[Finite, ...] = ALONG,
+        turns_deg: tuple[Finite, ...] = TURNS_DEG,
+        landmarks: Annotated[int, Field(ge=4)] = StartSettings.points,
+        matched_start: bool = True,
+        hypotheses: Annotated[int, Field(ge=1)] = 2,
         multistart: bool = False,
         give_up: Annotated[float, Field(gt=1)] = ABANDON_FACTOR,
-        kept: tuple[Annotated[int, Field(ge=1)], ...] | None = None,
+        kept: tuple[Annotated[int, Field(ge=1)], ...] = (3, 3, 3, 5, 8),
         min_points: Annotated[int, Field(ge=8)] = 30,
-        min_agreement: Annotated[float, Field(ge=0, le=1)] | None = None,
+        min_agreement: Annotated[float, Field(ge=0, le=1)] = MIN_AGREEMENT,
         remember: Annotated[int, Field(ge=0)] = 0,
         device: str = "cpu",
-        seed: int = 0,
+        seed: Annotated[int, Field(ge=0)] = 0,
     ) -> None:
-        given: dict[str, Any] = {
-            "matched_start": matched_start,
-            "min_agreement": min_agreement,
-            "damping": damping,
-            "landmarks": landmarks,
-            "hypotheses": hypotheses,
-            "coarse_points": coarse_points,
-            "iterations": iterations,
-            "first_levels": first_levels,
-            "along": along,
-            "turns_deg": turns_deg,
-            "kept": kept,
-        }
-        self.search = replace(self.usual, **{name: value for name, value in given.items() if value is not None})
         self.settings = FeatureSettings(
             huber=huber,
             cutoff=cutoff,
             cutoff_levels=cutoff_levels,
             per_channel=per_channel,
-            iterations=self.search.iterations,
+            iterations=iterations,
             give_up=give_up,
-            kept=self.search.kept,
-            damping=LM_RELOC_DAMPING if self.search.damping == "lm-reloc" else DSO_DAMPING,
+            kept=kept,
+            damping=LM_RELOC_DAMPING if damping == "lm-reloc" else DSO_DAMPING,
         )
-        self._along = moved_along(np.eye(4), self.search.along, np.deg2rad(self.search.turns_deg).tolist())
+        self._along = moved_along(np.eye(4), along, np.deg2rad(turns_deg).tolist())
         self.points = points
+        self.coarse_points = coarse_points
         self.prior_level = prior_level
+        self.first_levels = first_levels
         self.halvings = halvings
-        self.start = StartSettings(points=self.search.landmarks)
+        self.start = StartSettings(points=landmarks)
+        self.matched_start = matched_start
+        self.hypotheses = hypotheses
         self.multistart = multistart
         self.min_points = min_points
+        self.min_agreement = min_agreement
         self.device = device
         self.seed = seed
         self._last: tuple[Query, FeaturePyramid] | None = None
@@ -213,7 +219,7 @@ class GnNet:
         pyramid = self.features(reference.image, reference.camera)
         on_finest = replace(chosen, uv=self._on_finest(chosen.uv))
         landmarks = Landmarks.at(on_finest, pyramid, self.start.points, np.random.default_rng(self.seed))
-        features = ReferenceFeatures.at_points(on_finest, pyramid, coarse_points=self.search.coarse_points)
+        features = ReferenceFeatures.at_points(on_finest, pyramid, coarse_points=self.coarse_points)
         return GnNetReference(features, pyramid, len(chosen), landmarks)
 
     def track(self, reference: GnNetReference, query: Query, prior: Array | None = None) -> TrackResult:
@@ -286,18 +292,9 @@ class GnNet:
         self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Start
     ) -> TrackResult:
         """Align from every start, of which ``first`` is the prior or the identity."""
-        coarsest = coarsest_level(reference.features, features, self.settings)
-        if first.level is not None:
-            coarsest = min(first.level, coarsest)
-        levels = range(coarsest, max(coarsest - self.search.first_levels, -1), -1)
-        poses = [first.T_query_ref]
-        if first.level is None:
-            poses += [moved @ first.T_query_ref for moved in self._along]
-        starts = [Start(pose, level) for pose in poses for level in levels]
-        if self.multistart:
-            starts += [Start(turn @ first.T_query_ref) for turn in small_rotations()]
-        if self.search.matched_start:
-            hypotheses = matched.poses(self.search.hypotheses, self.seed)
+        starts = self._starts(first, coarsest_level(reference.features, features, self.settings))
+        if self.matched_start:
+            hypotheses = matched.poses(self.hypotheses, self.seed)
             starts = [*(Start(pose, self.start.level) for pose in hypotheses), *starts]
         found = align_features_best(reference.features, features, starts, self.settings)
         info = self._info(found)
@@ -308,6 +305,19 @@ class GnNet:
                 f"only {found.final.valid} of {found.residuals} residuals project into the query", **info
             )
         return self._answer(found.T_query_ref, matched, info)
+
+    def _starts(self, first: Start, coarsest: int) -> list[Start]:
+        """The prior or the identity and what is tried around it, on the levels from ``coarsest`` or its own on."""
+        if first.level is not None:
+            coarsest = min(first.level, coarsest)
+        poses = [first.T_query_ref]
+        if first.level is None and np.all(np.isfinite(first.T_query_ref)):
+            poses += [moved @ first.T_query_ref for moved in self._along]
+        levels = range(coarsest, max(coarsest - self.first_levels, -1), -1)
+        starts = [Start(pose, level) for pose in poses for level in levels]
+        if self.multistart:
+            starts += [Start(turn @ first.T_query_ref) for turn in small_rotations()]
+        return starts
 
     def _query_features(self, query: Query) -> FeaturePyramid:
         """The features of a query, of which the last are kept: a query often comes with several priors or keyframes."""
@@ -327,10 +337,10 @@ class GnNet:
         """The pose with its confidence, or a failure if too few landmarks agree with it."""
         agreement = matched.agreement(T_query_ref)
         info |= {"matches": len(matched), "agreement": agreement}
-        if agreement < self.search.min_agreement:
+        if agreement < self.min_agreement:
             return TrackResult.failure(
                 f"{agreement:.1%} of {matched.sought} landmarks agree with the pose, at least "
-                f"{self.search.min_agreement:.1%} are needed",
+                f"{self.min_agreement:.1%} are needed",
                 **info,
             )
         confidence = None if self.calibration is None else self.calibration.confidence(info)
@@ -360,15 +370,14 @@ class GnNet:
         return path
 
 
+@with_defaults(matched_start=False)
 class GnNetFromPrior(GnNet):
     """As :class:`GnNet`, without matches: started from the prior or the identity, and along the road from there.
 
-    With ``first_levels=1`` and an empty ``along`` it starts from the prior or the identity alone, as the paper's
-    tracker does.
+    With the parameters of :data:`ONE_START` it aligns once, from the prior or the identity, as the paper's tracker.
     """
 
     name = "gn-net-from-prior"
-    usual = replace(GnNet.usual, matched_start=False)
     calibration = GN_NET_FROM_PRIOR
 
 
@@ -392,25 +401,25 @@ class GnNetPnp(GnNet):
         return self._answer(pose, matched, {})
 
 
+@with_defaults(min_agreement=0.005)
 class GnNetContrastive(GnNet):
-    """As :class:`GnNet`, with weights trained without the Gauss-Newton loss, to show what that loss contributes."""
+    """As :class:`GnNet`, with weights of the contrastive loss alone, to show what the other losses contribute."""
 
     name = trainer = "gn-net-contrastive"
-    usual = replace(GnNet.usual, min_agreement=0.005)
     calibration = GN_NET_CONTRASTIVE
 
 
+@with_defaults(**ONE_START, damping="lm-reloc")
 class LmNet(GnNet):
     """As :class:`GnNet`, with weights trained by LM-Reloc's descent loss and its damping, from fewer starts."""
 
     name = trainer = "lm-net"
     calibration: ClassVar[Calibration | None] = LM_NET
-    usual = replace(ONE_START, damping="lm-reloc")
 
 
+@with_defaults(matched_start=False)
 class LmNetFromPrior(LmNet):
     """As :class:`LmNet`, started from the prior or the identity alone. Answers have no confidence: none was fitted."""
 
     name = "lm-net-from-prior"
-    usual = replace(LmNet.usual, matched_start=False)
     calibration = None

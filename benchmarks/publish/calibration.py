@@ -21,6 +21,7 @@ last line is JSON.
 from __future__ import annotations
 
 import argparse
+import inspect
 import itertools
 import json
 import subprocess
@@ -28,6 +29,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -180,7 +182,8 @@ def _data(scratch: Path, seed: int) -> Path:
 
 def _answers(scratch: Path, method: str, seed: int, other: int, options: argparse.Namespace) -> list[Answered]:
     """The answers of a method to the pairs of a district, kept in a file of JSON lines."""
-    path = scratch / "answers" / f"{method}-{seed}-{options.pairs}-{options.different}.jsonl"
+    by = made_by(type(METHODS[method]()))
+    path = scratch / "answers" / f"{method}-{by}-{seed}-{options.pairs}-{options.different}.jsonl"
     if not path.exists():
         dataset, elsewhere = Dataset(_data(scratch, seed)), Dataset(_data(scratch, other))
         tracker = METHODS[method]()
@@ -193,6 +196,15 @@ def _answers(scratch: Path, method: str, seed: int, other: int, options: argpars
         part.write_text("".join(f"{json.dumps(asdict(each))}\n" for each in found))
         part.rename(path)
     return [Answered(**json.loads(line)) for line in path.read_text().splitlines()]
+
+
+def made_by(kind: type) -> str:
+    """A digest of the defaults and weights of a method: answers of others are not kept ones."""
+    digest = sha256(f"{kind.__qualname__}{inspect.signature(kind)}".encode())
+    if hasattr(kind, "files"):
+        for _, path in sorted(kind.files().items()):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def same_place(dataset: Dataset, count: int, seed: int) -> list[Asked]:

@@ -49,7 +49,7 @@ import pandas as pd
 from districts import COUNT, NEXT_PHRASE, PHRASE, District, districts
 from numpy.typing import NDArray
 
-from baselines.gn_net.tracker import GnNetFromPrior
+from baselines.gn_net.tracker import ALONG, ONE_START, TURNS_DEG
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.results import all_results
@@ -65,7 +65,6 @@ from relocbench.metrics import (
 
 Array = NDArray[np.float64]
 
-ALONG = GnNetFromPrior.usual
 METRICS = ("recall@(0.25m,2deg)", "t_auc@0.5m", "r_auc@0.5deg")
 METHODS = (
     "identity",
@@ -87,13 +86,12 @@ METHODS = (
     "gn-net-from-aliked-pnp=gn-net-from-prior",
 )
 SETTINGS = (
-    f"dso-along.along={list(ALONG.along)}",
-    f"dso-along.turns_deg={list(ALONG.turns_deg)}",
+    f"dso-along.along={list(ALONG)}",
+    f"dso-along.turns_deg={list(TURNS_DEG)}",
     "dso-from-orb-pnp.start=orb-pnp",
     "dso-from-gn-net-pnp.start=gn-net-pnp",
     "dso-from-gn-net-pnp.start.remember=200",
-    "gn-net-one-start.first_levels=1",
-    "gn-net-one-start.along=[]",
+    *(f"gn-net-one-start.{name}={json.dumps(value)}" for name, value in ONE_START.items()),
     "gn-net-one-start.remember=200",
     "gn-net-from-prior.remember=200",
     "gn-net-pnp.remember=200",
@@ -107,9 +105,9 @@ SETTINGS = (
     "gn-net-from-aliked-pnp.prior_level=0",
     "gn-net-from-aliked-pnp.min_agreement=0",
 )
-"""``dso-along`` has the starts of ``gn-net-from-prior``, and ``gn-net-one-start`` none but the keyframe's pose. A drive
-has 52 images: ``remember`` saves the network's passes over images that other pair sets of a district showed. No seconds
-are printed."""
+"""``dso-along`` starts from the poses of ``gn-net-from-prior``, and ``gn-net-one-start`` from the keyframe's alone. A
+drive has 52 images: ``remember`` saves the network's passes over images that other pair sets of a district showed. No
+seconds are printed."""
 FLOORS = ("identity", "clock")
 SUBJECT = "gn-net"
 RIVALS = ("dso", "orb-pnp")
@@ -120,7 +118,7 @@ STARTED = {
     "dso-from-gn-net-pnp": "gn-net-pnp",
     "gn-net": "gn-net-pnp",
 }
-"""alignments by the method whose pose they start from; gn-net starts from the keyframe's pose too"""
+"""alignments by the method whose pose they start from; gn-net starts from the keyframe's pose and along the road too"""
 VALIDATION_PHRASE = "validation of the page across weathers"
 STEPS, SPEED_MPS = 52, 40
 """images of a drive and its speed: at 10 images a second, 204 m of road"""

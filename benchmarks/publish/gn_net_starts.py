@@ -38,7 +38,7 @@ from baselines.alignment import FeatureAlignment, align_features
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
-from baselines.gn_net.tracker import GnNet
+from baselines.gn_net.tracker import ONE_START, GnNet
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
@@ -119,7 +119,7 @@ def some(landmarks: Landmarks, count: int) -> Landmarks:
 def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Path | None) -> dict[str, Tally]:
     """Align every pair from every start."""
     tallies = {name: Tally() for name in ("identity", "truth", *KINDS)}
-    tracker = GnNet(weights)
+    tracker = GnNet(weights, **ONE_START)
     tracker.start = replace(USUAL, points=max(kind.points for kind, _ in KINDS.values()))
     for pair_set, pair in pairs:
         truth = pair.T_query_ref

@@ -1,19 +1,20 @@
 """Whether alignment converges where the keyframe stands: weights of GN-Net on the validation districts.
 
 Pairs of one place are drawn in each district as for the calibration (``calibration.py``). ``gn-net-from-prior`` runs
-with each weights file, on all its levels, from three starts: the keyframe's own pose (the identity), a pose as far from
-the truth as that in a random direction, and the truth; ``gn-net`` starts from the keyframe's pose and from its own
-matches. Printed is how many answers are within 0.25 m and 2 degrees, by the light and the distance of the keyframe:
-means over districts, and the difference to the first weights with its 95 % interval. Other trackers (``-m``) stand
-beside them.
+with each weights file from three priors: the keyframe's own pose (the identity), a pose as far from the truth as that
+in a random direction, and the truth, and by default along the road from there too; ``gn-net`` starts from the
+keyframe's pose, along the road and from its own matches. Printed is how many answers are within 0.25 m and 2 degrees,
+by the light and the distance of the keyframe: means over districts, and the difference to the first weights with its
+95 % interval. Other trackers (``-m``) stand beside them.
 
 The answers of a weights file are kept in ``--scratch`` under its SHA-256; when it is run again, only what is missing is
 made.
 
     python benchmarks/publish/keyframe_start.py --scratch S [-w NAME=FILE[,KEY=VALUE...] ...] [-m METHOD ...]
 
-A KEY is a parameter of the tracker: ``-w both=mine.safetensors,first_levels=4,halvings=1``. Without ``-w``, it asks the
-weights that come with the package. The last line is JSON.
+A KEY is a parameter of the tracker: ``-w both=mine.safetensors,first_levels=4,halvings=1``; the KEY ``one_start`` has
+no value, and stands for those of one alignment from the prior alone. Without ``-w``, it asks the weights that come with
+the package. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ import cv2
 import numpy as np
 import torch
 from answers import Answer, in_percent, kept, questions
-from calibration import VALIDATION, build_district
+from calibration import VALIDATION, build_district, made_by
 
-from baselines.gn_net.tracker import SHIPPED, GnNet
+from baselines.gn_net.tracker import ONE_START, SHIPPED, GnNet
 from baselines.remembered import RememberedImages
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
@@ -43,6 +44,7 @@ from relocbench.metrics.statistics.intervals import paired_difference
 KEYFRAME, ASIDE, TRUTH, MATCHES = "the keyframe's pose", "as far, elsewhere", "the truth", "its matches too"
 STARTS = (KEYFRAME, ASIDE, TRUTH, MATCHES)
 NEAR_M = 1.0
+ONE = "one_start"
 IMAGES = 500
 """whose feature maps are kept: those of all districts"""
 _REMEMBERED: dict[tuple[str, int], RememberedImages[Any]] = {}
@@ -79,8 +81,12 @@ def main() -> None:
 def answers_of(asked: str, seed: int, options: argparse.Namespace) -> list[Answer]:
     """The answers with a weights file and parameters (FILE,KEY=VALUE...) to the pairs of a district."""
     file, *settings = split(asked)
+    if ONE in settings:
+        settings.remove(ONE)
+        settings = [*(f"{name}={json.dumps(value)}" for name, value in ONE_START.items()), *settings]
     digest = sha256(Path(file).read_bytes()).hexdigest()[:16]
-    path = Path(options.scratch) / "keyframe_start" / "-".join([digest, *settings, f"{seed}-{options.pairs}.jsonl"])
+    name = "-".join([digest, made_by(GnNet), *(text.replace(" ", "") for text in settings), f"{seed}-{options.pairs}"])
+    path = Path(options.scratch) / "keyframe_start" / f"{name}.jsonl"
 
     def make() -> Iterator[Answer]:
         trackers: list[GnNet] = [
@@ -97,13 +103,14 @@ def answers_of(asked: str, seed: int, options: argparse.Namespace) -> list[Answe
 
 def split(asked: str) -> list[str]:
     """``NAME,KEY=VALUE,KEY=[VALUE,VALUE]`` at its outer commas."""
-    return re.split(r",(?=\w+=)", asked)
+    return re.split(rf",(?=\w+=|{ONE}(?:,|$))", asked)
 
 
 def answers_of_other(asked: str, seed: int, options: argparse.Namespace) -> list[Answer]:
     """The answers of another tracker (METHOD,KEY=VALUE...), which is given no prior."""
     method, *settings = split(asked)
-    path = Path(options.scratch) / "keyframe_start" / f"{asked}-{seed}-{options.pairs}.jsonl"
+    by = made_by(type(parse_method(method, settings).create()))
+    path = Path(options.scratch) / "keyframe_start" / f"{asked}-{by}-{seed}-{options.pairs}.jsonl"
 
     def make() -> Iterator[Answer]:
         tracker = parse_method(method, settings).create()

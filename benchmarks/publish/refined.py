@@ -26,10 +26,10 @@ import cv2
 import numpy as np
 import torch
 from answers import Answer, in_percent, kept, questions
-from calibration import VALIDATION, build_district
+from calibration import VALIDATION, build_district, made_by
 
 from baselines.feature_pnp import OrbPnp, SiftPnp
-from baselines.gn_net.tracker import GnNetFromPrior
+from baselines.gn_net.tracker import ONE_START, GnNetFromPrior
 from baselines.learned_pnp import AlikedPnp
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.metrics.statistics.intervals import paired_difference
@@ -70,8 +70,9 @@ GROUPS: Mapping[str, Callable[[Answer], bool]] = {
 
 def answers_of(seed: int, options: argparse.Namespace) -> list[Answer]:
     """The answers of all rows to the pairs of a district."""
-    path = options.scratch / "refined" / f"{options.start}-{seed}-{options.pairs}.jsonl"
     start = STARTS[options.start]
+    by = f"{made_by(start)}-{made_by(GnNetFromPrior)}"
+    path = options.scratch / "refined" / f"{options.start}-{by}-{seed}-{options.pairs}.jsonl"
 
     def make() -> Iterator[Answer]:
         return ask(start(), build_district(options.scratch, seed, options.workers), options.pairs, seed)
@@ -81,7 +82,9 @@ def answers_of(seed: int, options: argparse.Namespace) -> list[Answer]:
 
 def ask(start: Any, dataset: Dataset, count: int, seed: int) -> Iterator[Answer]:
     """The answers of the start and of alignment from it on each first level."""
-    aligners = {name: GnNetFromPrior(min_agreement=0.0, prior_level=level) for name, level in LEVELS.items()}
+    aligners = {
+        name: GnNetFromPrior(min_agreement=0.0, prior_level=level, **ONE_START) for name, level in LEVELS.items()
+    }
     for question in questions(dataset, count, seed):
         first = start.track(start.prepare(question.reference), question.query).T_query_ref
         yield question.answer(ALONE, first)

@@ -149,6 +149,9 @@ def _type_name(annotation: Any) -> str:
         return " | ".join(map(_type_name, arguments))
     if origin is Literal:
         return " | ".join(map(repr, arguments))
+    if origin is not None and arguments:
+        inside = ("..." if each is Ellipsis else _type_name(each) for each in arguments)
+        return f"{inspect.formatannotation(origin)}[{', '.join(inside)}]"
     return "None" if annotation is type(None) else inspect.formatannotation(annotation).replace("typing.", "")
 
 

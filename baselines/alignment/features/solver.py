@@ -149,7 +149,7 @@ def align_features_best(
     right = [estimate for estimate in ended if not estimate.descent.failure]
     best = min(right, key=lambda estimate: estimate.energy) if right else ended[0]
     return FeatureAlignment(
-        T_query_ref=compose(best.T),
+        T_query_ref=compose(best.T) if np.all(np.isfinite(best.T)) else best.T,
         outcomes=tuple(best.descent.outcomes),
         points=len(reference.levels[0]),
         residuals=_residuals(reference.levels[0], settings),

@@ -43,7 +43,7 @@ def moved_along(T_query_ref: Array, metres: Sequence[float], turns: Sequence[flo
     Args:
         T_query_ref: (4, 4) the pose that is changed.
         metres: lengths of the arcs, positive in the viewing direction.
-        turns: radians by which the camera is turned at the end of each, positive to the right; 0 is the optical axis.
+        turns: radians by which the camera is turned at the end of each, positive to the right; 0 is straight on.
 
     Returns:
         One T_query_ref (4, 4) for each length and turn, all turns of the first length first.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import poselib
 import pytest
 
 from baselines.alignment import FeaturePyramid
@@ -57,6 +58,18 @@ def test_the_same_seed_gives_the_same_pose() -> None:
     assert one is not None
     assert other is not None
     assert np.array_equal(one, other)
+
+
+def test_seeds_may_be_as_large_as_they_like() -> None:
+    matched = find_landmarks(*a_scene(1, 0.5), SETTINGS)
+    np.testing.assert_array_equal(matched.pose(2**64 + 3), matched.pose(3))
+
+
+def test_poselib_takes_the_options_that_are_given() -> None:
+    """It ignores options that it does not know."""
+    known = poselib.RansacOptions()
+    given = {"max_reproj_error", "max_iterations", "min_iterations", "success_prob", "progressive_sampling", "seed"}
+    assert given <= set(known if isinstance(known, dict) else dir(known))
 
 
 def test_several_poses_are_those_of_seeds_that_follow_each_other() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,11 @@ from small_dataset import WITHIN, make_small_dataset, render, small_camera, smal
 
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.shared.pyramid import level_camera
-from baselines.alignment.shared.starts import moved_along
+from baselines.alignment.shared.starts import Start, moved_along
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.start import MatchedLandmarks, find_landmarks
-from baselines.gn_net.tracker import GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
+from baselines.gn_net.tracker import ALONG, ONE_START, GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
 from baselines.gn_net.weights import save_weights
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
@@ -329,15 +330,45 @@ def test_pnp_without_matches_is_a_stated_failure(weights: Path) -> None:
     assert "agree" in found.message
 
 
-def test_variants_share_everything_but_weights_and_damping(weights: Path) -> None:
-    usual, ablation, descent = (kind(weights=weights).settings for kind in (GnNet, GnNetContrastive, LmNet))
-    assert usual == ablation
-    assert usual.damping.first == 0.01
-    assert descent.damping.first == 2.0
-    plain: dict[str, Any] = {"along": (), "first_levels": 1, "kept": (), "iterations": (10, 20, 50)}
-    one_start = GnNet(weights=weights, **plain)
-    assert replace(one_start.settings, iterations=descent.iterations, damping=descent.damping) == descent
-    assert GnNet(weights=weights).search.along == GnNetFromPrior(weights=weights).search.along != ()
+def test_variants_share_everything_but_weights_and_defaults(weights: Path) -> None:
+    usual, ablation, descent = (kind(weights=weights) for kind in (GnNet, GnNetContrastive, LmNet))
+    assert usual.settings == ablation.settings
+    assert usual.settings.damping.first == 0.01
+    assert descent.settings.damping.first == 2.0
+    one_start = GnNet(weights=weights, damping="lm-reloc", **ONE_START)
+    assert (one_start.settings, one_start.first_levels) == (descent.settings, descent.first_levels)
+
+
+def test_the_defaults_of_each_method_are_told_and_can_be_set(weights: Path) -> None:
+    """What a run is said to have been made with must be what it was made with."""
+    told = {name: parse_method(name, [f"weights={weights}"]).parameters for name in ("gn-net", "lm-net", "lm-reloc")}
+    assert told["gn-net"]["along"] == ALONG
+    assert {name: told["lm-net"][name] for name in ONE_START} == ONE_START
+    assert (told["lm-net"]["damping"], told["lm-net"]["matched_start"]) == ("lm-reloc", True)
+    from_prior = parse_method("lm-net-from-prior", [f"weights={weights}", "along=[3.0]"])
+    assert from_prior.parameters["matched_start"] is False
+    tracker = from_prior.create()
+    assert (tracker.matched_start, len(tracker._along), tracker.first_levels) == (False, 5, 1)
+    with pytest.raises(MethodError, match="along"):
+        parse_method("gn-net", [f"weights={weights}", "along=[.inf]"])
+
+
+def test_from_an_accurate_prior_there_are_no_starts_along_the_road(weights: Path) -> None:
+    tracker = GnNetFromPrior(weights=weights, first_levels=2, along=(-1.0, 1.0), turns_deg=(-5.0, 0.0, 5.0))
+    somewhere = tracker._starts(Start(np.eye(4)), 2)
+    assert len(somewhere) == 2 * (1 + 2 * 3)
+    assert {start.level for start in somewhere} == {2, 1}
+    assert [start.level for start in tracker._starts(Start(np.eye(4), 1), 2)] == [1, 0]
+
+
+def test_a_prior_that_is_not_finite_is_a_stated_failure(weights: Path) -> None:
+    tracker = GnNetFromPrior(weights=weights)
+    reference, query = tracker.prepare(a_reference()), a_query(small_pose(0))
+    for value in (np.inf, np.nan):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = tracker.track(reference, query, np.full((4, 4), value))
+        assert found.message == "the start is not finite"
 
 
 @pytest.mark.parametrize("kind", [GnNet, GnNetFromPrior, GnNetPnp, GnNetContrastive, LmNet])
