@@ -2,7 +2,7 @@
 
 The pairs are of a short drive through the procedural town, 512x512 pixels, with queries in ``WetNoon`` and
 ``SoftRainNoon`` against a ``WetNoon`` map. The keyframe is prepared and the query's features are computed beforehand.
-Timed are the search for the matched start and the alignment from both starts; the time of ``dso`` includes the query's
+Timed are the search for the matched start and the alignment from all starts; the time of ``dso`` includes the query's
 pyramid.
 
     python benchmarks/speed/gn_net_tracking.py [--repeats N] [--weights FILE] [--set KEY=VALUE ...]
