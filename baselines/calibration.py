@@ -29,11 +29,11 @@ class Calibration:
         return 0.5 * (1.0 + math.tanh(0.5 * log_odds))
 
 
-GN_NET = Calibration(-4.713, {"agreement": 34.01})
-GN_NET_PNP = Calibration(-5.126, {"agreement": 32.31})
-GN_NET_FROM_PRIOR = Calibration(-5.699, {"agreement": 17.94})
-GN_NET_CONTRASTIVE = Calibration(-4.785, {"agreement": 26.6})
-LM_NET = Calibration(-4.808, {"agreement": 36.25})
+GN_NET = Calibration(-3.291, {"agreement": 45.22})
+GN_NET_PNP = Calibration(-4.568, {"agreement": 29.46})
+GN_NET_FROM_PRIOR = Calibration(-3.371, {"agreement": 40.71})
+GN_NET_CONTRASTIVE = Calibration(-3.652, {"agreement": 22.07})
+LM_NET = Calibration(-4.709, {"agreement": 37.78})
 DSO = Calibration(-6.639, {"correlation": 18.77})
 DSO_MULTISTART = Calibration(-6.301, {"correlation": 18.18})
 ORB_PNP = Calibration(-12.25, {"lead": 1.096, "precision": 2.938, "correlation": 15.07})

@@ -55,7 +55,8 @@ from relocbench.tracking import Query, Reference, TrackResult
 
 SHIPPED = Path(__file__).parent / "shipped"
 """weights that come with the package, as NAME.safetensors"""
-MIN_AGREEMENT = 0.025
+MIN_AGREEMENT, MIN_AGREEMENT_PNP, MIN_AGREEMENT_CONTRASTIVE, MIN_AGREEMENT_LM = 0.005, 0.025, 0.0025, 0.03
+"""below which no answer was right on the districts of the calibration"""
 ALONG = (-10.0, -6.0, -2.0, 2.0, 6.0, 10.0)
 """metres; 2 m from the multiples of 4 m at which keyframes of rendered drives stand, so that no start is the truth"""
 TURNS_DEG = (-30.0, -15.0, 0.0, 15.0, 30.0)
@@ -128,8 +129,8 @@ class GnNet:
             the best one.
         kept: of several starts, so many go on after each level, finest first; after coarser levels than given, all.
         min_points: with fewer points that have depth, tracking fails.
-        min_agreement: with a smaller agreement, tracking fails; by default one below which next to no answer was right
-            on validation districts.
+        min_agreement: with a smaller agreement, tracking fails; by default one below which no answer was right on
+            validation districts.
         remember: keep the feature maps of so many images for the pairs that show them again. The answers stay the same,
             and the seconds of a pair no longer say what one costs.
         device: where the network runs; the alignment runs on the CPU.
@@ -381,6 +382,7 @@ class GnNetFromPrior(GnNet):
     calibration = GN_NET_FROM_PRIOR
 
 
+@with_defaults(min_agreement=MIN_AGREEMENT_PNP)
 class GnNetPnp(GnNet):
     """The pose that matched landmarks give, without alignment: what the start of :class:`GnNet` is worth by itself.
 
@@ -401,7 +403,7 @@ class GnNetPnp(GnNet):
         return self._answer(pose, matched, {})
 
 
-@with_defaults(min_agreement=0.005)
+@with_defaults(min_agreement=MIN_AGREEMENT_CONTRASTIVE)
 class GnNetContrastive(GnNet):
     """As :class:`GnNet`, with weights of the contrastive loss alone, to show what the other losses contribute."""
 
@@ -409,7 +411,7 @@ class GnNetContrastive(GnNet):
     calibration = GN_NET_CONTRASTIVE
 
 
-@with_defaults(**ONE_START, damping="lm-reloc")
+@with_defaults(**ONE_START, damping="lm-reloc", min_agreement=MIN_AGREEMENT_LM)
 class LmNet(GnNet):
     """As :class:`GnNet`, with weights trained by LM-Reloc's descent loss and its damping, from fewer starts."""
 

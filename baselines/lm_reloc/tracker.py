@@ -17,7 +17,7 @@ from torch import Tensor
 from baselines.alignment import FeaturePyramid
 from baselines.device import to_device
 from baselines.gn_net.network import image_tensor
-from baselines.gn_net.tracker import MIN_AGREEMENT, GnNetReference, LmNetFromPrior
+from baselines.gn_net.tracker import MIN_AGREEMENT_LM, GnNetReference, LmNetFromPrior
 from baselines.lm_reloc.euler import pose_of
 from baselines.lm_reloc.network import PoseNetwork
 from baselines.lm_reloc.view import inverse_depth_of_places, network_camera, seen_places, view_of
@@ -140,7 +140,7 @@ class LmReloc:
         pose_weights: Path | None = None,
         points: Annotated[int, Field(ge=1)] = 2000,
         damping: Literal["dso", "lm-reloc"] = "lm-reloc",
-        min_agreement: Annotated[float, Field(ge=0, le=1)] = MIN_AGREEMENT,
+        min_agreement: Annotated[float, Field(ge=0, le=1)] = MIN_AGREEMENT_LM,
         device: str = "cpu",
         seed: int = 0,
     ) -> None:
