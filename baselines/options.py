@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from relocbench.errors import ConfigError, quoted
 
 Kind = TypeVar("Kind")
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+"""a parameter that is a number, not an infinite one"""
 
 
 class Options:

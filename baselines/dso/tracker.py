@@ -31,10 +31,10 @@ from baselines.alignment import (
 )
 from baselines.calibration import DSO, DSO_MULTISTART, Calibration
 from baselines.dso.evidence import evidence_for
+from baselines.options import Finite
 from relocbench.arrays import Array
 from relocbench.tracking import Query, Reference, TrackResult
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 LARGEST_LOG_GAIN = 1.2
 LARGEST_OFFSET = 200.0
 """grey levels; beyond either limit DSO considers the tracking of consecutive frames failed"""

@@ -47,6 +47,7 @@ from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.weights import load_weights
+from baselines.options import Finite
 from baselines.remembered import RememberedImages
 from relocbench.arrays import Array, Image
 from relocbench.errors import MethodError
@@ -72,7 +73,6 @@ ONE_START: Mapping[str, Any] = {
 it, and, where matches are used, one from the pose that they give"""
 SELECTION_LEVELS = 3
 """levels of the intensity pyramid on which points are chosen"""
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Maps = tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]
 """features (H, W, D) and confidences (H, W, 1) of each level, finest first; no confidences if the network has none"""
 

@@ -54,6 +54,7 @@ def test_parameters_are_the_constructors_keywords_with_their_types() -> None:
         (Annotated[float, Field(ge=0, le=1)] | None, "float | None"),
         (int | None, "int | None"),
         (tuple[int, ...], "tuple[int, ...]"),
+        (tuple[Annotated[float, Field(allow_inf_nan=False)], ...], "tuple[float, ...]"),
     ],
 )
 def test_the_type_of_a_parameter_says_what_it_takes(annotation: object, said: str) -> None:
