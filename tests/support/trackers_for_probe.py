@@ -57,6 +57,16 @@ class BadLevels(Basin):
         pass
 
 
+class NoFinestLevel(Basin):
+    """Has no map of the image's own resolution."""
+
+    def match_levels(self, reference: Reference, query: Query, uv_ref: Any, uv_start: Any) -> Any:
+        return [np.full(np.shape(uv_start), np.nan), uv_start]
+
+    def _note(self, what: str, query: Query) -> None:
+        pass
+
+
 class Shows:
     """Features: the grey levels and their place, on two levels."""
 

@@ -134,11 +134,14 @@ def _lines(
 
 
 def _completed(answers: Answers) -> dict[str, list[dict[tuple[What, int | None], Tally]]]:
-    """The tallies of each pair set by reference time; where asking for levels broke, nothing was found on them."""
-    levels = {t.level for a in answers.values() for t in a.tallies if t.level is not None}
+    """The tallies of each pair set by reference time; where asking for levels broke, nothing was found on them.
+
+    A level on which no pixel of any pair was answered is one that the method does not have.
+    """
+    levels = {t.level for a in answers.values() for t in a.tallies if t.level is not None and any(t.answered)}
     out: dict[str, list[dict[tuple[What, int | None], Tally]]] = {}
     for (name, _), answered in sorted(answers.items()):
-        found = {(t.what, t.level): t for t in answered.tallies}
+        found = {(t.what, t.level): t for t in answered.tallies if t.level is None or t.level in levels}
         whole = found.get(("pixels", None))
         if whole is not None:
             for level in levels:

@@ -251,6 +251,13 @@ def test_levels_that_break_on_a_pair_are_not_found_there(dataset: Dataset, tmp_p
     assert 0 < alone.shares[2] < 1  # 2 px off is within 1 px of level 1, except where it broke
 
 
+def test_a_level_that_a_method_does_not_have_has_no_row(dataset: Dataset, tmp_path: Path) -> None:
+    given = options(dataset, tmp_path, "b=trackers_for_probe:NoFinestLevel", pair_sets=(ACROSS,), poses=False)
+    report = probe_methods(given, Silent())
+    assert not report.broken
+    assert {line.level for line in report.lines} == {None, 1}
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
