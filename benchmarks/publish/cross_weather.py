@@ -8,7 +8,7 @@ rows of ALIKED need its authors' weights where ``aliked-pnp`` looks for them.
 ``--split validation`` renders districts of other seeds, to try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
-one end; the differences of one method to every other, and of alignments to the methods whose poses they start from,
+one end; the differences of two methods to every other, and of alignments to the methods whose poses they start from,
 with their 95 % intervals; how far keyframes are, and how far off
 wrong answers; and how many pairs of different places each answered, which nothing else counts. Districts count alike,
 and so do the pair sets of a district, which are one series by the step of the drive; intervals are at least as wide as
@@ -85,8 +85,6 @@ METHODS = (
     "aliked-pnp",
     "gn-net-from-aliked-pnp=gn-net-from-prior",
 )
-NEXT_ROWS = ("dso-along=dso", "gn-net-one-start=gn-net-from-prior")
-"""of the next publication alone: the published districts are not asked again with weights and starts of today"""
 SETTINGS = (
     f"dso-along.along={list(ALONG)}",
     f"dso-along.turns_deg={list(TURNS_DEG)}",
@@ -111,9 +109,8 @@ SETTINGS = (
 drive has 52 images: ``remember`` saves the network's passes over images that other pair sets of a district showed. No
 seconds are printed."""
 FLOORS = ("identity", "clock")
-SUBJECT = "gn-net"
-RIVALS = ("dso", "orb-pnp")
-"""methods that the subject should be ahead of"""
+SUBJECTS = ("gn-net", "gn-net-from-prior")
+"""methods that are compared with every other"""
 STARTED = {
     "gn-net-from-aliked-pnp": "aliked-pnp",
     "dso-from-orb-pnp": "orb-pnp",
@@ -240,8 +237,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--set", dest="settings", action="append", help="method.key=value")
     options = parser.parse_args()
     options.settings = options.settings or ([] if options.methods else list(SETTINGS))
-    published = options.split == "test" and not options.next
-    options.methods = options.methods or [m for m in METHODS if not (published and m in NEXT_ROWS)]
+    options.methods = options.methods or list(METHODS)
     options.phrase = VALIDATION_PHRASE if options.split != "test" else NEXT_PHRASE if options.next else PHRASE
     return options
 
@@ -410,15 +406,14 @@ def _tables(together: list[Group], single: list[Group], methods: Sequence[str]) 
         for group in (*together, *single):
             cells = [f"{100 * group.mean(method, metric):.1f}" for method in methods]
             lines.append(f"| {group.name} | {group.pairs} | {' | '.join(cells)} |")
-    if SUBJECT not in methods:
-        return lines
-    others = [method for method in methods if method != SUBJECT]
-    lines += [f"\n## {SUBJECT} less another method, percentage points [95 % interval]\n"]
-    lines += [f"| group | metric | {' | '.join(others)} |", f"|---|---|{'---|' * len(others)}"]
-    for group in (*together, *single):
-        for metric in METRICS:
-            cells = [_told(group.ahead(SUBJECT, other, metric)) for other in others]
-            lines.append(f"| {group.name} | {metric} | {' | '.join(cells)} |")
+    for subject in (subject for subject in SUBJECTS if subject in methods):
+        others = [method for method in methods if method != subject]
+        lines += [f"\n## {subject} less another method, percentage points [95 % interval]\n"]
+        lines += [f"| group | metric | {' | '.join(others)} |", f"|---|---|{'---|' * len(others)}"]
+        for group in (*together, *single):
+            for metric in METRICS:
+                cells = [_told(group.ahead(subject, other, metric)) for other in others]
+                lines.append(f"| {group.name} | {metric} | {' | '.join(cells)} |")
     return lines
 
 
@@ -508,7 +503,7 @@ def _told(difference: Difference) -> str:
 
 
 def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) -> dict[str, Any]:
-    """The differences of the subject to each other method."""
+    """The shares of all methods, and the differences of each subject to each other method."""
     claims: dict[str, Any] = {
         "districts": int(together[0].rows["district"].nunique()),
         "pairs": {group.name: group.pairs for group in together},
@@ -517,25 +512,20 @@ def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) 
             for method in methods
         },
     }
-    others = [method for method in methods if method != SUBJECT] if SUBJECT in methods else []
-    for other in others:
-        told: dict[str, Any] = {}
-        for group in together:
+    for subject in (subject for subject in SUBJECTS if subject in methods):
+        for other in (method for method in methods if method != subject):
+            told: dict[str, Any] = {}
+            for group in together:
+                for metric in METRICS:
+                    difference = group.ahead(subject, other, metric)
+                    interval = difference.interval
+                    ends = [None, None] if interval is None else [interval.low, interval.high]
+                    told[f"{group.name}, {metric}"] = [difference.mean, *ends]
             for metric in METRICS:
-                difference = group.ahead(SUBJECT, other, metric)
-                interval = difference.interval
-                ends = [None, None] if interval is None else [interval.low, interval.high]
-                told[f"{group.name}, {metric}"] = [difference.mean, *ends]
-        for metric in METRICS:
-            told[f"conditions ahead, {metric}"] = sum(
-                group.mean(SUBJECT, metric) > group.mean(other, metric) for group in single
-            ) / len(single)
-        claims[f"{SUBJECT} less {other}"] = told
-    rivals = [method for method in RIVALS if method in others]
-    for metric in METRICS if rivals else ():
-        claims[f"conditions ahead of {' and '.join(rivals)}, {metric}"] = sum(
-            all(group.mean(SUBJECT, metric) > group.mean(rival, metric) for rival in rivals) for group in single
-        ) / len(single)
+                told[f"conditions ahead, {metric}"] = sum(
+                    group.mean(subject, metric) > group.mean(other, metric) for group in single
+                ) / len(single)
+            claims[f"{subject} less {other}"] = told
     return claims
 
 
