@@ -24,7 +24,14 @@ relocbench build-dataset tum-rgbd "$xyz" --pair-step 1,2,4 --name fr1_xyz --lice
 relocbench build-dataset tum-rgbd "$desk" --pair-step 1,2,4 --name fr1_desk --licence "$by" --out "$scratch/fr1_desk" -q
 relocbench build-dataset tum-rgbd "$xyz" "$desk" --name fr1_xyz_to_desk --licence "$by" --out "$scratch/fr1_xyz_to_desk" -q
 python tools/still_camera.py "$scratch/still" "$recordings/tilde_webcam/chamonix" "$recordings/tilde_webcam/courbevoie" "$recordings/tilde_webcam/mexico"
-relocbench build-dataset generic "$scratch/still/map" "$scratch/still/chamonix" "$scratch/still/courbevoie" "$scratch/still/mexico" --name webcams --licence "academic use only (AMOS, TILDE)" --out "$scratch/webcams" -q
+cat > "$scratch/webcams.yaml" << CONDITIONS
+conditions:
+  map: {tags: [a day]}
+  chamonix: {tags: [another day, chamonix]}
+  courbevoie: {tags: [another day, courbevoie]}
+  mexico: {tags: [another day, mexico]}
+CONDITIONS
+relocbench build-dataset generic --config "$scratch/webcams.yaml" "$scratch/still/map" "$scratch/still/chamonix" "$scratch/still/courbevoie" "$scratch/still/mexico" --name webcams --licence "academic use only (AMOS, TILDE)" --out "$scratch/webcams" -q
 relocbench build-dataset synthetic --preset demo --name town_demo --out "$scratch/town_demo" -q
 
 learned=()
@@ -42,6 +49,10 @@ for dataset in kitti_06 kitti_00 kitti_00_stereo fr1_xyz fr1_desk fr1_xyz_to_des
     -m dso-multistart -m gn-net -m gn-net-from-prior -m gn-net-pnp -m clock \
     -m gn-net-contrastive -m lm-net -m lm-net-from-prior -m pose-net -m lm-reloc "${learned[@]}"
 done
-rm -rf leaderboard/curves leaderboard/*.csv leaderboard/leaderboard.md
+relocbench probe -d "$scratch/webcams" -m gn-net-from-prior -m gn-net-contrastive -m dso --no-poses --structured 0.25 \
+  --out "$scratch/webcams_probe" --workers 1 -q
+rm -rf leaderboard/curves leaderboard/*.csv leaderboard/leaderboard.md leaderboard/real/webcams_probe
+mkdir -p leaderboard/real/webcams_probe
+cp "$scratch"/webcams_probe/{probe.md,probe.csv,radii.csv,curves.png,levels.png} leaderboard/real/webcams_probe/
 relocbench leaderboard "$scratch/results" --out leaderboard
 python benchmarks/publish/real.py --board leaderboard --out leaderboard/real

@@ -4,7 +4,7 @@ CPU.
 The reference is the time of torchvision's ResNet-18 for its features of the same 512x512 image (without pooling and
 classifier), in channels-last layout and with batch normalisation folded like the network's. The two run alternately, so
 that other programs affect both: on two threads in wall-clock time, and on one thread in processor time. Without
-``--weights`` the network is that of the default options, with random weights, since the time does not depend on them.
+``--weights`` the network is gn-net's own, with the weights that come with it.
 
     python benchmarks/speed/gn_net.py [--repeats N] [--weights FILE]
 """
@@ -34,6 +34,7 @@ from torchvision.models import resnet18
 
 from baselines.gn_net.losses import GaussNewtonOptions, LossOptions, total_loss
 from baselines.gn_net.network import FeatureNet
+from baselines.gn_net.tracker import SHIPPED
 from baselines.gn_net.weights import load_weights, save_weights
 
 SIZE = 512
@@ -86,12 +87,13 @@ def loss_work(net: FeatureNet, options: LossOptions) -> Callable[[], object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--weights", type=Path, help="weights file, whose network is timed")
+    shipped = SHIPPED / "gn-net.safetensors"
+    parser.add_argument("--weights", type=Path, default=shipped, help="weights file, whose network is timed")
     asked = parser.parse_args()
     repeats = asked.repeats
     torch.set_num_threads(THREADS)
 
-    net = load_weights(asked.weights) if asked.weights else FeatureNet()
+    net = load_weights(asked.weights)
     tracking, reference = net.for_tracking(), plain_reference()
     image = torch.rand((1, 3, SIZE, SIZE), generator=torch.Generator().manual_seed(0))
     image = image.to(memory_format=torch.channels_last)
