@@ -203,7 +203,7 @@ def print_leaderboard(board: Board) -> None:
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.text import number
-    from relocbench.leaderboard.tracking.page import shown_metrics
+    from relocbench.leaderboard.tracking.cells import shown_metrics
 
     metrics = [m for m in shown_metrics(board) if m in (*board.with_interval, *shown_metrics(board)[:3])]
     of_split = f" {table.split}" if table.is_total and table.split else ""

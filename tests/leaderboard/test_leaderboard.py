@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from board_pages import board_pages
 from forgery import reseal
 from numpy.typing import NDArray
 
@@ -299,8 +300,8 @@ def test_a_method_that_misses_a_pair_set_has_blank_totals_and_no_rank(two_sets: 
     found = [r for r in read_csv(tmp_path / "out" / "leaderboard.csv") if r["method"] == "partial"]
     last = next(r for r in found if r["pair_set"] == "total" and r["group"] == "all")
     assert (last["rank"], last["t_auc@0.5m"], last["coverage"], last["missing"]) == ("", "", "", NIGHT)
-    page = (tmp_path / "out" / "leaderboard.md").read_text()
-    assert set(cells(page, "### Total", "partial (missing)")) == {"", "partial (missing) ³"}
+    page = board_pages(tmp_path / "out")
+    assert set(cells(page, "## Total", "partial (missing)")) == {"", "partial (missing) ³"}
     assert f"`partial` on `{NIGHT}`: not run" in page
 
 
@@ -312,7 +313,7 @@ def test_a_run_that_was_killed_is_missing_and_its_command_is_named(two_sets: Mad
     (folder.journal(NIGHT) / "1-1.jsonl").write_text("\n".join(lines) + '\n{"key": [1, 3')
     board = write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
     assert row(board, "total", "good").rank is None
-    page = (tmp_path / "out" / "leaderboard.md").read_text()
+    page = board_pages(tmp_path / "out")
     assert f"`good` on `{NIGHT}`: the run was stopped after 2 of 80 pairs" in page
     assert "relocbench evaluate --dataset DATASET --out RESULTS --method good --set good.points=7" in page
 
@@ -323,7 +324,7 @@ def test_a_pair_set_that_every_method_left_unfinished_is_still_shown(tmp_path: P
     results.add("mine", {}).journal(WINTER).mkdir(parents=True)
     board = write_leaderboard(results.root, tmp_path / "out")
     assert row(board, WINTER, "mine").missing == (WINTER,)
-    assert "the run was stopped after 0 of 10 pairs" in (tmp_path / "out" / "leaderboard.md").read_text()
+    assert "the run was stopped after 0 of 10 pairs" in board_pages(tmp_path / "out")
     assert not (tmp_path / "out" / "curves").exists()
 
 
@@ -398,7 +399,7 @@ def test_with_too_few_pairs_nothing_is_significant_and_the_page_says_so(tmp_path
     results.add("b", {WINTER: made(2, 4, 5.0)})
     board = write_leaderboard(results.root, tmp_path / "out", plots=False)
     assert [r.rank for r in table(board, WINTER).rows] == [1, 1]
-    assert "Too few pairs for intervals" in (tmp_path / "out" / "leaderboard.md").read_text()
+    assert "Too few pairs for intervals" in board_pages(tmp_path / "out")
 
 
 def test_the_interval_contains_the_value(two_sets: MadeResults) -> None:
@@ -468,7 +469,7 @@ def test_runs_that_differ_by_their_seed_alone_get_a_mean_and_a_deviation(two_set
     assert spread.standard_deviation == pytest.approx(np.std(np.array(values, dtype=float), ddof=1), rel=1e-12)
     rows = read_csv(tmp_path / "out" / "seeds.csv")
     assert {r["methods"] for r in rows} == {"net-0 net-1 net-2"}
-    page = (tmp_path / "out" / "leaderboard.md").read_text()
+    page = board_pages(tmp_path / "out")
     assert "*net, 3 seeds, mean ± sd*" in page
     assert "Runs of `net` differ in:" in page
 
@@ -490,7 +491,7 @@ def test_the_same_results_give_the_same_bytes(two_sets: MadeResults, tmp_path: P
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
     assert sorted(p.relative_to(tmp_path / "b") for p in (tmp_path / "b").rglob("*") if p.is_file()) == files
-    assert "2024-01-01" not in (tmp_path / "a" / "leaderboard.md").read_text()
+    assert "2024-01-01" not in board_pages(tmp_path / "a")
 
 
 def test_the_seed_changes_no_value_and_no_interval(two_sets: MadeResults) -> None:

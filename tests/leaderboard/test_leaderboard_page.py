@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import typer
+from board_pages import board_pages
 from test_leaderboard import NIGHT, TITLE, WINTER, Made, MadeResults, cells, made, read_csv, row, table
 from typer.testing import CliRunner
 
@@ -19,13 +21,14 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import RunRecord
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import write_leaderboard
+from relocbench.leaderboard.tracking.front_page import front_page
 from relocbench.leaderboard.tracking.load import evaluate_command
 from relocbench.leaderboard.tracking.plots import risk_picture
 
 
 def page_of(results: MadeResults, out: Path, *, plots: bool = False) -> str:
     write_leaderboard(results.root, out, plots=plots)
-    return (out / "leaderboard.md").read_text(encoding="utf-8")
+    return board_pages(out)
 
 
 @pytest.fixture
@@ -41,7 +44,7 @@ def test_without_the_identity_the_page_says_that_the_floor_is_missing(one_set: M
     one_set.add("identity", {WINTER: made(2, 100, 0.8)})
     page = page_of(one_set, tmp_path / "out")
     assert "**The floor is missing:**" not in page
-    assert cells(page, f"### {WINTER}".replace("_", "\\_"), "*identity* (the floor)")[0] == ""
+    assert cells(page, f"## {WINTER}".replace("_", "\\_"), "*identity* (the floor)")[0] == ""
 
 
 def test_the_floor_is_known_by_what_ran_not_by_its_label(one_set: MadeResults, tmp_path: Path) -> None:
@@ -97,13 +100,43 @@ def test_thresholds_finer_than_two_sigma_have_a_dagger(tmp_path: Path, sigma: fl
     results.add("mine", {WINTER: made(1, 50, 0.1)})
     page = page_of(results, tmp_path / "out")
     assert ("| recall@(0.1m,1deg), % † |" in page) == marked
-    assert ("<sub>" in page.split("## town")[1]) == marked
+    assert ("<sub>" in page.split("# How to read")[0]) == marked
     assert ("`recall@(0.1m,1deg)`." in page) == marked
     finer = read_csv(tmp_path / "out" / "leaderboard.csv")[0]["finer_than_truth"]
     assert ("recall@(0.1m,1deg)" in finer.split()) == marked
     assert "recall@(0.5m,5deg)" not in finer.split()
     assert "<sub>Small</sub> numbers with a dagger (†)" in page
     assert ("</sub>† |" in page) == marked
+
+
+def test_the_first_page_is_short_and_begins_with_all_methods_on_all_datasets(tmp_path: Path) -> None:
+    groups = ("over_5m", "2_to_5m", "under_1m", "1_to_2m")
+    results = MadeResults(tmp_path / "results", {WINTER: 100, NIGHT: 100}, groups=groups)
+    results.write_dataset()
+    results.add("identity", {WINTER: made(2, 100, 0.8), NIGHT: made(3, 100, 0.8)})
+    for number in range(9):
+        spread = 0.05 if number < 2 else 0.4
+        results.add(f"net-{number}", {name: made(number, 100, spread) for name in (WINTER, NIGHT)})
+    board = results.board()
+    page = front_page(replace(board, datasets=board.datasets * 5))
+    assert len(page.encode()) < 15_000
+    page = page.replace("\\", "")
+    assert page.count("under_1m") == page.count("\n| rank | method |") == 5
+    for line in page.splitlines():
+        named = [name for name in re.findall(r"\w+(?=<br>\d+ pairs)", line) if name in groups]
+        assert named in ([], ["under_1m", "1_to_2m", "2_to_5m", "over_5m"])
+    head, *rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("|")][:12]
+    assert head[0] == "method"
+    assert [cells[0] for cells in rows[1:]][:2] == ["net-0 ³", "net-1 ³"]
+    assert rows[-1][0] == "*identity* ³"
+    assert rows[1][1] == f"**{100 * (row(board, 'total', 'net-0').values[board.metric.name] or 0):.1f}**"
+    assert "**" not in rows[4][1]
+
+
+def test_the_summary_of_many_datasets_has_a_row_for_each(one_set: MadeResults) -> None:
+    board = one_set.board()
+    page = front_page(replace(board, datasets=board.datasets * 3))
+    assert page.count(f"\n| [town@{TITLE.split('@')[1]}](sets/{TITLE.replace('@', '%40')}.md)<br>100 pairs |") == 3
 
 
 def test_ranks_by_a_metric_with_a_dagger_come_with_a_warning(tmp_path: Path) -> None:
@@ -117,7 +150,7 @@ def test_a_median_over_mostly_failed_pairs_is_inf(one_set: MadeResults, tmp_path
     errors = [0.01] * 40 + [np.inf] * 60
     one_set.add("shy", {WINTER: Made(errors, errors, broke=frozenset(range(90, 100)))})
     page = page_of(one_set, tmp_path / "out")
-    found = cells(page, "### summer", "shy")
+    found = cells(page, "## summer", "shy")
     assert found[2:5] == ["40.0", "inf", "inf"]
     assert found[-1] == "50 / 10"
     line = next(r for r in read_csv(tmp_path / "out" / "leaderboard.csv") if r["method"] == "shy")
@@ -180,7 +213,7 @@ def test_each_pair_set_has_a_picture_in_which_curves_rise(one_set: MadeResults, 
     one_set.add("identity", {WINTER: made(2, 100, 0.8)})
     page = page_of(one_set, tmp_path / "out", plots=True)
     name = f"curves/{TITLE}__{WINTER}.png"
-    assert f"({name.replace('@', '%40')})" in page
+    assert f"(../{name.replace('@', '%40')})" in page
     picture = cv2.imread(str(tmp_path / "out" / name))
     assert picture is not None
     assert picture.shape[1] > 1000
@@ -197,7 +230,7 @@ def test_each_total_has_a_picture_of_what_confidences_are_worth(one_set: MadeRes
     one_set.add("silent", {WINTER: Made([np.inf] * 100, [np.inf] * 100)})
     page = page_of(one_set, tmp_path / "out", plots=True)
     name = f"curves/{TITLE}__total.confidence.png"
-    assert f"({name.replace('@', '%40')})" in page
+    assert f"(../{name.replace('@', '%40')})" in page
     assert cv2.imread(str(tmp_path / "out" / name)) is not None
     board = one_set.board()
     picture = risk_picture(board.datasets[0], board.datasets[0].totals[0])

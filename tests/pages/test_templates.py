@@ -91,7 +91,7 @@ def test_a_script_has_templates_beside_it(tmp_path: Path) -> None:
 
 def test_templates_are_loaded_where_a_page_is_written() -> None:
     code = (
-        "import sys, relocbench, relocbench.leaderboard.tracking.page, relocbench.evaluation.probe.write\n"
+        "import sys, relocbench, relocbench.leaderboard.tracking.set_page, relocbench.evaluation.probe.write\n"
         "sys.exit('jinja2' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -235,8 +235,8 @@ def machine_words(run: RunRecord) -> str:
 
 
 def natural(text: str) -> list[tuple[bool, int, str]]:
-    """A sort key that puts step_2 before step_10."""
-    parts = re.findall("[0-9]{1,18}|[^0-9]", text)
+    """A sort key that puts step_2 before step_10, and under_1m before 1_to_2m."""
+    parts = re.findall("[0-9]{1,18}|[^0-9]", re.sub("^under_([0-9]+).*", r"\1", text))
     return [(not part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 

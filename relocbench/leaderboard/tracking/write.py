@@ -10,12 +10,13 @@ from relocbench.evaluation.common.tables import write_rows
 from relocbench.execution import Run, default_workers, run_units
 from relocbench.files import remove_parts, write_bytes, write_text
 from relocbench.leaderboard.common.text import write_records
+from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
 from relocbench.leaderboard.tracking.load import DatasetEntry, load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.tracking.marks import not_rescored
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
 from relocbench.leaderboard.tracking.model import Board
-from relocbench.leaderboard.tracking.page import curve_file, has_curves, has_risks, markdown, risk_file
+from relocbench.leaderboard.tracking.set_page import curve_file, has_curves, has_risks, risk_file, set_file, set_page
 from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
 from relocbench.progress import Reporter, Silent
 
@@ -81,12 +82,13 @@ def compare(
 
 
 def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:
-    """Write ``leaderboard.csv``, ``leaderboard.md``, ``errors.csv`` and ``curves/*.png``; returns the files.
+    """Write ``leaderboard.csv``, ``errors.csv``, ``curves/*.png`` and the pages; returns the files.
 
-    ``seeds.csv`` and ``matching.csv`` are written as well if they have rows. Each file appears whole or not at all,
+    ``seeds.csv`` and ``matching.csv`` are written as well if they have rows. ``leaderboard.md`` is the first page,
+    ``sets/`` has one for each dataset, and ``reading.md`` says how to read them. Each file appears whole or not at all,
     and none contains a date.
     """
-    for folder in (out, out / "curves"):
+    for folder in (out, out / "curves", out / "sets"):
         remove_parts(folder, deep=False)
     paths = [out / "leaderboard.csv", out / "errors.csv"]
     write_records(paths[0], leaderboard_rows(board))
@@ -97,8 +99,11 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
             write_records(paths[-1], records)
     if plots:
         paths += _write_plots(board, out, reporter)
-    paths.append(out / "leaderboard.md")
-    write_text(paths[-1], markdown(board, plots=plots))
+    pages = {set_file(dataset): set_page(board, dataset, plots=plots) for dataset in board.datasets}
+    pages |= {READING: reading_page(board), "leaderboard.md": front_page(board)}
+    for name, text in pages.items():
+        paths.append(out / name)
+        write_text(paths[-1], text)
     return paths
 
 

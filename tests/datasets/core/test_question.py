@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from board_pages import board_pages
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core import fingerprint, images
@@ -161,7 +162,7 @@ def test_results_on_two_copies_of_one_question_stand_in_one_table(original: Data
         "sift-pnp": other.fingerprint,
     }
     write_leaderboard(results, tmp_path / "board", plots=False, reporter=Silent())
-    page = (tmp_path / "board" / "leaderboard.md").read_text()
+    page = board_pages(tmp_path / "board")
     assert "on other copies of the same question" in page
     rows = list(csv.DictReader((tmp_path / "board" / "leaderboard.csv").open()))
     assert {r["method"]: r["fingerprint"] for r in rows}["sift-pnp"] == other.fingerprint

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from board_pages import board_pages
 from command_line import relocbench
 from forgery import change_yaml, forge_errors, forge_summary, reseal
 from small_dataset import ACROSS, WITHIN, make_small_dataset
@@ -199,7 +200,7 @@ def test_what_the_record_of_a_run_admits_is_on_the_page(made: Path, dataset: Dat
         "identity": ("", "no", "yes", "no", "no"),
     }
     assert list(rows)[2:] == ["timed", "clock", "identity"], "those without a rank stand below the others"
-    page = (tmp_path / "board" / "leaderboard.md").read_text()
+    page = board_pages(tmp_path / "board")
     for name in ("inside ¹ ³", "theirs ² ³", "timed (uses times) ¹ ³", "*clock* (the floor of times) ³"):
         assert f"| {name} |" in page
     assert "- ¹ not isolated: `inside`, `timed`" in page
@@ -210,7 +211,7 @@ def test_what_the_record_of_a_run_admits_is_on_the_page(made: Path, dataset: Dat
 def test_where_the_clock_was_not_run_the_page_says_how(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path / "results", "identity")
     write_leaderboard(tmp_path / "results", tmp_path / "board", plots=False)
-    assert "Run `relocbench evaluate --method clock`" in (tmp_path / "board" / "leaderboard.md").read_text()
+    assert "Run `relocbench evaluate --method clock`" in board_pages(tmp_path / "board")
 
 
 @pytest.mark.parametrize("names", [("{}.txt",), ("{}.csv",), ("{}.errors.csv",), ("run.yaml",), ("scores.yaml",)])
@@ -229,7 +230,7 @@ def test_folders_that_are_swapped_say_as_what_they_ran(results: Path, dataset: D
     bad.rename(good)
     good.with_name("parked").rename(bad)
     write_leaderboard(results, tmp_path / "board", plots=False, datasets=at_hand(results, dataset.root))
-    page = (tmp_path / "board" / "leaderboard.md").read_text()
+    page = board_pages(tmp_path / "board")
     assert "Folders that are not named as their runs: `orb-pnp` ran as `sift-pnp`, `sift-pnp` ran as `orb-pnp`." in page
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from board_pages import board_pages
 from command_line import relocbench
 from forgery import change_yaml, forge_errors, reseal
 from small_dataset import ACROSS, make_small_dataset
@@ -130,7 +131,7 @@ def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp
             assert float(mine["elsewhere_confident"]) == pytest.approx(3 / COUNT)
             assert float(mine["elsewhere_confident_high"]) > 3 / COUNT
             assert float(mine["coverage"]) == 1.0
-        page = (tmp_path / name / "leaderboard.md").read_text(encoding="utf-8")
+        page = board_pages(tmp_path / name)
         assert "| different places | answered of these, % | confidently wrong, % |" in page
         with (tmp_path / name / "errors.csv").open(newline="", encoding="utf-8") as stream:
             groups = [row["group"] for row in csv.DictReader(stream) if row["method"] == "mine"]
@@ -146,7 +147,7 @@ def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp
 def test_a_page_without_them_does_not_speak_of_them(plain: Dataset, tmp_path: Path) -> None:
     evaluate(plain, tmp_path / "out", "identity")
     write_leaderboard(tmp_path / "out", tmp_path / "board", plots=False)
-    assert "different places" not in (tmp_path / "board" / "leaderboard.md").read_text(encoding="utf-8")
+    assert "different places" not in board_pages(tmp_path / "board")
 
 
 def test_forged_numbers_and_groups_are_refused(dataset: Dataset, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from board_pages import board_pages
 from forgery import reseal
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
@@ -258,8 +259,8 @@ def test_the_leaderboard_shows_it_for_the_methods_that_have_it(dataset: Dataset,
     report = evaluate(dataset, tmp_path / "r", "identity", "dso", MATCHING)
     board = tmp_path / "b"
     write_leaderboard(tmp_path / "r", board)
-    page = (board / "leaderboard.md").read_text()
-    section = page.split(f"### {ACROSS.replace('_', chr(92) + '_')}")[1].split("Matching quality")[1].split("![")[0]
+    page = board_pages(board)
+    section = page.split(f"## {ACROSS.replace('_', chr(92) + '_')}")[1].split("Matching quality")[1].split("![")[0]
     lines = [line for line in section.splitlines() if line.startswith("| ")]
     assert lines[0] == "| method | all starts | 1 px off | 2 px off | 4 px off | 8 px off | 16 px off |"
     assert {line.split(" | ")[0] for line in lines[2:]} == {"| dso", "| m", "| *the starts themselves*"}
@@ -285,7 +286,7 @@ def test_the_leaderboard_shows_it_for_the_methods_that_have_it(dataset: Dataset,
 def test_without_any_the_leaderboard_is_silent_about_it(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path / "r", "identity", matching=False)
     write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
-    assert "Matching quality" not in (tmp_path / "b" / "leaderboard.md").read_text()
+    assert "Matching quality" not in board_pages(tmp_path / "b")
     assert not (tmp_path / "b" / "matching.csv").exists()
 
 

@@ -1,0 +1,115 @@
+"""The names, headings and cells that the pages of a leaderboard have in common, in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from relocbench.leaderboard.common.text import number, with_bounds
+from relocbench.leaderboard.tracking.marks import signs
+from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
+from relocbench.metrics import Metric, metric_named
+from relocbench.pages.markdown import code, escaped
+
+SHOWN = (
+    "coverage",
+    "median_translation_error_m",
+    "median_rotation_error_deg",
+    "t_auc@0.5m",
+    "r_auc@0.5deg",
+    "recall@(0.1m,1deg)",
+    "recall@(0.25m,2deg)",
+    "recall@(0.5m,5deg)",
+    "recall@(1m,5deg)",
+    "recall@(5m,10deg)",
+)
+DAGGER = "†"
+_HEADINGS = {
+    "median_translation_error_m": "median, m",
+    "median_rotation_error_deg": "median, °",
+    "coverage": "coverage, %",
+}
+
+
+def shown_metrics(board: Board) -> list[Metric]:
+    """The metrics shown as columns, with the ranking metric among them, in the order of :data:`SHOWN`."""
+    names = [*SHOWN] if board.metric.name in SHOWN else [SHOWN[0], board.metric.name, *SHOWN[1:]]
+    return [metric_named(name) for name in names]
+
+
+def plain_heading(metric: Metric) -> str:
+    """The heading of a metric's column, with its unit."""
+    return _HEADINGS.get(metric.name, f"{metric.name}, {'%' if metric.unit == 'share' else metric.unit}")
+
+
+def heading(metric: Metric, table: Table) -> str:
+    """The same, with a dagger where thresholds are finer than the table's ground truth."""
+    text = plain_heading(metric)
+    return f"{text} {DAGGER}" if metric.name in table.finer else text
+
+
+def name(row: Row) -> str:
+    """The label of a row's method, with what its readers must know."""
+    label = escaped(row.method.label)
+    told = [f"*{label}*" if row.method.is_floor or row.method.is_clock else label]
+    if row.method.is_floor:
+        told.append("(the floor)")
+    elif row.method.is_clock:
+        told.append("(the floor of times)")
+    elif row.method.run.uses_times:
+        told.append("(uses times)")
+    return " ".join([*told, *(["(missing)"] if row.missing else []), *signs(row.method).split()])
+
+
+def rank(row: Row) -> str:
+    """The rank, empty for a method that has none."""
+    return "" if row.rank is None else str(row.rank)
+
+
+def cell(metric: Metric, row: Row, table: Table, *, interval: bool = True) -> str:
+    """A value with its interval, small and with a dagger where it measures the ground truth; empty without a value."""
+    value = row.values[metric.name]
+    if value is None:
+        return ""
+    bounds = row.intervals.get(metric.name) if interval else None
+    return marked(with_bounds(value, bounds, metric.unit), metric, table)
+
+
+def marked(text: str, metric: Metric, table: Table) -> str:
+    """The text of a metric's value, small and with a dagger where its thresholds are finer than the ground truth."""
+    return f"<sub>{text}</sub>{DAGGER}" if metric.name in table.finer else text
+
+
+def total_name(table: Table) -> str:
+    """What a total is over: pair sets of two drives or of one, and of which split."""
+    kind = "same drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
+    return f"{kind}, split {code(table.split)}" if table.split else kind
+
+
+def group_heading(group: Table) -> str:
+    """The name of a group, the number of its pairs, and how far apart the cameras of the median pair are."""
+    distance, angle = group.medians["distance_m"], group.medians["angle_deg"]
+    far = [f"{number(distance, 'm')} m"] if distance is not None else []
+    far += [f"{number(angle, 'deg')}°"] if angle is not None else []
+    return "<br>".join([escaped(group.group), f"{group.pairs} pairs", *([", ".join(far)] if far else [])])
+
+
+def row_of(table: Table, method: Row) -> Row:
+    """The row of the same method in another table."""
+    return next(row for row in table.rows if row.method is method.method)
+
+
+def level_with_floor(dataset: DatasetBoard, table: Table) -> list[str]:
+    """The methods that are not shown to be better than the floor; none where the floor was not run."""
+    if not any(row.method is dataset.entry.floor and not row.missing for row in table.rows):
+        return []
+    compared = [row for row in table.rows if row.above_floor is not None and not row.method.is_clock]
+    return [row.method.label for row in compared if not _beats(row)]
+
+
+def share_a_rank(rows: Sequence[Row]) -> bool:
+    """Whether all ranked methods share the first rank."""
+    return all(row.rank in (1, None) for row in rows)
+
+
+def _beats(row: Row) -> bool:
+    return row.above_floor is not None and row.above_floor.significant and row.above_floor.mean > 0

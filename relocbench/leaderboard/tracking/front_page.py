@@ -1,0 +1,171 @@
+"""``leaderboard.md``: how the methods compare on every dataset, in one table and one more for each dataset."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from urllib.parse import quote
+
+from relocbench.leaderboard.common.text import number
+from relocbench.leaderboard.tracking.cells import (
+    DAGGER,
+    cell,
+    group_heading,
+    heading,
+    level_with_floor,
+    name,
+    rank,
+    row_of,
+    share_a_rank,
+    total_name,
+)
+from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.marks import MARKS, signs
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
+from relocbench.leaderboard.tracking.set_page import set_file
+from relocbench.metrics import LEVEL, metric_named
+from relocbench.pages import render
+from relocbench.pages.markdown import escaped, table_text
+
+READING = "reading.md"
+_BESIDE = ("coverage", "median_translation_error_m", "median_rotation_error_deg", "t_auc@0.5m", "r_auc@0.5deg")
+"""the metrics of a dataset's table besides the ranking metric"""
+
+
+def front_page(board: Board) -> str:
+    """The page that links the others."""
+    named = {dataset.entry.record.name for dataset in board.datasets}
+    at_hand = [d for d in board.datasets if any(m.rescored for m in d.entry.methods)]
+    datasets = {0: "", 1: " --dataset DATASET"}.get(len(at_hand), " --dataset DATASETS")
+    split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    methods = [method for dataset in board.datasets for method in dataset.entry.methods]
+    return render(
+        __name__,
+        "front_page.md.j2",
+        metric=board.metric,
+        summary=_summary(board),
+        datasets=[_dataset(board, dataset) for dataset in board.datasets],
+        same_names=len(named) < len(board.datasets),
+        signed=[mark for mark in MARKS if any(mark.applies(method) for method in methods)],
+        dagger=DAGGER if any(table.finer for d in board.datasets for table in d.totals) else "",
+        reading=READING,
+        page_command=f"relocbench leaderboard RESULTS --out DIR{datasets} --metric '{board.metric.name}' "
+        f"--seed {board.seed}{split}",
+    )
+
+
+def reading_page(board: Board) -> str:
+    """How to read the tables: what is counted, ranked, marked and left out."""
+    return render(__name__, "reading.md.j2", metric=board.metric, marks=MARKS, dagger=DAGGER, level=f"{LEVEL:.0%}")
+
+
+def _dataset(board: Board, dataset: DatasetBoard) -> dict[str, object]:
+    entry = dataset.entry
+    missing = [m.label for m in entry.methods if any(pair_set in entry.used for pair_set in m.missing)]
+    return {
+        "entry": entry,
+        "page": quote(set_file(dataset)),
+        "missing": missing,
+        "totals": [
+            {
+                "title": total_name(table) if len(dataset.totals) > 1 else "",
+                "numbers": _total_table(board, dataset, table),
+                "level_with_floor": level_with_floor(dataset, table),
+            }
+            for table in dataset.totals
+        ],
+    }
+
+
+def _total_table(board: Board, dataset: DatasetBoard, table: Table) -> str:
+    """A row for each method: the ranking metric with its interval and by group, and what else is asked first."""
+    groups = dataset.groups_of(table)
+    beside = [metric_named(metric) for metric in _BESIDE if metric != board.metric.name]
+    columns = [
+        "rank",
+        "method",
+        heading(board.metric, table),
+        *map(group_heading, groups),
+        *(heading(metric, table) for metric in beside),
+        "s a pair",
+    ]
+    rows = [
+        [
+            rank(row),
+            name(row),
+            cell(board.metric, row, table, interval=row.rank is not None and not share_a_rank(table.rows)),
+            *(cell(board.metric, row_of(group, row), group, interval=False) for group in groups),
+            *(cell(metric, row, table, interval=False) for metric in beside),
+            number(row.values["median_seconds"], "s"),
+        ]
+        for row in table.rows
+    ]
+    return table_text(columns, rows, left=2)
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A total in the summary."""
+
+    title: str
+    table: Table
+
+
+def _summary(board: Board) -> str:
+    """The ranking metric of every method on every total, whichever of the two are more as rows; empty without rows."""
+    columns = list(_columns(board))
+    labels = _labels(columns)
+    if not labels:
+        return ""
+    cells = [[_summary_cell(board, column.table, label) for column in columns] for label in labels]
+    names = [_named(columns, label) for label in labels]
+    titles = [column.title for column in columns]
+    if len(columns) <= len(labels):
+        return table_text(["method", *titles], [[a, *row] for a, row in zip(names, cells, strict=True)], left=1)
+    across = [list(row) for row in zip(*cells, strict=True)]
+    return table_text(["dataset", *names], [[a, *row] for a, row in zip(titles, across, strict=True)], left=1)
+
+
+def _columns(board: Board) -> Iterator[_Column]:
+    names = [dataset.entry.record.name for dataset in board.datasets]
+    for dataset in board.datasets:
+        record = dataset.entry.record
+        shown = escaped(record.name if names.count(record.name) == 1 else dataset.entry.title)
+        for table in dataset.totals:
+            several = f", {total_name(table)}" if len(dataset.totals) > 1 else ""
+            yield _Column(f"[{shown}]({quote(set_file(dataset))}){several}<br>{table.pairs} pairs", table)
+
+
+def _labels(columns: Sequence[_Column]) -> list[str]:
+    """The labels of all methods, those with the higher mean rank first, then those without ranks, the floors last."""
+    rows: dict[str, list[Row]] = {}
+    for column in columns:
+        for row in column.table.rows:
+            rows.setdefault(row.method.label, []).append(row)
+
+    def place(label: str) -> tuple[bool, bool, int, float, str]:
+        own = rows[label]
+        ranks = [row.rank for row in own if row.rank is not None]
+        floor = any(row.method.is_floor or row.method.is_clock for row in own)
+        return floor, not ranks, -len(ranks), sum(ranks) / max(len(ranks), 1), label
+
+    return sorted(rows, key=place)
+
+
+def _named(columns: Sequence[_Column], label: str) -> str:
+    """A method's label; the floors in italics, and with signs of marks that it has on any dataset."""
+    methods: list[Method] = [r.method for c in columns for r in c.table.rows if r.method.label == label]
+    shown = escaped(label)
+    if methods[0].is_floor or methods[0].is_clock:
+        shown = f"*{shown}*"
+    return " ".join([shown, *dict.fromkeys(sign for method in methods for sign in signs(method).split())])
+
+
+def _summary_cell(board: Board, table: Table, label: str) -> str:
+    """The ranking metric, in bold at the first rank unless all share it; empty where the method was not run."""
+    row = next((row for row in table.rows if row.method.label == label), None)
+    if row is None:
+        return ""
+    text = cell(board.metric, row, table, interval=False)
+    return f"**{text}**" if text and row.rank == 1 and not share_a_rank(table.rows) else text

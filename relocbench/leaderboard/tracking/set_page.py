@@ -1,0 +1,273 @@
+"""The page of one dataset: everything that a sceptical reader wants to know of its pair sets, groups and methods."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from urllib.parse import quote
+
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.evaluation.common.matching_table import ALL
+from relocbench.leaderboard.common.copies import answers_on_copies
+from relocbench.leaderboard.common.text import json_text, number
+from relocbench.leaderboard.tracking.cells import (
+    DAGGER,
+    cell,
+    group_heading,
+    heading,
+    level_with_floor,
+    marked,
+    name,
+    plain_heading,
+    rank,
+    row_of,
+    share_a_rank,
+    shown_metrics,
+    total_name,
+)
+from relocbench.leaderboard.tracking.load import Method, evaluate_command
+from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere
+from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_numbers
+from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
+from relocbench.metrics import CONFIDENT, LEVEL, MIN_EFFECTIVE, Metric, Spread, metric_named
+from relocbench.pages import render
+from relocbench.pages.markdown import code, escaped, table_text
+
+_OF_CONFIDENCE = (
+    "coverage",
+    "wrong_of_answered@(0.25m,2deg)",
+    "aurc@(0.25m,2deg)",
+    "coverage_at_precision_95@(0.25m,2deg)",
+    "coverage_at_precision_99@(0.25m,2deg)",
+    "precision_at_confidence_50@(0.25m,2deg)",
+    "coverage_at_confidence_50",
+)
+
+
+def set_file(dataset: DatasetBoard) -> str:
+    """The path of a dataset's page, relative to the leaderboard's folder."""
+    return f"sets/{dataset.entry.title}.md"
+
+
+def set_page(board: Board, dataset: DatasetBoard, *, plots: bool) -> str:
+    """The page of a dataset; with ``plots``, it links the pictures of the curves."""
+    entry = dataset.entry
+    methods = entry.methods
+    elsewhere = any(method.elsewhere for method in methods)
+    return render(
+        __name__,
+        "set_page.md.j2",
+        dagger=DAGGER,
+        level=f"{LEVEL:.0%}",
+        min_effective=f"{MIN_EFFECTIVE:g}",
+        confident=f"{CONFIDENT:g}",
+        number=number,
+        plots=plots,
+        entry=entry,
+        asked=entry.record.question[:SHORT],
+        copies_answered=answers_on_copies(methods, entry.copies),
+        facts=[
+            (pair_set, facts, " ".join(split for split, names in entry.splits.items() if split and pair_set in names))
+            for pair_set, facts in entry.pair_sets.items()
+        ],
+        unused=[pair_set for pair_set in entry.pair_sets if pair_set not in entry.used],
+        level_with_floor=[
+            (table.pair_set, level) for table in dataset.pair_sets if (level := level_with_floor(dataset, table))
+        ],
+        missing=list(_missing(dataset)),
+        marked=[(mark, labels) for mark in MARKS if (labels := [m.label for m in methods if mark.applies(m)])],
+        renamed=[(m.label, m.ran_as) for m in methods if _renamed(m)],
+        sections=[
+            *(_section(board, dataset, t) | {"total": True} for t in dataset.totals if len(t.pair_sets) > 1),
+            *(_section(board, dataset, t) | _pictures(dataset, t, plots) for t in dataset.pair_sets),
+        ],
+        confidence=_confidences(dataset, elsewhere=elsewhere),
+        elsewhere=elsewhere,
+        risks=[
+            (total_name(table), _link(risk_file(dataset, table)))
+            for table in dataset.totals
+            if plots and has_risks(table)
+        ],
+        imported=any(made_elsewhere(m.run) for m in methods),
+        machines_differ=len({m.machine for m in methods if m.machine}) > 1,
+        settings=[(m.label, json_text(m.settings)) for m in methods if m.settings],
+        differences=list(_differences(methods)),
+        commands=[evaluate_command(m.run, matching=bool(m.matching)) for m in methods],
+    )
+
+
+def curve_file(dataset: DatasetBoard, table: Table) -> str:
+    """The path of the picture of a pair set's curves, relative to the leaderboard's folder."""
+    return f"curves/{dataset.entry.title}__{table.pair_set}.png"
+
+
+def has_curves(table: Table) -> bool:
+    """Whether any method has a curve on the pair set."""
+    return any(not row.missing for row in table.rows)
+
+
+def risk_file(dataset: DatasetBoard, table: Table) -> str:
+    """The path of the picture of a total's risk-coverage curves, relative to the leaderboard's folder."""
+    split = f"__{table.split}" if table.split else ""
+    return f"curves/{dataset.entry.title}__{table.pair_set}{split}.confidence.png"
+
+
+def has_risks(table: Table) -> bool:
+    """Whether any method but the floors has answered a pair of the total."""
+    return any(
+        not row.missing and row.answered and not (row.method.is_floor or row.method.is_clock) for row in table.rows
+    )
+
+
+def _link(file: str) -> str:
+    """The link from a dataset's page to a file of the leaderboard's folder."""
+    return f"../{quote(file)}"
+
+
+def _renamed(method: Method) -> bool:
+    """Whether the folder has another name than the run, other than that of a copy of the dataset."""
+    return method.ran_as not in ("", method.label, method.label.rpartition("@")[0])
+
+
+def _confidences(dataset: DatasetBoard, *, elsewhere: bool) -> str:
+    """What confidences are worth: a row for each total and method, with pairs of different places if wanted."""
+    metrics = [metric_named(metric) for metric in _OF_CONFIDENCE]
+    rows = [
+        [total_name(table), name(row)]
+        + [cell(metric, row, table, interval=False) for metric in metrics]
+        + (_elsewhere_cells(row) if elsewhere else [])
+        for table in dataset.totals
+        for row in table.rows
+    ]
+    columns = ["total", "method", *map(plain_heading, metrics)]
+    columns += ["different places", "answered of these, %", "confidently wrong, %"] if elsewhere else []
+    return table_text(columns, rows, left=2) if rows else ""
+
+
+def _elsewhere_cells(row: Row) -> list[str]:
+    """The number of pairs of different places, and the shares answered and confidently answered, with the bound."""
+    found = row.elsewhere
+    if found is None or found.answered_share is None:
+        return ["", "", ""]
+    high = number(found.confident_high, "share")
+    return [
+        str(found.pairs),
+        number(found.answered_share, "share"),
+        f"{number(found.confident_share, 'share')} (at most {high})",
+    ]
+
+
+def _missing(dataset: DatasetBoard) -> Iterator[tuple[str, list[tuple[str, str]], str]]:
+    """The methods without some results: label, each pair set that is missing with the reason, and what runs it."""
+    for method in dataset.entry.methods:
+        missing = [(pair_set, why) for pair_set, why in method.missing.items() if pair_set in dataset.entry.used]
+        if missing:
+            yield method.label, missing, evaluate_command(method.run)
+
+
+def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, object]:
+    """What a pair set and a total have in common."""
+    groups = dataset.groups_of(table)
+    return {
+        "table": table,
+        "total": False,
+        "same_drive": table.pair_set == SAME_DRIVE_TOTAL,
+        "numbers": _method_table(board, table),
+        "ranks_shared": share_a_rank(table.rows),
+        "without_intervals": any(row.rank is not None for row in table.rows)
+        and all(not row.intervals.get(board.metric.name) for row in table.rows if not row.missing),
+        "finer": [m.name for m in shown_metrics(board) if m.name in table.finer],
+        "ranked_by_finer": board.metric.name in table.finer,
+        "sigmas": [
+            f"{number(table.medians[sigma], unit)} {words}"
+            for sigma, unit, words in (("sigma_translation_m", "m", "m"), ("sigma_rotation_deg", "deg", "°"))
+            if table.medians[sigma] is not None
+        ],
+        "pivots": [_pivot(table, groups, metric) for metric in (_pivoted(board) if groups else ())],
+        "groups": [(group, _method_table(board, group, ranks=False)) for group in groups],
+        "curves": "",
+        "matching": None,
+    }
+
+
+def _pictures(dataset: DatasetBoard, table: Table, plots: bool) -> dict[str, object]:
+    """What a section has if it is a pair set's: curves and matching quality."""
+    lines = matching_lines(dataset, table.pair_set)
+    return {
+        "curves": _link(curve_file(dataset, table)) if plots and has_curves(table) else "",
+        "matching": {
+            "count": lines[0][1][ALL]["count"],
+            "numbers": matching_numbers(lines),
+            "picture": _link(matching_file(dataset, table.pair_set)),
+        }
+        if lines
+        else None,
+    }
+
+
+def _differences(methods: Sequence[Method]) -> Iterator[tuple[str, str]]:
+    """The targets that were run several times, with a table of the parameters that differ."""
+    for target in dict.fromkeys(m.run.target for m in methods):
+        runs = [m for m in methods if m.run.target == target]
+        keys = list(dict.fromkeys(key for m in runs for key in m.run.parameters))
+        differing = [n for n in keys if len({json_text(m.run.parameters.get(n)) for m in runs}) > 1]
+        if differing:
+            rows = [[escaped(m.label), *(code(json_text(m.run.parameters.get(n))) for n in differing)] for m in runs]
+            yield target, table_text(["method", *map(code, differing)], rows, left=1)
+
+
+def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
+    metrics = shown_metrics(board)
+    columns = [
+        *(["rank"] if ranks else []),
+        "method",
+        *(heading(m, table) for m in metrics),
+        "s a pair, median / p95",
+        "failed / broke",
+    ]
+    rows = []
+    for row in table.rows:
+        head = [*([rank(row)] if ranks else []), name(row)]
+        rows.append([*head, *(cell(m, row, table) for m in metrics), _seconds(row), _counts(row)])
+    for seed_row in table.seeds:
+        head = [*([""] if ranks else []), f"*{escaped(seed_row.title)}, mean ± sd*"]
+        seconds = _spread_cell(metric_named("median_seconds"), seed_row, table)
+        rows.append([*head, *(_spread_cell(m, seed_row, table) for m in metrics), seconds, ""])
+    return table_text(columns, rows, left=2 if ranks else 1)
+
+
+def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:
+    spread: Spread | None = row.spread[metric.name]
+    if spread is None:
+        return ""
+    text = number(spread.mean, metric.unit)
+    if spread.standard_deviation is not None:
+        text += f" ± {number(spread.standard_deviation, metric.unit)}"
+    return marked(text, metric, table)
+
+
+def _seconds(row: Row) -> str:
+    median, p95 = row.values["median_seconds"], row.values["p95_seconds"]
+    return "" if median is None else f"{number(median, 's')} / {number(p95, 's')}"
+
+
+def _counts(row: Row) -> str:
+    return "" if row.missing else f"{row.failed} / {row.broke}"
+
+
+def _pivoted(board: Board) -> list[Metric]:
+    """The metrics that are tabulated by group: the ranking metric and a recall that readers may know."""
+    return list({m.name: m for m in (board.metric, metric_named("recall@(0.25m,2deg)"))}.values())
+
+
+def _pivot(table: Table, groups: Sequence[Table], metric: Metric) -> str:
+    """A table of one metric: methods in the order of the whole set, and a column for each group."""
+    columns = [
+        f"`{metric.name}`, %" if metric.unit == "share" else f"`{metric.name}`",
+        f"all<br>{table.pairs} pairs",
+        *map(group_heading, groups),
+    ]
+    rows = [
+        [name(row), cell(metric, row, table), *(cell(metric, row_of(group, row), group) for group in groups)]
+        for row in table.rows
+    ]
+    return table_text(columns, rows, left=1)
