@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -106,12 +107,17 @@ def _print_pictures(pictures: list[Picture], folder: Path) -> None:
     from relocbench.cli.console import print_table
 
     rows = [
-        [p.file, f"{p.difference:.1f}", f"{p.difference_turned:.1f}", "yes" if p.truth_is_best else "no"]
+        [p.file, _px(p.agreement.shift_px), f"{p.agreement.told} of {p.agreement.parts}", p.agreement.verdict]
         for p in pictures
     ]
-    columns = ["picture", "grey levels differ by", "turned a little", "least at the true pose"]
+    columns = ["picture", "edges apart, px", "parts that tell", "images at the true pose"]
     print_table(f"Pictures in {folder}", columns, rows)
-    if not all(p.truth_is_best for p in pictures):
-        from relocbench.datasets.inspect.overlay import WHY_TURNED_BETTER
+    doubtful = [p for p in pictures if p.agreement.verdict in ("apart", "unseen")]
+    if doubtful:
+        typer.echo(f"note: check {len(doubtful)} of {len(pictures)} true poses by their pictures:", err=True)
+    for p in doubtful:
+        typer.echo(f"  {p.file}: {p.agreement.words}", err=True)
 
-        typer.echo(f"note: not least at the true pose: {WHY_TURNED_BETTER}", err=True)
+
+def _px(pixels: float) -> str:
+    return "" if isnan(pixels) else f"{pixels:.1f}"

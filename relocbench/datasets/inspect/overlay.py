@@ -21,6 +21,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_grey, as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.inspect.agreement import ImageAgreement, measure_agreement
 from relocbench.datasets.inspect.drawing import (
     RED,
     WHITE,
@@ -36,7 +37,7 @@ from relocbench.datasets.inspect.drawing import (
 )
 from relocbench.datasets.pairs.correspondences import spread_sample
 from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, reference_z_buffer, see, warp
-from relocbench.geometry import Camera, invert, make_transform, so3_exp
+from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 from relocbench.tracking import Query, Reference
 
@@ -44,47 +45,11 @@ _POINTS = 3000
 """points that are drawn at most; more would hide the image"""
 _CORNERS = (5, 3)
 """columns and rows of cells with one numbered corner each"""
-_TURN = 0.004
-"""image shift under the turned poses that the truth is compared with, relative to the width; at least one pixel"""
 _SPARSE = 0.3
 """share of pixels with depth below which a keyframe counts as sparse and patches are drawn"""
 _PATCH_RADIUS = 5
 """pixels in an image 1000 pixels wide"""
 _PANEL_WIDTH = 640
-
-WHY_TURNED_BETTER = (
-    "usual across light and season, where grey levels change; in equal light it may mean a wrong true pose"
-)
-
-
-@dataclass(frozen=True)
-class ImageAgreement:
-    """How well two images agree under the true pose: mean absolute grey-level difference at the same surface points.
-
-    The keyframe's grey levels are first scaled to the query's mean and contrast.
-    """
-
-    difference: float
-    """under the true pose"""
-    difference_turned: float
-    """the least under poses turned left, right, up and down by 0.4 % of the image's width"""
-
-    @property
-    def truth_is_best(self) -> bool:
-        """Whether no turned pose agrees better.
-
-        A right truth often fails this across light and season, where the same surface has other grey levels.
-        """
-        return self.difference < self.difference_turned
-
-    @property
-    def verdict(self) -> str:
-        """What the comparison means, in words."""
-        if not np.isfinite(self.difference):
-            return "the query sees no point of the keyframe by the true pose: check the true pose"
-        if self.truth_is_best:
-            return "the images agree best at the true pose"
-        return f"the images agree better when turned a little: {WHY_TURNED_BETTER}"
 
 
 @dataclass(frozen=True)
@@ -99,12 +64,12 @@ class Picture:
     angle_deg: float | None
     overlap: float | None
     source: str
-    difference: float
-    difference_turned: float
-    truth_is_best: bool
+    agreement: ImageAgreement
 
     def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        """Plain values for scripts: one mapping, the agreement's values among the others."""
+        values = asdict(self)
+        return {**values, **values.pop("agreement")}
 
 
 def write_pictures(
@@ -156,37 +121,8 @@ def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path
         pair.angle_deg,
         pair.overlap,
         pair.source,
-        agreement.difference,
-        agreement.difference_turned,
-        agreement.truth_is_best,
+        agreement,
     )
-
-
-def measure_agreement(reference: Reference, query: Query, T_query_ref: Array, count: int = 20_000) -> ImageAgreement:
-    """Compare grey levels under ``T_query_ref`` and under slightly turned poses, at the same points."""
-    points = ReferencePoints.of(reference)
-    points = points.take(spread_sample(points.uv, reference.camera, count, np.random.default_rng(0)))
-    grey_ref, grey_query = _smooth_grey(reference.image), _smooth_grey(query.image)
-    turns = [np.zeros(3), *_turns(query.camera)]
-    poses = [make_transform(so3_exp(turn), np.zeros(3)) @ T_query_ref for turn in turns]
-    stacked = np.column_stack([points.uv, points.depth])
-    warped = [warp(stacked, reference.camera, query.camera, pose)[0] for pose in poses]
-    inside = np.all([query.camera.contains(uv) for uv in warped], axis=0)
-    if np.count_nonzero(inside) < 2:
-        return ImageAgreement(np.nan, np.nan)
-    values = _sample(grey_ref, points.uv[inside])
-    differences = [_difference(values, _sample(grey_query, uv[inside])) for uv in warped]
-    return ImageAgreement(differences[0], min(differences[1:]))
-
-
-def _turns(camera: Camera) -> list[Array]:
-    angle = max(1.0, _TURN * camera.width) / camera.fx
-    return [np.array(axis) * angle for axis in ((0.0, 1, 0), (0.0, -1, 0), (1.0, 0, 0), (-1.0, 0, 0))]
-
-
-def _difference(a: Array, b: Array) -> float:
-    gain = b.std() / a.std() if a.std() > 0 else 1.0
-    return float(np.mean(np.abs((a - a.mean()) * gain + b.mean() - b)))
 
 
 def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple[Image, Mask]:
@@ -270,14 +206,8 @@ def _captions(pair: Pair, agreement: ImageAgreement, title: str) -> list[tuple[s
         facts.append(f"sigma {pair.sigma_translation_m:.3g} m")
     if pair.source:
         facts.append(f"truth: {pair.source}")
-    if not np.isfinite(agreement.difference):
-        return [(title, WHITE), (", ".join(facts), WHITE), (agreement.verdict, RED)]
-    measured = (
-        f"grey levels differ by {agreement.difference:.1f} at the true pose, and by "
-        f"{agreement.difference_turned:.1f} or more when turned left, right, up or down by 0.4 % of the width"
-    )
-    lines = [title, ", ".join(facts), measured]
-    return [*((line, WHITE) for line in lines), (agreement.verdict, YELLOW)]
+    colour = {"agree": WHITE, "cannot tell": YELLOW}.get(agreement.verdict, RED)
+    return [(title, WHITE), (", ".join(facts), WHITE), (agreement.words, colour)]
 
 
 def _corner_rows(image: Image, uv: Array, visible: Mask) -> list[int]:

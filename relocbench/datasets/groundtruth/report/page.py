@@ -25,8 +25,8 @@ class DrawnSpot:
     number: int
     overlay: str
     keyframe: str | None
-    agrees: bool | None
-    """whether grey levels agree best at the ground truth"""
+    agreement: str | None
+    """whether the images agree at the ground truth, in words"""
 
 
 @dataclass(frozen=True, eq=False)

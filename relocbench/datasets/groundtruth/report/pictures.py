@@ -60,4 +60,4 @@ def _write_spot(dataset: Dataset, found: InspectedSet, spot: Spot, number: int, 
     keyframe = f"{found.name}/keyframe_{number:02d}.png"
     name = f"{number}   {found.name}"
     agreement = write_pair(folder / keyframe, dataset, found.pair_set, spot.pair, name, seed)
-    return DrawnSpot(spot, number, overlay, keyframe, agreement.truth_is_best)
+    return DrawnSpot(spot, number, overlay, keyframe, agreement.words)
