@@ -51,7 +51,7 @@ for dataset in kitti_06 kitti_00 kitti_00_stereo fr1_xyz fr1_desk fr1_xyz_to_des
 done
 relocbench probe -d "$scratch/webcams" -m gn-net-from-prior -m gn-net-contrastive -m dso --no-poses --structured 0.25 \
   --out "$scratch/webcams_probe" --workers 1 -q
-rm -rf leaderboard/curves leaderboard/*.csv leaderboard/leaderboard.md leaderboard/real/webcams_probe
+rm -rf leaderboard/{curves,sets,reading.md,leaderboard.md,real/webcams_probe} leaderboard/*.csv
 mkdir -p leaderboard/real/webcams_probe
 cp "$scratch"/webcams_probe/{probe.md,probe.csv,radii.csv,curves.png,levels.png} leaderboard/real/webcams_probe/
 relocbench leaderboard "$scratch/results" --out leaderboard

@@ -230,7 +230,9 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
     from relocbench.cli.summaries import print_places, print_recording, print_summary
     from relocbench.datasets.core.build_options import ImportOptions
     from relocbench.datasets.importers import importer, place_importer, recorder
+    from relocbench.datasets.importers.marks import check_recordings
 
+    check_recordings(kind, sources)
     places = place_importer(kind)
     if places is not None:
         made = places.build_places(list(sources), chosen, out, reporter(quiet), run)

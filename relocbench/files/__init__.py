@@ -16,6 +16,7 @@ from relocbench.files.names import (
     fitting_name,
     plain_name,
 )
+from relocbench.files.nearby import meant
 from relocbench.files.numbers import (
     parse_count,
     parse_floats,
@@ -69,6 +70,7 @@ __all__ = [
     "load_yaml",
     "load_yaml_value",
     "load_yaml_values",
+    "meant",
     "parse_count",
     "parse_floats",
     "parse_json",

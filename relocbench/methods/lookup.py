@@ -93,6 +93,7 @@ def call_third_party(failed: str, call: Callable[[], Any]) -> Any:
 
 
 def hint(name: str, known: Iterable[str], prefix: str = "") -> str:
-    """A suggestion for a mistyped name, in parentheses; empty if no known name is similar."""
-    close = difflib.get_close_matches(name, known, n=1)
+    """A suggestion for a mistyped or shortened name, in parentheses; empty if no known name is similar."""
+    names = list(known)
+    close = difflib.get_close_matches(name, names, n=1) or [whole for whole in names if name and whole.startswith(name)]
     return f" (did you mean '{prefix}{close[0]}'?)" if close else ""

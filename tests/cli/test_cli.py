@@ -87,6 +87,7 @@ def test_every_kind_of_dataset_explains_its_options(kind: str) -> None:
         (["inspect", "{d}", "--pictures", "{d}/traversals/p"], "--pictures lies inside the dataset"),
         (["build-dataset", "generic", "{d}", "{d}", "--out", "{t}/o"], "is given twice"),
         (["methods", "absent"], "no method 'absent'; installed trackers: "),
+        (["build-dataset", "tum", "{d}", "--out", "{t}/o"], "no kind 'tum' (did you mean 'tum-rgbd'?)"),
         (["leaderboard", "{d}/absent", "--out", "{d}/board"], "absent: no such folder"),
         (["inspect", "{d}/absent"], "absent: no such folder"),
         (["build-dataset", "kitti", "{d}/absent", "--sequence", "06", "--out", "{t}/o"], "absent"),
@@ -102,6 +103,24 @@ def test_a_mistake_is_one_line_and_status_2(
     assert outcome.status == 2
     assert words in outcome.complaint
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_folder_that_was_meant_is_named(dataset: Dataset, tmp_path: Path) -> None:
+    above = dataset.root.parent
+    assert (
+        f"{above}: expected a dataset with dataset.yaml; did you mean {dataset.root}?"
+        in relocbench("inspect", above).complaint
+    )
+    recording = tmp_path / "recordings" / "freiburg1"
+    recording.mkdir(parents=True)
+    (recording / "rgb.txt").touch()
+    told = relocbench("build-dataset", "tum-rgbd", tmp_path / "recordings", "--out", tmp_path / "o")
+    assert told.status == 2
+    assert f"holds no rgb.txt of a tum-rgbd recording; did you mean {recording}?" in told.complaint
+    (tmp_path / "work" / "results" / "town@0123").mkdir(parents=True)
+    (tmp_path / "work" / "results" / "town@0123" / "dataset.yaml").touch()
+    told = relocbench("leaderboard", tmp_path / "work", "--out", tmp_path / "o")
+    assert f"did you mean {tmp_path / 'work' / 'results'}?" in told.complaint
 
 
 def test_an_unknown_key_in_a_configuration_is_named_with_its_line(dataset: Dataset, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import DatasetFile
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.errors import DatasetError
-from relocbench.files import load_yaml
+from relocbench.files import load_yaml, meant
 from relocbench.tracking import Query, Reference
 
 
@@ -31,9 +31,10 @@ class Dataset:
         if not self.root.is_dir():
             raise DatasetError("no such folder; expected a dataset", self.root)
         if not self.layout.dataset_yaml.exists():
-            unfinished = self.layout.build_yaml.exists()
-            why = "the build was not finished; run it again" if unfinished else "expected a dataset with dataset.yaml"
-            raise DatasetError(why, self.root)
+            if self.layout.build_yaml.exists():
+                raise DatasetError("the build was not finished; run it again", self.root)
+            other = meant(self.root, lambda folder: DatasetLayout(folder).manifest.exists())
+            raise DatasetError(f"expected a dataset with dataset.yaml{other}", self.root)
         self.file = load_yaml(self.layout.dataset_yaml, DatasetFile, "a dataset description", DatasetError)
         fingerprint.check_manifest(self.layout, self.file)
         self._pair_sets: dict[str, PairSet] = {}

@@ -30,6 +30,7 @@ from relocbench.files import (
     check_label,
     dump_yaml,
     load_yaml,
+    meant,
     read_bytes,
     remove_parts,
     write_text,
@@ -330,7 +331,8 @@ def all_results(results: Path) -> list[DatasetResults]:
         raise PredictionError("no such folder; expected results of the evaluate commands", results)
     found = list(map(DatasetResults, folders_with("dataset.yaml", results)))
     if not found:
-        raise PredictionError("holds no results (expected DATASET@FINGERPRINT folders)", results)
+        other = meant(results, lambda folder: any(folder.glob("*@*/dataset.yaml")))
+        raise PredictionError(f"holds no results (expected DATASET@FINGERPRINT folders){other}", results)
     return found
 
 

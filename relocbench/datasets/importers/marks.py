@@ -1,0 +1,42 @@
+"""What is at the top of a recording of each kind, by which a folder above or below it is recognised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from relocbench.errors import DatasetError
+from relocbench.files import meant
+
+MARKS: dict[str, tuple[str, ...]] = {
+    "kitti": ("sequences",),
+    "kitti-lidar": ("sequences",),
+    "tum-rgbd": ("rgb.txt",),
+    "robotcar": ("vo", "gps", "lms_front", "lms_rear", "velodyne_left", "velodyne_right", "stereo"),
+    "generic": ("camera.yaml",),
+    "colmap": ("cameras.bin", "cameras.txt"),
+    "kapture": ("sensors/sensors.txt",),
+}
+"""kind -> files and folders of which a recording has at least one"""
+
+
+def check_recordings(kind: str, sources: Sequence[Path]) -> None:
+    """Say which folder was meant, if a source is no recording of the kind and holds one.
+
+    What else is wrong with a source, its importer tells.
+
+    Raises:
+        DatasetError: with the folder within the source that is a recording.
+    """
+    for source in sources:
+        if not source.is_dir() or _has_one(kind, source):
+            continue
+        told = meant(source, lambda folder: _has_one(kind, folder))
+        if told:
+            raise DatasetError(f"holds no {' or '.join(MARKS[kind][:2])} of a {kind} recording{told}", source)
+
+
+def _has_one(kind: str, folder: Path) -> bool:
+    """Whether a folder may be a recording of the kind."""
+    marks = MARKS.get(kind)
+    return marks is None or any((folder / mark).exists() for mark in marks)
