@@ -149,6 +149,17 @@ def test_every_breach_of_the_contract_is_found() -> None:
         assert all(not f.passed for f in findings if f.check.startswith("answers")), answer
 
 
+def test_an_author_is_told_the_line_of_their_own_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "singular_tracker.py").write_text(
+        "import numpy as np\n\n\nclass Singular:\n"
+        "    def track(self, reference, query, prior=None):\n        return inverse(np.zeros((2, 2)))\n\n\n"
+        "def inverse(matrix):\n    return np.linalg.inv(matrix)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    told = next(f for f in check(parse_method("singular_tracker:Singular")) if f.check.startswith("answers"))
+    assert f"LinAlgError: Singular matrix ({tmp_path / 'singular_tracker.py'}, line 10)" in told.detail
+
+
 def test_a_method_with_a_memory_and_a_pen_is_found_out() -> None:
     failed = {f.check for f in check(parse_method(f"{HERE}:Forgetful")) if not f.passed}
     assert "gives the same answer whatever was asked before" in failed

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import operator
 import signal
+import sysconfig
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from relocbench.errors import one_line, raised
@@ -16,11 +19,14 @@ MOST_NEIGHBOURS = 100
 """frames on each side of a keyframe that a tracker may request"""
 
 
-def guarded(call: Callable[[], Any]) -> tuple[Any, str | None]:
+def guarded(call: Callable[[], Any], *, placed: bool = False) -> tuple[Any, str | None]:
     """Call a method's own code and catch whatever it raises.
 
     Everything that can be raised is caught, ``KeyboardInterrupt`` included. Only where the user did interrupt is
     ``KeyboardInterrupt`` raised again, even if the method caught it.
+
+    Args:
+        placed: also tell the file and line, for the author of the method; results do not keep paths of a machine.
 
     Returns:
         the value, and None or what was raised, in one line.
@@ -29,10 +35,21 @@ def guarded(call: Callable[[], Any]) -> tuple[Any, str | None]:
         try:
             value, broke = call(), None
         except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
-            value, broke = None, raised(bad)
+            value, broke = None, raised(bad) + (_place(bad) if placed else "")
     if came:
         raise KeyboardInterrupt
     return value, broke
+
+
+def _place(bad: BaseException) -> str:
+    """Where it was raised: the last line of code that is neither installed nor of an evaluation, else the last one."""
+    frames = traceback.extract_tb(bad.__traceback__)[1:]  # the first is that of guarded
+    installed = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+    apart = (*installed, str(Path(__file__).parents[1]))
+    own = [frame for frame in frames if not frame.filename.startswith(apart)]
+    for frame in (own or frames)[-1:]:
+        return f" ({frame.filename}, line {frame.lineno})"
+    return ""
 
 
 @contextmanager

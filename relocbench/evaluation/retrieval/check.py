@@ -59,14 +59,14 @@ def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Findi
 def _describe(made: Any, images: Sequence[ImageView]) -> tuple[Any, str | None]:
     fresh = [ImageView(image.key, image.view, image.read) for image in images]
     with messages_to_stderr():
-        values, problem = guarded(lambda: made.describe(fresh))
+        values, problem = guarded(lambda: made.describe(fresh), placed=True)
     told = problem and f"raised {problem} (for an image that cannot be described, return a row of NaN)"
     return checked_descriptors(values, told, len(images))
 
 
 def _fits(made: FittingRetriever, images: Sequence[ImageView]) -> Finding:
     with messages_to_stderr():
-        _, problem = guarded(lambda: made.fit(images, 0))
+        _, problem = guarded(lambda: made.fit(images, 0), placed=True)
     return Finding("fits to a gallery", problem is None, problem or "")
 
 
@@ -119,7 +119,7 @@ def _reranks(made: RerankingRetriever, values: NDArray[Any]) -> Finding:
         return Finding(name, False, "no image has a descriptor")
     for count in dict.fromkeys((min(len(known), top), 1)):
         with messages_to_stderr():
-            scores, broke = guarded(lambda k=count: made.rerank(known[0], known[:k]))  # type: ignore[misc]
+            scores, broke = guarded(lambda k=count: made.rerank(known[0], known[:k]), placed=True)  # type: ignore[misc]
         _, problem = checked_scores(scores, broke, count)
         if problem:
             return Finding(name, False, problem)

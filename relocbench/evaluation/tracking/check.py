@@ -115,7 +115,7 @@ def _ask(tracker: Any, question: _Question) -> CheckedAnswer:
 
 def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
     with messages_to_stderr():
-        value, problem = guarded(call)
+        value, problem = guarded(call, placed=True)
     return value, problem and f"raised {problem} (to report a failure, return TrackResult.failure)"
 
 
