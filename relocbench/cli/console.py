@@ -54,23 +54,56 @@ class ConsoleReporter:
         )
 
 
+class Pace:
+    """How long the rest of some work takes, by the pace of late.
+
+    The first units come with imports and compilation, once in each worker, and are left out: the pace is that of the
+    later half of the time since the first unit was done, and of ten seconds at least.
+    """
+
+    def __init__(self, total: int) -> None:
+        self.total, self.done = total, 0
+        self._history: list[tuple[float, int]] = []
+        """when a unit was done, and how many were done then"""
+
+    def advance(self, count: int, now: float) -> None:
+        """Take note of ``count`` more units that were done at a time in seconds."""
+        self.done += count
+        self._history.append((now, self.done))
+
+    def left(self, now: float) -> float | None:
+        """Seconds that are left; None while only first units are done."""
+        if not self._history:
+            return None
+        first = self._history[0][0]
+        since = max(first, now - max(_PLAIN_INTERVAL_S, (now - first) / 2))
+        start, before = next((entry for entry in self._history if entry[0] >= since), self._history[-1])
+        if self.done == before or now <= start:
+            return None
+        return (now - start) / (self.done - before) * (self.total - self.done)
+
+
 class _PlainStage:
     """Progress for logs: a line when something was waited for, and one at the end."""
 
     def __init__(self, description: str, total: int) -> None:
-        self.description, self.total, self.done = description, total, 0
+        self.description, self.pace = description, Pace(total)
         self.start = self.last = time.monotonic()
 
     def advance(self, count: int) -> None:
-        self.done += count
         now = time.monotonic()
-        if now - self.last >= _PLAIN_INTERVAL_S and self.done < self.total:
+        self.pace.advance(count, now)
+        if now - self.last >= _PLAIN_INTERVAL_S and self.pace.done < self.pace.total:
             self.last = now
-            left = (now - self.start) / max(self.done, 1) * (self.total - self.done)
-            self._print(f"{self.done}/{self.total}, about {left:.0f} s left")
+            left = self.pace.left(now)
+            self._print(f"{self._count}, {'begun' if left is None else f'about {left:.0f} s left'}")
 
     def finish(self) -> None:
-        self._print(f"{self.done}/{self.total} in {time.monotonic() - self.start:.1f} s")
+        self._print(f"{self._count} in {time.monotonic() - self.start:.1f} s")
+
+    @property
+    def _count(self) -> str:
+        return f"{self.pace.done}/{self.pace.total}"
 
     def _print(self, text: str) -> None:
         print(f"{self.description}: {text}", file=sys.stderr, flush=True)

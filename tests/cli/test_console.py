@@ -1,0 +1,48 @@
+"""What the command line tells while it works."""
+
+from __future__ import annotations
+
+import pytest
+
+from relocbench.cli.console import Pace
+
+
+def done_at(workers: int, first_s: float, unit_s: float, total: int) -> list[float]:
+    """When units are done by workers whose first one takes longer."""
+    times = [first_s + unit_s * k for k in range(total) for _ in range(workers)]
+    return sorted(times)[:total]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 8])
+@pytest.mark.parametrize(("first_s", "unit_s"), [(0.5, 0.5), (20.0, 0.5), (60.0, 4.0)])
+def test_ten_seconds_after_the_first_units_the_estimate_is_right_within_a_factor_of_two(
+    workers: int, first_s: float, unit_s: float
+) -> None:
+    times = done_at(workers, first_s, unit_s, 400)
+    pace = Pace(len(times))
+    judged = 0
+    for now in times[:-20]:
+        pace.advance(1, now)
+        if now >= first_s + 10.0:
+            left = pace.left(now)
+            assert left is not None
+            assert 0.5 <= left / (times[-1] - now) <= 2.0
+            judged += 1
+    assert judged > 100
+
+
+def test_a_pace_that_changes_is_followed() -> None:
+    pace = Pace(1000)
+    for k in range(100):
+        pace.advance(1, 0.1 * k)
+    for k in range(100):
+        pace.advance(1, 10.0 + 1.0 * k)
+    left = pace.left(109.0)
+    assert left == pytest.approx(800.0, rel=0.1)
+
+
+def test_nothing_is_said_while_only_the_first_units_are_done() -> None:
+    pace = Pace(10)
+    assert pace.left(5.0) is None
+    pace.advance(1, 20.0)
+    assert pace.left(20.0) is None
