@@ -172,7 +172,7 @@ def build_district(scratch: Path, seed: int, workers: int) -> Dataset:
         "--cameras", CAMERA, "--size", "512x512", "--steps", 26, "--speed", 40, "--reference", "all",
         "--split", split, "--seed", seed, "--correspondences", 0, "--out", _data(scratch, seed), "-j", workers, "-q",
     )  # fmt: skip
-    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
+    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True, stdout=sys.stderr)
     return Dataset(_data(scratch, seed))
 
 

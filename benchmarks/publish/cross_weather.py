@@ -303,7 +303,7 @@ def _commit() -> str:
 
 def _run(*words: object) -> None:
     """Run a relocbench command; its messages go to standard error."""
-    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
+    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True, stdout=sys.stderr)
 
 
 def _errors(results: Path, methods: Sequence[str]) -> tuple[pd.DataFrame, dict[str, DifferentPlaces]]:

@@ -170,7 +170,7 @@ def main() -> None:
                  "Sunny,Rain,Snow,Night,WetNoon", "--size", "512x512", "--cameras", "six", "--steps", "4",
                  "--speed", "14", "--split", "validation", "--seed", "51", "--reference", "all", "--correspondences",
                  "0", "--out", str(root), "-q"],
-                check=True,
+                check=True, stdout=sys.stderr,
             )  # fmt: skip
         dataset = Dataset(root)
         tallies = tally_pairs(dataset, chosen(dataset, options.pairs), options.weights)

@@ -103,7 +103,7 @@ def _evaluate(dataset: Path, results: Path, options: argparse.Namespace) -> None
 
 def _run(*words: object) -> None:
     """Run a relocbench command; its messages go to standard error."""
-    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
+    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True, stdout=sys.stderr)
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:

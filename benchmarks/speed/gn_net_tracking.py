@@ -73,7 +73,7 @@ def main() -> None:
         subprocess.run(
             [sys.executable, "-m", "relocbench", "build-dataset", "synthetic", "--conditions", "WetNoon,SoftRainNoon",
              "--size", "512x512", "--steps", "10", "--split", "validation", "--out", str(root), "-q"],
-            check=True,
+            check=True, stdout=sys.stderr,
         )  # fmt: skip
         pairs = views(root)
     settings = [*options.set, *([f"weights={options.weights}"] if options.weights else [])]

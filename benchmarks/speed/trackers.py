@@ -72,7 +72,7 @@ def main() -> None:
 def rendered(out: Path) -> Path:
     words = ["--conditions", "WetNoon,SoftRainNoon", "--size", "512x512", "--steps", "10", "--split", "validation"]
     asked = [sys.executable, "-m", "relocbench", "build-dataset", "synthetic", *words, "--out", str(out), "-q"]
-    subprocess.run(asked, check=True)
+    subprocess.run(asked, check=True, stdout=sys.stderr)
     return out
 
 

@@ -75,7 +75,7 @@ def rendered(scratch: Path) -> Path:
     asked = ("--split", "validation", "--seed", SEED, "--steps", 6, "--speed", 20, "--size", "512x512", "--reference")
     words = ("--conditions", ",".join(CONDITIONS), "--cameras", "front", *asked, "all", "--correspondences", 0)
     command = ("relocbench", "build-dataset", "synthetic", *words, "--out", out, "-q")
-    subprocess.run([sys.executable, "-m", *map(str, command)], check=True)
+    subprocess.run([sys.executable, "-m", *map(str, command)], check=True, stdout=sys.stderr)
     return out
 
 

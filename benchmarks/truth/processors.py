@@ -66,7 +66,7 @@ def build(arguments: Sequence[str], out: Path, setting: dict[str, str], kernels:
         "--workers",
         "1",
     ]
-    subprocess.run(command, env=environment, check=True)
+    subprocess.run(command, env=environment, check=True, stdout=sys.stderr)
     return Dataset(out)
 
 

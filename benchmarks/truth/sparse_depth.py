@@ -96,7 +96,8 @@ def _drive(out: Path) -> Path:
 
 
 def _build(*words: object) -> None:
-    ended = subprocess.run([sys.executable, "-m", "relocbench", "build-dataset", *map(str, words), "-q"], check=False)
+    command = [sys.executable, "-m", "relocbench", "build-dataset", *map(str, words), "-q"]
+    ended = subprocess.run(command, check=False, stdout=sys.stderr)
     if ended.returncode:
         sys.exit(ended.returncode)  # what was wrong has been said
 

@@ -238,7 +238,7 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
         made = places.build_places(list(sources), chosen, out, reporter(quiet), run)
         if as_json:
             print_json({"dataset": str(out), "name": made.name, "fingerprint": made.fingerprint})
-        elif not quiet:
+        else:
             print_places(made)
         return
     assert isinstance(chosen, ImportOptions)
@@ -247,11 +247,11 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
     if recorded is not None:
         if as_json:
             print_json(recorded.to_dict())
-        elif not quiet:
+        else:
             print_recording(recorded)
         return
     dataset = importer(kind).build(list(sources), chosen, out, reporter(quiet), run)
     if as_json:
         print_json({"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint})
-    elif not quiet:
+    else:
         print_summary(dataset)

@@ -81,11 +81,12 @@ def evaluate(
     report = evaluate_methods(options, reporter(quiet))
     if json:
         print_json(report.to_dict())
-    elif not quiet:
+    else:
         _print_report(report.dataset, report.pair_sets, report.folders, matching=options.matching)
         for label, message in report.broken:
             typer.echo(f"{label}: {message}", err=True)
-        typer.echo(f"results: {report.results}", err=True)
+        if not quiet:
+            typer.echo(f"results: {report.results}", err=True)
 
 
 COLUMNS = {

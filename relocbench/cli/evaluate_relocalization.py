@@ -107,11 +107,12 @@ def evaluate_relocalization(
     report = evaluate_chains(options, reporter(quiet))
     if json:
         print_json(report.to_dict())
-    elif not quiet:
+    else:
         _print_report(report)
         for label, message in report.broken:
             typer.echo(f"{label}: {message}", err=True)
-        typer.echo(f"results: {report.results}", err=True)
+        if not quiet:
+            typer.echo(f"results: {report.results}", err=True)
 
 
 def _print_report(report: RelocalizationReport) -> None:

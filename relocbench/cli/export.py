@@ -84,8 +84,7 @@ def export(
         with alone_writing_to(out):
             lists = export_lists(opened, asked, out, results, retriever, _TOP if top is None else top)
         for one in lists:
-            if not quiet:
-                typer.echo(str(one.path))
+            typer.echo(str(one.path))
             if one.unanswered:
                 typer.echo(f"{one.path}: {one.unanswered} of {one.queries} queries have no line", err=True)
         return
@@ -93,6 +92,5 @@ def export(
     # The zip appears whole in one step: nothing is shared with whoever writes beside it.
     with nullcontext() if format == "mlad" else alone_writing_to(out):
         written = export_poses(opened, names, format, out, results, method, relocalization_file, reporter(quiet))
-    if not quiet:
-        for path in written:
-            typer.echo(str(path))
+    for path in written:
+        typer.echo(str(path))

@@ -121,16 +121,19 @@ def leaderboard(
             retrieval |= {"relocalization_metric": chains.metric, "relocalization": chain_rows(chains)}
         rows = [] if board is None else leaderboard_rows(board)
         print_json({"metric": ranked_by["--metric"], "seed": seed, "split": split, "rows": rows, **retrieval})
-    elif not quiet:
+    else:
         if board is not None:
             print_leaderboard(board)
-            typer.echo(f"written: {out / 'leaderboard.md'}", err=True)
+            if not quiet:
+                typer.echo(f"written: {out / 'leaderboard.md'}", err=True)
         if found is not None:
             _print_retrieval(found)
-            typer.echo(f"written: {out / 'retrieval.md'}", err=True)
+            if not quiet:
+                typer.echo(f"written: {out / 'retrieval.md'}", err=True)
         if chains is not None:
             _print_chains(chains)
-            typer.echo(f"written: {out / 'relocalization.md'}", err=True)
+            if not quiet:
+                typer.echo(f"written: {out / 'relocalization.md'}", err=True)
 
 
 def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None:

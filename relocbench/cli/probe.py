@@ -114,12 +114,13 @@ def probe(
         report = probe_methods(options, reporter(quiet))
     if json:
         print_json(report.to_dict())
-    elif not quiet:
+    else:
         _print_radii(report)
         _print_starts(report)
         for label, message in report.broken:
             typer.echo(f"{label}: {message}", err=True)
-        typer.echo(f"the whole of it: {', '.join(map(str, report.files))}", err=True)
+        if not quiet:
+            typer.echo(f"the whole of it: {', '.join(map(str, report.files))}", err=True)
 
 
 def _print_starts(report: ProbeReport) -> None:

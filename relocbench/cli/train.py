@@ -171,7 +171,7 @@ def train(
             report = trainer.train(*_pairs(dataset, split, tried, matched), options, run)
     if json:
         print_json(_plain(report))
-    elif not quiet:
+    else:
         _print(report, "query-gallery" if of_places else "conditions", "queries" if of_places else "pairs")
 
 
