@@ -55,10 +55,10 @@ class ConsoleReporter:
 
 
 class Pace:
-    """How long the rest of some work takes, by the pace of late.
+    """How long the rest of some work takes, by its recent pace.
 
     The first units come with imports and compilation, once in each worker, and are left out: the pace is that of the
-    later half of the time since the first unit was done, and of ten seconds at least.
+    later half of the time since the first unit was done, of ten seconds at least, and of one unit at least.
     """
 
     def __init__(self, total: int) -> None:
@@ -73,13 +73,12 @@ class Pace:
 
     def left(self, now: float) -> float | None:
         """Seconds that are left; None while only first units are done."""
-        if not self._history:
+        if len(self._history) < 2:
             return None
         first = self._history[0][0]
-        since = max(first, now - max(_PLAIN_INTERVAL_S, (now - first) / 2))
-        start, before = next((entry for entry in self._history if entry[0] >= since), self._history[-1])
-        if self.done == before or now <= start:
-            return None
+        since = now - max(_PLAIN_INTERVAL_S, (now - first) / 2)
+        earlier = self._history[:-1]
+        start, before = next((entry for entry in reversed(earlier) if entry[0] <= since), earlier[0])
         return (now - start) / (self.done - before) * (self.total - self.done)
 
 

@@ -107,14 +107,14 @@ def _print_pictures(pictures: list[Picture], folder: Path) -> None:
     from relocbench.cli.console import print_table
 
     rows = [
-        [p.file, _px(p.agreement.shift_px), f"{p.agreement.told} of {p.agreement.parts}", p.agreement.verdict]
+        [p.file, _px(p.agreement.shift_px), f"{p.agreement.measured} of {p.agreement.regions}", p.agreement.verdict]
         for p in pictures
     ]
-    columns = ["picture", "edges apart, px", "parts that tell", "images at the true pose"]
+    columns = ["picture", "edges apart, px", "regions measured", "images at the true pose"]
     print_table(f"Pictures in {folder}", columns, rows)
     doubtful = [p for p in pictures if p.agreement.verdict in ("apart", "unseen")]
     if doubtful:
-        typer.echo(f"note: check {len(doubtful)} of {len(pictures)} true poses by their pictures:", err=True)
+        typer.echo(f"check {len(doubtful)} of {len(pictures)} true poses by their pictures:", err=True)
     for p in doubtful:
         typer.echo(f"  {p.file}: {p.agreement.words}", err=True)
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 
 _DEPTH = 2
 """folders within folders that are searched"""
 _MOST = 1000
-"""folders that are looked at, so that a mistake costs no time"""
+"""folders that are looked at, and entries of each, so that a mistake costs no time"""
 
 
 def meant(folder: Path, holds: Callable[[Path], bool]) -> str:
@@ -18,15 +20,27 @@ def meant(folder: Path, holds: Callable[[Path], bool]) -> str:
     """
     level, left = [folder], _MOST
     for _ in range(_DEPTH):
-        below: list[Path] = []
-        for parent in level:
-            try:
-                below += sorted(path for path in parent.iterdir() if path.is_dir() and not path.is_symlink())
-            except OSError:  # what cannot be read was not meant
-                continue
-        for path in below[:left]:
-            if holds(path):
+        below = [path for parent in level for path in _folders_in(parent)][:left]
+        for path in below:
+            if _is(path, holds):
                 return f"; did you mean {path}?"
         left -= len(below)
-        level = below[: max(left, 0)]
+        level = below
     return ""
+
+
+def _folders_in(parent: Path) -> Iterator[Path]:
+    """The folders in a folder by name, of so many of its entries that it costs no time; none that cannot be read."""
+    try:
+        with os.scandir(parent) as entries:
+            found = [entry.name for entry in islice(entries, _MOST) if entry.is_dir(follow_symlinks=False)]
+    except OSError:  # what cannot be read was not meant
+        return iter(())
+    return (parent / name for name in sorted(found))
+
+
+def _is(path: Path, holds: Callable[[Path], bool]) -> bool:
+    try:
+        return holds(path)
+    except OSError:
+        return False

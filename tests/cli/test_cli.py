@@ -15,6 +15,7 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers import KINDS
+from relocbench.datasets.importers.marks import MARKS
 
 HEAVY = ("torch", "open3d", "matplotlib", "pandas", "cv2", "numba", "scipy", "pydantic", "numpy")
 
@@ -114,6 +115,10 @@ def test_quiet_hides_progress_and_not_the_results(dataset: Dataset, tmp_path: Pa
         assert told.err == ""
 
 
+def test_marks_are_those_of_kinds() -> None:
+    assert set(MARKS) < set(KINDS)
+
+
 def test_the_folder_that_was_meant_is_named(dataset: Dataset, tmp_path: Path) -> None:
     above = dataset.root.parent
     assert (
@@ -126,6 +131,13 @@ def test_the_folder_that_was_meant_is_named(dataset: Dataset, tmp_path: Path) ->
     told = relocbench("build-dataset", "tum-rgbd", tmp_path / "recordings", "--out", tmp_path / "o")
     assert told.status == 2
     assert f"holds no rgb.txt of a tum-rgbd recording; did you mean {recording}?" in told.complaint
+    both = tmp_path / "both"
+    for part in ("mapping", "query"):
+        (both / part / "sensors").mkdir(parents=True)
+        (both / part / "sensors" / "sensors.txt").touch()
+    assert "did you mean" not in relocbench("build-dataset", "kapture", both, "--out", tmp_path / "o").complaint
+    told = relocbench("build-dataset", "kapture", tmp_path, "--out", tmp_path.with_name("elsewhere"))
+    assert f"did you mean {both}?" in told.complaint
     (tmp_path / "work" / "results" / "town@0123").mkdir(parents=True)
     (tmp_path / "work" / "results" / "town@0123" / "dataset.yaml").touch()
     told = relocbench("leaderboard", tmp_path / "work", "--out", tmp_path / "o")

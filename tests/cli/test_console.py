@@ -41,6 +41,26 @@ def test_a_pace_that_changes_is_followed() -> None:
     assert left == pytest.approx(800.0, rel=0.1)
 
 
+@pytest.mark.parametrize("unit_s", [30.0, 300.0])
+def test_long_units_have_an_estimate_from_the_second_on(unit_s: float) -> None:
+    pace = Pace(10)
+    pace.advance(1, 400.0)
+    for k in range(1, 9):
+        now = 400.0 + unit_s * k
+        pace.advance(1, now)
+        assert pace.left(now) == pytest.approx(unit_s * (9 - k))
+
+
+def test_a_stall_makes_no_estimate_vanish() -> None:
+    pace = Pace(1000)
+    for k in range(500):
+        pace.advance(1, 0.1 * k)
+    pace.advance(1, 200.0)
+    left = pace.left(200.0)
+    assert left is not None
+    assert left > 100.0
+
+
 def test_nothing_is_said_while_only_the_first_units_are_done() -> None:
     pace = Pace(10)
     assert pace.left(5.0) is None

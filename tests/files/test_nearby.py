@@ -35,6 +35,18 @@ def test_what_is_too_deep_or_a_link_is_not_meant(tmp_path: Path) -> None:
     assert meant(tmp_path / "home", marked) == ""
 
 
+def test_what_cannot_be_read_was_not_meant(tmp_path: Path) -> None:
+    make(tmp_path, "a", "b")
+
+    def look(folder: Path) -> bool:
+        if folder.name == "a":
+            raise PermissionError(13, "Permission denied", str(folder))
+        return marked(folder)
+
+    assert meant(tmp_path, look) == f"; did you mean {tmp_path / 'b'}?"
+    assert meant(tmp_path / "absent", marked) == ""
+
+
 def test_a_large_tree_costs_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make(tmp_path, *(f"{number:02d}/in" for number in range(12)))
     looked: list[Path] = []

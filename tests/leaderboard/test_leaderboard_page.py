@@ -7,13 +7,14 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import cv2
 import numpy as np
 import pytest
 import typer
 from board_pages import board_pages
-from test_leaderboard import NIGHT, TITLE, WINTER, Made, MadeResults, cells, made, read_csv, row, table
+from test_leaderboard import NIGHT, SAME, TITLE, WINTER, Made, MadeResults, cells, made, read_csv, row, table
 from typer.testing import CliRunner
 
 from relocbench.cli.leaderboard import leaderboard
@@ -136,7 +137,35 @@ def test_the_first_page_is_short_and_begins_with_all_methods_on_all_datasets(tmp
 def test_the_summary_of_many_datasets_has_a_row_for_each(one_set: MadeResults) -> None:
     board = one_set.board()
     page = front_page(replace(board, datasets=board.datasets * 3))
-    assert page.count(f"\n| [town@{TITLE.split('@')[1]}](sets/{TITLE.replace('@', '%40')}.md)<br>100 pairs |") == 3
+    link = f"[town@{TITLE.split('@')[1]}](sets/{TITLE.replace('@', '%40')}.md)"
+    assert page.count(f"\n| {link}<br>two drives<br>100 pairs |") == 3
+
+
+def test_the_pages_link_each_other_and_their_pictures(one_set: MadeResults, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / "sets").mkdir(parents=True)
+    for name in ("gone@0123456789ab.md", "notes.md"):
+        (out / "sets" / name).touch()
+    write_leaderboard(one_set.root, out)
+    pages = [out / "leaderboard.md", out / "reading.md", *(out / "sets").iterdir()]
+    assert {page.name for page in pages} == {"leaderboard.md", "reading.md", f"{TITLE}.md", "notes.md"}
+    links = [(page, link) for page in pages for link in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8"))]
+    assert len(links) > 5
+    assert all((page.parent / unquote(link)).exists() for page, link in links)
+
+
+def test_the_first_page_says_what_it_shows(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {SAME: 40}, sigma_m=0.3)
+    results.write_dataset()
+    results.add("mine", {SAME: made(1, 40, 0.1)})
+    page = front_page(results.board())
+    assert page.count("one drive") == 2
+    assert "the ranks here are not to be relied on" in page
+    assert "†: the threshold is finer than twice the standard deviation of the ground truth." in page
+    exact = MadeResults(tmp_path / "exact", {SAME: 40}, sigma_m=0.06)
+    exact.write_dataset()
+    exact.add("mine", {SAME: made(1, 40, 0.1)})
+    assert "†" not in front_page(exact.board()), "recall@(0.1m,1deg) is not shown"
 
 
 def test_ranks_by_a_metric_with_a_dagger_come_with_a_warning(tmp_path: Path) -> None:
@@ -159,7 +188,7 @@ def test_a_median_over_mostly_failed_pairs_is_inf(one_set: MadeResults, tmp_path
 
 def test_the_page_names_fingerprint_licence_rejected_pairs_and_machine(one_set: MadeResults, tmp_path: Path) -> None:
     page = page_of(one_set, tmp_path / "out")
-    for fact in ("CC-BY-4.0", "100 pairs in 1 pair sets; 3 more were rejected", "Test CPU, 2 cores", "0.840"):
+    for fact in ("CC-BY-4.0", "100 pairs in 1 pair set; 3 more were rejected", "Test CPU, 2 cores", "0.840"):
         assert fact in page
     assert f"Fingerprint `{TITLE.split('@')[1]}" in page
     assert str(tmp_path) not in page

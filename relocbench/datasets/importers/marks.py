@@ -15,7 +15,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "robotcar": ("vo", "gps", "lms_front", "lms_rear", "velodyne_left", "velodyne_right", "stereo"),
     "generic": ("camera.yaml",),
     "colmap": ("cameras.bin", "cameras.txt"),
-    "kapture": ("sensors/sensors.txt",),
+    "kapture": ("sensors/sensors.txt", "mapping/sensors/sensors.txt"),
 }
 """kind -> files and folders of which a recording has at least one"""
 

@@ -2,14 +2,15 @@
 
 Grey levels of one surface differ between noon, night and snow; the directions of its edges mostly do not. Every point
 of the keyframe that the query sees takes the direction of the edge there along into the query, as the true pose moves
-it. In each part of the query, the map of these directions is then shifted over the query's own: with a(p) and b(p) the
-weight times ``exp(2 i angle)`` of the edge at pixel p, so that an edge is the same whichever side is brighter,
+it. In each region of the query, the map of these directions is then shifted over the query's own: with a(p) and b(p)
+the weight times ``exp(2 i angle)`` of the edge at pixel p, so that an edge is the same whichever side is brighter,
 
     S(d) = Re sum_p conj(a(p)) b(p + d)
 
 is highest at the shift d where edges lie on edges (orientation correlation, Fitch et al., BMVC 2002, of doubled
-angles). A part tells its shift if the peak stands out from what other shifts give, by chance or because structure
-repeats. If the truth is right, shifts are about zero; if parts do not tell, nothing is known.
+angles). A shift is measured where its peak stands out from what other shifts give, by chance or because structure
+repeats, and a wrong pose is only told by shifts that are alike in neighbouring regions. If the truth is right, shifts
+are about zero; if too few are measured, nothing is known.
 """
 
 from __future__ import annotations
@@ -32,28 +33,44 @@ from relocbench.tracking import Query, Reference
 Verdict = Literal["agree", "apart", "cannot tell", "unseen"]
 
 _WIDTH = 640
-"""pixels; larger images are reduced to this width, and to a half and a quarter of it where that tells nothing"""
+"""pixels; larger images are reduced to this width"""
 _REDUCTIONS = (1, 2)
+"""further factors by which images are reduced, the next one where one tells nothing"""
 _REACH = 36
 """pixels of the reduced image by which directions are shifted to either side"""
 _SMOOTH = 1.5
 """standard deviation in pixels of the blur before gradients"""
 _AROUND = 12.0
 """that of the blur which says how strong edges are in the neighbourhood: weak ones count as much where all are"""
-_PARTS = 96
-"""pixels of the reduced image along a side of a part, about"""
-_LEAST_POINTS = 0.1
-"""share of a part's pixels that must have a point of the keyframe"""
+_SIDE = 96
+"""pixels of the reduced image along a side of a region, about"""
+_SPARSE = 0.05
+"""share of pixels with depth below which every point stands for the pixels around it"""
+_PATCH_RADIUS = 5
+"""pixels of the keyframe, of 640 across, that a point of a sparse keyframe stands for to every side at most"""
+_LEAST_POINTS = 0.03
+"""share of a region's pixels that must have a point of the keyframe"""
+_LEAST_EDGES = 0.05
+"""share of a region's pixels that must lie on edges of the query"""
+_ON_EDGE = 0.1
+"""weight from which a pixel does"""
+_LEAST_SIDE = 48
+"""pixels of the reduced image"""
 _PEAK_RADIUS = 4.0
 """pixels around a peak that belong to it"""
 _CLEAR = 6.0
-"""robust standard deviations of S over other shifts by which a peak stands out"""
+"""standard deviations of S over other shifts by which a peak stands out"""
 _UNIQUE = 0.8
 """greatest height of the second peak, as a share of the first"""
-_LEAST_PARTS = 3
-"""parts that must tell"""
+_LEAST_REGIONS = 3
+"""regions that must be measured"""
 _RIGHT_PX = 1.0
 """pixels of the reduced image, median shift up to which the images agree"""
+_ALIKE = 0.5
+"""greatest difference of the shifts of two neighbouring regions as a share of their length; at least 2 pixels"""
+
+NO_DEPTH = "the keyframe has no depth: nothing can be compared"
+UNSEEN = "the query sees no point of the keyframe by the true pose: check the true pose"
 
 
 @dataclass(frozen=True)
@@ -61,56 +78,64 @@ class ImageAgreement:
     """How far two images are apart where the true pose says that they show the same."""
 
     verdict: Verdict
-    parts: int
-    """number of parts of the query that show enough of the keyframe"""
-    told: int
-    """number of these whose shift is clear"""
+    regions: int
+    """number of regions of the query that show enough of the keyframe"""
+    measured: int
+    """number of these whose shift was measured"""
     shift_px: float
-    """median length of the shifts of the parts that tell, in pixels of the query; NaN where too few do"""
+    """median length of the measured shifts, in pixels of the query; NaN where nothing is told"""
     towards_px: tuple[float, float]
     """median shift right and down, by which the keyframe's points would have to move"""
-
-    @property
-    def words(self) -> str:
-        """What was found, in words."""
-        if self.verdict == "unseen":
-            return "the query sees no point of the keyframe by the true pose: check the true pose"
-        told = f"{self.told} of {self.parts} parts of the image tell"
-        if self.verdict == "cannot tell":
-            return f"whether the images agree cannot be told: {told}, which is too few"
-        right, down = self.towards_px
-        across = f"{abs(right):.1f} px {'right' if right >= 0 else 'left'}"
-        where = f"{across} and {abs(down):.1f} px {'down' if down >= 0 else 'up'}"
-        if self.verdict == "agree":
-            return f"the images agree at the true pose: edges are {self.shift_px:.1f} px apart ({told})"
-        return f"CHECK THE TRUE POSE: edges are {self.shift_px:.1f} px apart, in the median {where} ({told})"
+    words: str
+    """what was found, in words"""
 
 
 def measure_agreement(reference: Reference, query: Query, T_query_ref: Array) -> ImageAgreement:
     """Measure by how much edges of the query lie beside those of the keyframe under ``T_query_ref`` (4, 4)."""
-    points = ReferencePoints.of(reference)
+    points = _enlarged(ReferencePoints.of(reference), reference.camera)
+    if not len(points):
+        return _nothing("cannot tell", NO_DEPTH)
     view = DepthView(reference.camera, reference.depth, reference.depth_sigma)
     seen = see(points, T_query_ref, view, DepthView(query.camera))
     if not np.any(seen.inside):
-        return ImageAgreement("unseen", 0, 0, np.nan, (np.nan, np.nan))
-    shown = points.take(seen.visible)
-    found = ImageAgreement("cannot tell", 0, 0, np.nan, (np.nan, np.nan))
+        return _nothing("unseen", UNSEEN)
+    shown, uv_query = points.take(seen.visible), seen.uv_query[seen.visible]
+    found = _nothing("cannot tell", "")
     for reduction in _REDUCTIONS:
         scale = min(1.0, _WIDTH / query.camera.width) / reduction
-        found = _measured(shown, seen.uv_query[seen.visible], reference, query, T_query_ref, scale)
+        found = _measured(shown, uv_query, reference, query, T_query_ref, scale)
         if found.verdict != "cannot tell":
-            return found
+            break
     return found
+
+
+def _nothing(verdict: Verdict, words: str, regions: int = 0, measured: int = 0) -> ImageAgreement:
+    return ImageAgreement(verdict, regions, measured, np.nan, (np.nan, np.nan), words)
+
+
+def _enlarged(points: ReferencePoints, camera: Camera) -> ReferencePoints:
+    """The points; those of a sparse keyframe with the pixels around them, as if these were as far away."""
+    if not len(points) or len(points) >= _SPARSE * camera.width * camera.height:
+        return points
+    free = (np.sqrt(camera.width * camera.height / len(points)) - 1) / 2  # patches fill the image at most once
+    radius = int(max(1, min(round(_PATCH_RADIUS * camera.width / _WIDTH), free)))
+    steps = np.stack(np.meshgrid(*[np.arange(-radius, radius + 1)] * 2), axis=-1).reshape(-1, 2)
+    uv = np.rint(points.uv[:, None] + steps).reshape(-1, 2)
+    inside = camera.contains(uv)
+    depth, sigma = (np.repeat(values, len(steps))[inside] for values in (points.depth, points.sigma))
+    return ReferencePoints(uv[inside], depth, sigma)
 
 
 def _measured(
     points: ReferencePoints, uv_query: Array, reference: Reference, query: Query, T_query_ref: Array, scale: float
 ) -> ImageAgreement:
     """The agreement at a scale of the query."""
-    to_reference = scale * query.camera.fx / reference.camera.fx
-    edges_ref, edges = _edges(reference.image, min(1.0, to_reference)), _edges(query.image, scale)
-    carried = _carried(points, edges_ref, min(1.0, to_reference), reference.camera, query.camera, T_query_ref)
+    to_reference = min(1.0, scale * query.camera.fx / reference.camera.fx)
+    edges_ref, edges = _edges(reference.image, to_reference), _edges(query.image, scale)
+    carried = _carried(points, edges_ref, to_reference, reference.camera, query.camera, T_query_ref)
     height, width = edges.shape
+    if min(height, width) < _LEAST_SIDE:
+        return _nothing("cannot tell", "whether the images agree cannot be told: the query is too small")
     u, v = np.rint(((uv_query + 0.5) * scale - 0.5).T).astype(int)
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
     total = np.zeros((height, width), dtype=np.complex64)
@@ -118,20 +143,46 @@ def _measured(
     np.add.at(total, (v[inside], u[inside]), carried[inside])
     np.add.at(count, (v[inside], u[inside]), 1.0)
     mean = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
-    shifts, parts = [], 0
-    for rows, columns in _parts(height, width):
+    shifts, centres, regions = [], [], 0
+    for rows, columns in _regions(height, width):
         if np.mean(count[rows, columns] > 0) < _LEAST_POINTS:
             continue
-        parts += 1
+        regions += 1
+        if np.mean(np.abs(edges[rows, columns]) > _ON_EDGE) < _LEAST_EDGES:
+            continue
         shift = _shift(_correlation(mean, edges, rows, columns))
         if shift is not None:
-            shifts.append(shift / scale)
-    if len(shifts) < _LEAST_PARTS:
-        return ImageAgreement("cannot tell", parts, len(shifts), np.nan, (np.nan, np.nan))
-    length = float(np.median(np.linalg.norm(shifts, axis=1)))
-    right, down = np.median(shifts, axis=0).tolist()
-    verdict: Verdict = "agree" if length * scale <= _RIGHT_PX else "apart"
-    return ImageAgreement(verdict, parts, len(shifts), length, (right, down))
+            shifts.append(shift)
+            centres.append((columns.start + columns.stop, rows.start + rows.stop))
+    return _judged(np.array(shifts), np.array(centres) / 2, regions, scale)
+
+
+def _judged(shifts: Array, centres: Array, regions: int, scale: float) -> ImageAgreement:
+    """What the shifts (N, 2) at places (N, 2) of the reduced image say."""
+    among = f"measured in {len(shifts)} of {regions} regions of the image"
+    if regions < _LEAST_REGIONS:
+        told = "too little of the query shows points of the keyframe"
+        return _nothing("cannot tell", f"whether the images agree cannot be told: {told}", regions, len(shifts))
+    if len(shifts) < _LEAST_REGIONS:
+        told = f"edges were {among}, which is too few"
+        return _nothing("cannot tell", f"whether the images agree cannot be told: {told}", regions, len(shifts))
+    lengths = np.linalg.norm(shifts, axis=1)
+    length = float(np.median(lengths))
+    right, down = (np.median(shifts, axis=0) / scale).tolist()
+    px = f"{length / scale:.1f} px"
+    if length <= _RIGHT_PX:
+        words = f"the images agree at the true pose: edges are {px} apart, {among}"
+        return ImageAgreement("agree", regions, len(shifts), length / scale, (right, down), words)
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    differences = np.linalg.norm(shifts - shifts[np.argmin(apart, axis=1)], axis=1)
+    if np.mean(differences <= np.maximum(2.0, _ALIKE * lengths)) < 0.5:
+        told = f"shifts of edges, {among}, differ from one region to the next"
+        return _nothing("cannot tell", f"whether the images agree cannot be told: {told}", regions, len(shifts))
+    across = f"{abs(right):.1f} px to the {'right' if right >= 0 else 'left'}"
+    where = f"{across} and {abs(down):.1f} px {'down' if down >= 0 else 'up'}"
+    words = f"CHECK THE TRUE POSE: edges are {px} apart, the keyframe's points should lie {where}, {among}"
+    return ImageAgreement("apart", regions, len(shifts), length / scale, (right, down), words)
 
 
 def _edges(image: Image, scale: float) -> NDArray[np.complex64]:
@@ -170,34 +221,38 @@ def _carried(
     return np.asarray(np.abs(at) * np.nan_to_num(turned), dtype=np.complex64)
 
 
-def _parts(height: int, width: int) -> list[tuple[slice, slice]]:
-    """The parts of an image, about squares."""
-    rows, columns = (np.linspace(0, side, max(2, round(side / _PARTS)) + 1).astype(int) for side in (height, width))
+def _regions(height: int, width: int) -> list[tuple[slice, slice]]:
+    """The regions of an image, about squares."""
+    rows, columns = (np.linspace(0, side, max(2, round(side / _SIDE)) + 1).astype(int) for side in (height, width))
     return [
         (slice(top, bottom), slice(left, right)) for top, bottom in pairwise(rows) for left, right in pairwise(columns)
     ]
 
 
 def _correlation(a: NDArray[Any], b: NDArray[Any], rows: slice, columns: slice) -> Floats:
-    """S(d) of a part of ``a``, (2 reach + 1, 2 reach + 1) over shifts down and right."""
-    part = a[rows, columns]
-    around = np.zeros((part.shape[0] + 2 * _REACH, part.shape[1] + 2 * _REACH), dtype=np.complex64)
+    """S(d) of a region of ``a``, (2 reach + 1, 2 reach + 1) over shifts down and right."""
+    region = a[rows, columns]
+    around = np.zeros((region.shape[0] + 2 * _REACH, region.shape[1] + 2 * _REACH), dtype=np.complex64)
     top, left = rows.start - _REACH, columns.start - _REACH
     y0, x0 = max(top, 0), max(left, 0)
     y1, x1 = min(rows.stop + _REACH, b.shape[0]), min(columns.stop + _REACH, b.shape[1])
     around[y0 - top : y1 - top, x0 - left : x1 - left] = b[y0:y1, x0:x1]
     size = [fft.next_fast_len(side) for side in around.shape]
-    product = np.conj(fft.fft2(part, size)) * fft.fft2(around, size)
+    product = np.conj(fft.fft2(region, size)) * fft.fft2(around, size)
     return np.asarray(fft.ifft2(product)[: 2 * _REACH + 1, : 2 * _REACH + 1].real, dtype=np.float32)
 
 
 def _shift(correlation: Floats) -> Array | None:
     """The shift (2,) right and down of the peak, to a fraction of a pixel; None if it does not stand out."""
     y, x = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
+    last = len(correlation) - 1
+    if x in (0, last) or y in (0, last):  # the true peak may lie beyond
+        return None
     down, right = np.mgrid[: correlation.shape[0], : correlation.shape[1]]
     others = correlation[np.hypot(down - y, right - x) > _PEAK_RADIUS]
     middle = np.median(others)
-    spread = 1.4826 * np.median(np.abs(others - middle)) + 1e-9
+    # Where few edges meet, most sums are zero, and the median deviation says nothing of the rest.
+    spread = max(1.4826 * float(np.median(np.abs(others - middle))), float(np.std(others)), 1e-9)
     height, second = (correlation[y, x] - middle) / spread, (others.max() - middle) / spread
     if height < _CLEAR or second > _UNIQUE * height:
         return None

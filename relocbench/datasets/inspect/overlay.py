@@ -69,7 +69,8 @@ class Picture:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for scripts: one mapping, the agreement's values among the others."""
         values = asdict(self)
-        return {**values, **values.pop("agreement")}
+        agreement = values.pop("agreement")
+        return {**values, **agreement}
 
 
 def write_pictures(

@@ -42,13 +42,17 @@ def guarded(call: Callable[[], Any], *, placed: bool = False) -> tuple[Any, str 
 
 
 def _place(bad: BaseException) -> str:
-    """Where it was raised: the last line of code that is neither installed nor of an evaluation, else the last one."""
-    frames = traceback.extract_tb(bad.__traceback__)[1:]  # the first is that of guarded
-    installed = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
-    apart = (*installed, str(Path(__file__).parents[1]))
-    own = [frame for frame in frames if not frame.filename.startswith(apart)]
-    for frame in (own or frames)[-1:]:
-        return f" ({frame.filename}, line {frame.lineno})"
+    """Where it was raised: the last line of code that is neither installed nor ours, else the last one of a file."""
+    try:
+        frames = traceback.extract_tb(bad.__traceback__)[1:]  # the first is that of guarded
+    except BaseException:  # noqa: BLE001  an exception whose traceback cannot be read has no place
+        return ""
+    apart = tuple(sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib"))
+    ours = str(Path(__file__).parents[2])
+    of_files = [frame for frame in frames if Path(frame.filename).is_absolute()]
+    own = [frame for frame in of_files if not frame.filename.startswith((*apart, ours))]
+    for frame in (own or of_files)[-1:]:
+        return f" ({one_line(frame.filename, 300)}, line {frame.lineno})"
     return ""
 
 

@@ -81,7 +81,7 @@ def marked(text: str, metric: Metric, table: Table) -> str:
 
 def total_name(table: Table) -> str:
     """What a total is over: pair sets of two drives or of one, and of which split."""
-    kind = "same drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
+    kind = "one drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
     return f"{kind}, split {code(table.split)}" if table.split else kind
 
 

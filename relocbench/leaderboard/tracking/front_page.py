@@ -48,7 +48,7 @@ def front_page(board: Board) -> str:
         datasets=[_dataset(board, dataset) for dataset in board.datasets],
         same_names=len(named) < len(board.datasets),
         signed=[mark for mark in MARKS if any(mark.applies(method) for method in methods)],
-        dagger=DAGGER if any(table.finer for d in board.datasets for table in d.totals) else "",
+        dagger=DAGGER if any(_shows_finer(board, table) for d in board.datasets for table in d.totals) else "",
         reading=READING,
         page_command=f"relocbench leaderboard RESULTS --out DIR{datasets} --metric '{board.metric.name}' "
         f"--seed {board.seed}{split}",
@@ -69,8 +69,10 @@ def _dataset(board: Board, dataset: DatasetBoard) -> dict[str, object]:
         "missing": missing,
         "totals": [
             {
-                "title": total_name(table) if len(dataset.totals) > 1 else "",
+                "title": total_name(table),
                 "numbers": _total_table(board, dataset, table),
+                "groups": bool(dataset.groups_of(table)),
+                "ranked_by_finer": board.metric.name in table.finer,
                 "level_with_floor": level_with_floor(dataset, table),
             }
             for table in dataset.totals
@@ -104,6 +106,11 @@ def _total_table(board: Board, dataset: DatasetBoard, table: Table) -> str:
     return table_text(columns, rows, left=2)
 
 
+def _shows_finer(board: Board, table: Table) -> bool:
+    """Whether the page shows a metric of the table whose thresholds are finer than the ground truth allows."""
+    return bool(table.finer & {board.metric.name, *_BESIDE})
+
+
 @dataclass(frozen=True)
 class _Column:
     """A total in the summary."""
@@ -133,12 +140,12 @@ def _columns(board: Board) -> Iterator[_Column]:
         record = dataset.entry.record
         shown = escaped(record.name if names.count(record.name) == 1 else dataset.entry.title)
         for table in dataset.totals:
-            several = f", {total_name(table)}" if len(dataset.totals) > 1 else ""
-            yield _Column(f"[{shown}]({quote(set_file(dataset))}){several}<br>{table.pairs} pairs", table)
+            link = f"[{shown}]({quote(set_file(dataset))})"
+            yield _Column(f"{link}<br>{total_name(table)}<br>{table.pairs} pairs", table)
 
 
 def _labels(columns: Sequence[_Column]) -> list[str]:
-    """The labels of all methods, those with the higher mean rank first, then those without ranks, the floors last."""
+    """The labels of all methods: those with ranks on more totals first, then by their mean rank, the floors last."""
     rows: dict[str, list[Row]] = {}
     for column in columns:
         for row in column.table.rows:
@@ -157,7 +164,7 @@ def _named(columns: Sequence[_Column], label: str) -> str:
     """A method's label; the floors in italics, and with signs of marks that it has on any dataset."""
     methods: list[Method] = [r.method for c in columns for r in c.table.rows if r.method.label == label]
     shown = escaped(label)
-    if methods[0].is_floor or methods[0].is_clock:
+    if any(method.is_floor or method.is_clock for method in methods):
         shown = f"*{shown}*"
     return " ".join([shown, *dict.fromkeys(sign for method in methods for sign in signs(method).split())])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from relocbench.leaderboard.tracking.set_page import curve_file, has_curves, has
 from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
 from relocbench.progress import Reporter, Silent
 
+_OF_A_DATASET = re.compile(r"@[0-9a-f]{12}\.md$")
+"""the end of the name of a dataset's page"""
 _MANY_PICTURES = 24
 """number of pictures from which on they are drawn in processes, whose start takes as long as several pictures"""
 
@@ -85,8 +88,8 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
     """Write ``leaderboard.csv``, ``errors.csv``, ``curves/*.png`` and the pages; returns the files.
 
     ``seeds.csv`` and ``matching.csv`` are written as well if they have rows. ``leaderboard.md`` is the first page,
-    ``sets/`` has one for each dataset, and ``reading.md`` says how to read them. Each file appears whole or not at all,
-    and none contains a date.
+    ``sets/`` has one for each dataset and of no other, and ``reading.md`` says how to read them. Each file appears
+    whole or not at all, and none contains a date.
     """
     for folder in (out, out / "curves", out / "sets"):
         remove_parts(folder, deep=False)
@@ -104,6 +107,9 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
     for name, text in pages.items():
         paths.append(out / name)
         write_text(paths[-1], text)
+    for page in set((out / "sets").glob("*@*.md")) - set(paths):
+        if _OF_A_DATASET.search(page.name):
+            page.unlink()  # it has left the leaderboard, and the first page does not link it
     return paths
 
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from small_dataset import ACROSS, WITHIN, make_small_dataset, render, small_camera, small_pose
@@ -23,7 +24,7 @@ from relocbench.datasets.inspect.overlay import (
 from relocbench.datasets.inspect.summary import take_inventory
 from relocbench.geometry import invert, make_transform, so3_exp
 from relocbench.progress import Silent
-from relocbench.tracking import Query, Reference
+from relocbench.tracking import KeyframePoints, Query, Reference
 
 
 def two_views(size: tuple[int, int] = (160, 120)) -> tuple[Reference, Query, np.ndarray]:
@@ -87,7 +88,7 @@ def test_the_shift_of_a_turned_camera_is_measured_in_pixels_of_the_query() -> No
         assert right == pytest.approx(-px, rel=0.2)  # more towards the border
         assert down == pytest.approx(0.0, abs=0.5)
         assert "CHECK THE TRUE POSE" in found.words
-        assert f"{-right:.1f} px left" in found.words
+        assert f"{-right:.1f} px to the left" in found.words
 
 
 @pytest.mark.parametrize(
@@ -117,7 +118,7 @@ def test_a_rolled_camera_sees_edges_in_other_directions() -> None:
     reference, query = Reference("r", 0, image, camera, depth=depth), Query("q", 1, seen, camera)
     found = measure_agreement(reference, query, invert(T_world_query) @ T_world_ref)
     assert found.verdict == "agree"
-    assert found.told > found.parts / 2
+    assert found.measured > found.regions / 2
 
 
 def test_what_shows_nothing_of_the_keyframe_tells_nothing() -> None:
@@ -128,6 +129,59 @@ def test_what_shows_nothing_of_the_keyframe_tells_nothing() -> None:
         assert found.verdict == "cannot tell"
         assert np.isnan(found.shift_px)
         assert "cannot be told" in found.words
+
+
+def test_lamps_in_the_dark_tell_nothing() -> None:
+    reference, query, T_query_ref = two_views((640, 480))
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        night = np.zeros(query.image.shape[:2], dtype=np.uint8)
+        for u, v, radius in zip(
+            rng.integers(640, size=30), rng.integers(480, size=30), rng.integers(2, 8, 30), strict=True
+        ):
+            cv2.circle(night, (int(u), int(v)), int(radius), 255, -1)
+        assert measure_agreement(reference, Query("q", 1, night, query.camera), T_query_ref).verdict == "cannot tell"
+
+
+@pytest.mark.parametrize("size", [(16, 12), (32, 24), (64, 48), (128, 96)])
+def test_other_pictures_of_any_size_tell_nothing(size: tuple[int, int]) -> None:
+    reference, query, T_query_ref = two_views(size)
+    for seed in range(4):
+        noise = np.random.default_rng(seed).uniform(0, 255, size=query.image.shape)
+        other = np.clip(cv2.GaussianBlur(noise, (0, 0), 1.5), 0, 255).astype(np.uint8)
+        assert measure_agreement(reference, Query("q", 1, other, query.camera), T_query_ref).verdict == "cannot tell"
+
+
+@pytest.mark.parametrize("count", [300, 2000])
+def test_sparse_keyframes_are_measured_around_their_points(count: int) -> None:
+    reference, query, T_query_ref = two_views((640, 480))
+    dense = reference.points
+    rows = np.random.default_rng(0).choice(len(dense.uv), count, replace=False)
+    points = KeyframePoints(dense.uv[rows], dense.inverse_depth[rows], dense.sigma[rows])
+    sparse = Reference("r", 0, reference.image, reference.camera, sparse_points=points)
+    assert measure_agreement(sparse, query, T_query_ref).verdict == "agree"
+    turn = make_transform(so3_exp([0, 8.0 / query.camera.fx, 0]), np.zeros(3))
+    found = measure_agreement(sparse, query, turn @ T_query_ref)
+    assert found.verdict == "apart"
+    assert found.shift_px == pytest.approx(8.0, rel=0.2)
+
+
+@pytest.mark.parametrize(("px", "verdict"), [(25.0, "apart"), (60.0, "apart"), (200.0, "cannot tell")])
+def test_large_errors_are_told_as_far_as_the_search_reaches(px: float, verdict: str) -> None:
+    reference, query, T_query_ref = two_views((640, 480))
+    turn = make_transform(so3_exp([0, px / query.camera.fx, 0]), np.zeros(3))
+    found = measure_agreement(reference, query, turn @ T_query_ref)
+    assert found.verdict == verdict
+    if verdict == "apart":
+        assert found.shift_px == pytest.approx(px, rel=0.2)
+
+
+def test_a_keyframe_without_depth_says_so() -> None:
+    reference, query, T_query_ref = two_views()
+    assert reference.depth is not None
+    empty = Reference("r", 0, reference.image, reference.camera, depth=np.zeros_like(reference.depth))
+    found = measure_agreement(empty, query, T_query_ref)
+    assert (found.verdict, found.words) == ("cannot tell", "the keyframe has no depth: nothing can be compared")
 
 
 def test_a_query_that_sees_no_point_is_unseen() -> None:
@@ -149,6 +203,7 @@ def test_pictures_tell_a_wrong_truth_from_a_right_one(tmp_path: Path, sparse: bo
         assert right.file == wrong.file
         assert right.agreement.verdict != "apart"
         assert wrong.agreement.verdict != "agree"
+        assert sparse or wrong.agreement.verdict == "apart"
     for right_image, wrong_image in zip(images["right"], images["wrong"], strict=True):
         assert fringes(wrong_image) > 1.5 * fringes(right_image)
 
@@ -187,4 +242,7 @@ def test_the_command_prints_tables_or_json_and_draws(tmp_path: Path) -> None:
     plain = json.loads(result.stdout)
     assert plain["fingerprint"] == made.fingerprint
     assert [p["pair_set"] for p in plain["pictures"]] == [ACROSS, ACROSS]
+    told = {"verdict", "regions", "measured", "shift_px", "towards_px", "words"}
+    assert told < set(plain["pictures"][0])
+    assert "agreement" not in plain["pictures"][0]
     assert sorted(p.name for p in (tmp_path / "pictures").iterdir()) == sorted(p["file"] for p in plain["pictures"])
