@@ -16,8 +16,8 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-PHRASE = "seven brass clocks disagree about the hour the harbour froze"
-NEXT_PHRASE = "eleven umbrellas crossed the bridge before the lamps were lit"
+PHRASE = "eleven umbrellas crossed the bridge before the lamps were lit"
+NEXT_PHRASE = "nine ferries waited while the lighthouse keeper learned to whistle"
 """of districts that nobody was asked yet: those of the next publication"""
 COUNT = 12
 CONDITIONS = (
