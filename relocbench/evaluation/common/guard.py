@@ -47,10 +47,10 @@ def _place(bad: BaseException) -> str:
         frames = traceback.extract_tb(bad.__traceback__)[1:]  # the first is that of guarded
     except BaseException:  # noqa: BLE001  an exception whose traceback cannot be read has no place
         return ""
-    apart = tuple(sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib"))
-    ours = str(Path(__file__).parents[2])
+    apart = [sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
+    apart.append(str(Path(__file__).parents[2]))  # relocbench itself
     of_files = [frame for frame in frames if Path(frame.filename).is_absolute()]
-    own = [frame for frame in of_files if not frame.filename.startswith((*apart, ours))]
+    own = [frame for frame in of_files if not any(Path(frame.filename).is_relative_to(folder) for folder in apart)]
     for frame in (own or of_files)[-1:]:
         return f" ({one_line(frame.filename, 300)}, line {frame.lineno})"
     return ""

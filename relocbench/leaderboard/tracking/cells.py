@@ -93,9 +93,9 @@ def group_heading(group: Table) -> str:
     return "<br>".join([escaped(group.group), f"{group.pairs} pairs", *([", ".join(far)] if far else [])])
 
 
-def row_of(table: Table, method: Row) -> Row:
-    """The row of the same method in another table."""
-    return next(row for row in table.rows if row.method is method.method)
+def same_method(row: Row, table: Table) -> Row:
+    """The row of a row's method in another table."""
+    return next(other for other in table.rows if other.method is row.method)
 
 
 def level_with_floor(dataset: DatasetBoard, table: Table) -> list[str]:
@@ -109,6 +109,12 @@ def level_with_floor(dataset: DatasetBoard, table: Table) -> list[str]:
 def share_a_rank(rows: Sequence[Row]) -> bool:
     """Whether all ranked methods share the first rank."""
     return all(row.rank in (1, None) for row in rows)
+
+
+def without_intervals(board: Board, table: Table) -> bool:
+    """Whether the pairs are worth too few independent ones for any ranked method to have an interval."""
+    shown = [row for row in table.rows if not row.missing]
+    return any(row.rank is not None for row in shown) and not any(row.intervals.get(board.metric.name) for row in shown)
 
 
 def _beats(row: Row) -> bool:

@@ -16,15 +16,16 @@ from relocbench.leaderboard.tracking.cells import (
     level_with_floor,
     name,
     rank,
-    row_of,
+    same_method,
     share_a_rank,
     total_name,
+    without_intervals,
 )
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.marks import MARKS, signs
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.leaderboard.tracking.set_page import set_file
-from relocbench.metrics import LEVEL, metric_named
+from relocbench.metrics import LEVEL, MIN_EFFECTIVE, metric_named
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
@@ -35,7 +36,6 @@ _BESIDE = ("coverage", "median_translation_error_m", "median_rotation_error_deg"
 
 def front_page(board: Board) -> str:
     """The page that links the others."""
-    named = {dataset.entry.record.name for dataset in board.datasets}
     at_hand = [d for d in board.datasets if any(m.rescored for m in d.entry.methods)]
     datasets = {0: "", 1: " --dataset DATASET"}.get(len(at_hand), " --dataset DATASETS")
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
@@ -46,10 +46,11 @@ def front_page(board: Board) -> str:
         metric=board.metric,
         summary=_summary(board),
         datasets=[_dataset(board, dataset) for dataset in board.datasets],
-        same_names=len(named) < len(board.datasets),
+        grouped=any(dataset.groups_of(table) for dataset in board.datasets for table in dataset.totals),
         signed=[mark for mark in MARKS if any(mark.applies(method) for method in methods)],
         dagger=DAGGER if any(_shows_finer(board, table) for d in board.datasets for table in d.totals) else "",
         reading=READING,
+        min_effective=f"{MIN_EFFECTIVE:g}",
         page_command=f"relocbench leaderboard RESULTS --out DIR{datasets} --metric '{board.metric.name}' "
         f"--seed {board.seed}{split}",
     )
@@ -65,19 +66,28 @@ def _dataset(board: Board, dataset: DatasetBoard) -> dict[str, object]:
     missing = [m.label for m in entry.methods if any(pair_set in entry.used for pair_set in m.missing)]
     return {
         "entry": entry,
+        "name": _shown_name(board, dataset),
         "page": quote(set_file(dataset)),
         "missing": missing,
         "totals": [
             {
                 "title": total_name(table),
                 "numbers": _total_table(board, dataset, table),
-                "groups": bool(dataset.groups_of(table)),
+                "without_intervals": without_intervals(board, table),
+                "ranks_shared": share_a_rank(table.rows),
                 "ranked_by_finer": board.metric.name in table.finer,
                 "level_with_floor": level_with_floor(dataset, table),
             }
             for table in dataset.totals
         ],
     }
+
+
+def _shown_name(board: Board, dataset: DatasetBoard) -> str:
+    """The name of a dataset, with its fingerprint where another one has the same name."""
+    name = dataset.entry.record.name
+    alone = sum(other.entry.record.name == name for other in board.datasets) == 1
+    return escaped(name if alone else dataset.entry.title)
 
 
 def _total_table(board: Board, dataset: DatasetBoard, table: Table) -> str:
@@ -97,7 +107,7 @@ def _total_table(board: Board, dataset: DatasetBoard, table: Table) -> str:
             rank(row),
             name(row),
             cell(board.metric, row, table, interval=row.rank is not None and not share_a_rank(table.rows)),
-            *(cell(board.metric, row_of(group, row), group, interval=False) for group in groups),
+            *(cell(board.metric, same_method(row, group), group, interval=False) for group in groups),
             *(cell(metric, row, table, interval=False) for metric in beside),
             number(row.values["median_seconds"], "s"),
         ]
@@ -135,12 +145,9 @@ def _summary(board: Board) -> str:
 
 
 def _columns(board: Board) -> Iterator[_Column]:
-    names = [dataset.entry.record.name for dataset in board.datasets]
     for dataset in board.datasets:
-        record = dataset.entry.record
-        shown = escaped(record.name if names.count(record.name) == 1 else dataset.entry.title)
+        link = f"[{_shown_name(board, dataset)}]({quote(set_file(dataset))})"
         for table in dataset.totals:
-            link = f"[{shown}]({quote(set_file(dataset))})"
             yield _Column(f"{link}<br>{total_name(table)}<br>{table.pairs} pairs", table)
 
 

@@ -19,10 +19,11 @@ from relocbench.leaderboard.tracking.cells import (
     name,
     plain_heading,
     rank,
-    row_of,
+    same_method,
     share_a_rank,
     shown_metrics,
     total_name,
+    without_intervals,
 )
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere
@@ -173,8 +174,7 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
         "same_drive": table.pair_set == SAME_DRIVE_TOTAL,
         "numbers": _method_table(board, table),
         "ranks_shared": share_a_rank(table.rows),
-        "without_intervals": any(row.rank is not None for row in table.rows)
-        and all(not row.intervals.get(board.metric.name) for row in table.rows if not row.missing),
+        "without_intervals": without_intervals(board, table),
         "finer": [m.name for m in shown_metrics(board) if m.name in table.finer],
         "ranked_by_finer": board.metric.name in table.finer,
         "sigmas": [
@@ -267,7 +267,7 @@ def _pivot(table: Table, groups: Sequence[Table], metric: Metric) -> str:
         *map(group_heading, groups),
     ]
     rows = [
-        [name(row), cell(metric, row, table), *(cell(metric, row_of(group, row), group) for group in groups)]
+        [name(row), cell(metric, row, table), *(cell(metric, same_method(row, group), group) for group in groups)]
         for row in table.rows
     ]
     return table_text(columns, rows, left=1)
