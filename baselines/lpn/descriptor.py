@@ -3,26 +3,34 @@
     f = sum of embed(image) and embed(mirror image)          (P, D)
     descriptor = concatenation over p of f_p / (||f_p|| sqrt(P))
 
-as in the evaluation of LPN's authors (Wang et al., TCSVT 2021). The norm of a descriptor is 1, and the dot product of
+as in the evaluation of LPN's authors (Wang et al., TCSVT 2021). With quarter turns, f is the sum over the image and its
+mirror image in each of four directions, which a drone that heads in any direction sees alike. The norm of a descriptor is 1, and the dot product of
 two descriptors is the mean cosine of corresponding parts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import torch
 from torch import Tensor
 
 
-def with_mirror_image(embed: Callable[[Tensor], Tensor], images: Tensor) -> Tensor:
-    """The sum of the embeddings of images and of their mirror images.
+Turns = Literal[1, 4]
+"""in how many directions an image is described: as it is, or turned by each multiple of 90 degrees"""
+
+
+def over_symmetries(embed: Callable[[Tensor], Tensor], images: Tensor, turns: Turns = 1) -> Tensor:
+    """The sum of the embeddings of images and of their mirror images, in each direction.
 
     Args:
         embed: maps images to embeddings.
-        images: (B, 3, H, W), which are mirrored left to right.
+        images: (B, 3, H, W), which are mirrored left to right; square ones if they are turned.
+        turns: 1 for the images as they are, 4 for all quarter turns.
     """
-    return embed(images) + embed(images.flip(-1))
+    turned = (images.rot90(quarters, (-2, -1)) for quarters in range(turns))
+    return sum((embed(each) + embed(each.flip(-1)) for each in turned), start=images.new_zeros(()))
 
 
 def descriptors(embeddings: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from baselines.lpn.attention import LocalAttention
 from baselines.lpn.backbone import make_backbone
-from baselines.lpn.descriptor import descriptors, with_mirror_image
+from baselines.lpn.descriptor import Turns, descriptors, over_symmetries
 from baselines.lpn.head import HeadOutput, PartHeads
 from baselines.lpn.heatmap import HeatmapPartition
 from baselines.lpn.options import NetworkOptions
@@ -126,15 +126,16 @@ class LpnNetwork(nn.Module):
         return self.heads.embed(branch.parts(branch.last_map(images)).features)
 
     @torch.no_grad()
-    def describe(self, view: View, images: Tensor) -> Tensor:
-        """The descriptors (B, P * D), of unit norm, of images together with their mirror images (``descriptor``).
+    def describe(self, view: View, images: Tensor, turns: Turns = 1) -> Tensor:
+        """The descriptors (B, P * D), of unit norm, of images together with their mirror images (``descriptor``), in
+        each of 1 or 4 directions.
 
         Raises:
             RuntimeError: the network is in training mode, in which a descriptor would depend on the batch.
         """
         if self.training:
             raise RuntimeError("descriptors need evaluation mode: call eval() first")
-        return descriptors(with_mirror_image(lambda each: self.embed(view, each), images))
+        return descriptors(over_symmetries(lambda each: self.embed(view, each), images, turns))
 
     def branch(self, view: View) -> Branch:
         """The branch of a view.

@@ -18,11 +18,12 @@ from pydantic import Field
 
 from baselines.device import to_device
 from baselines.lpn.configurations import configuration
-from baselines.lpn.descriptor import parts_of
+from baselines.lpn.descriptor import Turns, parts_of
 from baselines.lpn.dmli import aligned_distance
 from baselines.lpn.images import as_bytes, as_network_takes_them, resized
 from baselines.lpn.network import LpnNetwork, View
 from baselines.lpn.options import NetworkOptions
+from baselines.lpn.view_means import ViewMeans, unlabelled_files
 from baselines.lpn.weights import load_weights
 from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
@@ -42,10 +43,14 @@ class Lpn:
         batch: number of images that pass the network together.
         rerank: number of candidates of each ranking that are re-ranked by aligned parts; by default as the
             configuration says.
+        turns: 4 describes an image by the sum over its quarter turns, for aerial images of any direction.
+        unlabelled: folder with a folder for each view (``street``, ``drone``, ``satellite``) of images whose place need
+            not be known; descriptors are then relative to the mean of their view.
         device: where the network runs.
 
     Raises:
-        MethodError: there are no weights, or the file cannot be used or holds another system.
+        MethodError: there are no weights, or the file cannot be used or holds another system; there is no folder of
+            unlabelled images.
         ConfigError: no configuration has that name.
     """
 
@@ -57,6 +62,8 @@ class Lpn:
         config: str | None = None,
         batch: Annotated[int, Field(ge=1)] = 16,
         rerank: Annotated[int, Field(ge=0)] | None = None,
+        turns: Turns = 1,
+        unlabelled: Path | None = None,
         device: str = "cpu",
     ) -> None:
         if weights is None:
@@ -73,6 +80,13 @@ class Lpn:
         self._batch = batch
         top = asked.rerank_top if asked is not None else self.about.rerank_top
         self.rerank_top = top if rerank is None else rerank
+        self._turns: Turns = turns
+        self._means = ViewMeans(Path(unlabelled), self._described, network.options.parts) if unlabelled else None
+
+    @classmethod
+    def files(cls, weights: Path | None = None, unlabelled: Path | None = None, **_: Any) -> dict[str, Path]:
+        """The files that decide the answers besides parameters; with others, results are not continued."""
+        return ({"weights": Path(weights)} if weights else {}) | unlabelled_files(unlabelled)
 
     @property
     def network(self) -> LpnNetwork:
@@ -91,14 +105,20 @@ class Lpn:
             "trained_on": self.about.card.get("data", ""),
             "trained_views": list(self.about.views),
             "rerank_top": self.rerank_top,
+            "turns": self._turns,
+            "centred": self._means is not None,
         }
 
     def describe(self, images: Sequence[ImageView]) -> Descriptors:
         """The descriptors (N, P * D) of images, float32 of norm 1.
 
         Raises:
-            MethodError: the network has no branch for the view of an image.
+            MethodError: the network has no branch for the view of an image, or there are no unlabelled images of it.
         """
+        rows = self._described(images)
+        return rows if self._means is None else self._means.centred(rows, [image.view for image in images])
+
+    def _described(self, images: Sequence[ImageView]) -> Descriptors:
         options = self._network.options
         rows = np.full((len(images), options.parts * options.width), np.nan, dtype=np.float32)
         for view in sorted({image.view for image in images}):
@@ -107,7 +127,9 @@ class Lpn:
             for start in range(0, len(of_view), self._batch):
                 numbers = of_view[start : start + self._batch]
                 squares = as_bytes([resized(images[number].image, self.about.size) for number in numbers])
-                found = self._network.describe(cast(View, view), as_network_takes_them(squares, self._device))
+                found = self._network.describe(
+                    cast(View, view), as_network_takes_them(squares, self._device), self._turns
+                )
                 rows[numbers] = found.float().cpu().numpy()
         return rows
 
@@ -138,9 +160,11 @@ class GlobalAverage(Lpn):
         self,
         weights: Path | None = None,
         batch: Annotated[int, Field(ge=1)] = 16,
+        turns: Turns = 1,
+        unlabelled: Path | None = None,
         device: str = "cpu",
     ) -> None:
-        super().__init__(weights, self.name, batch, 0, device)
+        super().__init__(weights, self.name, batch, 0, turns, unlabelled, device)
 
 
 def _check_fits(found: NetworkOptions, asked: NetworkOptions, holds: str, name: str, path: Path) -> None:

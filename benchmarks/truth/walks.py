@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from university_sample import METRICS, asked
+from university_sample import METRICS, Asked
 
 from relocbench.datasets.core.images import as_rgb, read_image
 from relocbench.errors import DatasetError, RelocbenchError
@@ -70,11 +70,12 @@ def main() -> int:
     options = parser.parse_args()
     try:
         specs = parse_methods([*FLOORS, *options.method], options.set, options.seed, RETRIEVERS)
+        methods = {spec.label: Asked(spec, options.seed) for spec in specs}
         rows: dict[str, Any] = {}
         for (query, asked_files), (gallery, files) in permutations(walks(options.walks).items(), 2):
             of = task(f"{query}-{gallery}", asked_files, files, options.tolerance)
             rows[of.name] = {"chance": chance_level(of.relevance, METRICS)}
-            rows[of.name] |= {spec.label: asked(of, spec, options.seed) for spec in specs}
+            rows[of.name] |= {label: method.metrics(of) for label, method in methods.items()}
     except RelocbenchError as bad:
         print(bad, file=sys.stderr)
         return 2

@@ -115,3 +115,18 @@ def test_the_mean_of_imagenets_map_describes_an_image_alone_and_its_mirror_image
     np.testing.assert_allclose(rows[3], rows[0], atol=1e-4)
     np.testing.assert_allclose(ImageNetAverage(size=64).describe(images[1:2]), rows[1:2], atol=1e-4)
     assert rows[0] @ rows[1] < 0.999
+
+
+def test_the_rings_of_published_weights_are_means_of_the_last_map(published: dict[str, Tensor]) -> None:
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 255, (128, 128, 3), dtype=np.uint8)
+    image = ImageView("0", "satellite", partial(np.asarray, picture))
+    (rings,) = ImageNetAverage(size=128, parts=2).describe([image])
+    retriever = ImageNetAverage(size=128)
+    x = torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255
+    with torch.inference_mode():
+        maps = [retriever._network((each - retriever._mean) / retriever._deviation)[0] for each in (x, x.flip(-1))]
+    inner = sum(each[:, 2:6, 2:6].sum((1, 2)) for each in maps)
+    outer = sum(each.sum((1, 2)) for each in maps) - inner
+    expected = torch.cat([inner / inner.norm(), outer / outer.norm()]) / 2**0.5
+    np.testing.assert_allclose(rings, expected.numpy(), atol=1e-4)

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.autograd import gradcheck
 from torch.nn import functional
 
-from baselines.lpn.descriptor import descriptors, parts_of, unit_parts, with_mirror_image
+from baselines.lpn.descriptor import descriptors, over_symmetries, parts_of, unit_parts
 from baselines.lpn.dmli import aligned_distance, part_distances, shortest_path
 
 
@@ -72,8 +72,8 @@ def test_the_mirror_images_embedding_is_added() -> None:
         return (x * weights).sum((1, 2, 3))
 
     by_hand = (images * weights).sum((1, 2, 3)) + (images.flip(3) * weights).sum((1, 2, 3))
-    assert torch.allclose(with_mirror_image(embed, images), by_hand)
-    assert torch.allclose(with_mirror_image(embed, images.flip(3)), by_hand)
+    assert torch.allclose(over_symmetries(embed, images), by_hand)
+    assert torch.allclose(over_symmetries(embed, images.flip(3)), by_hand)
 
 
 def test_derivatives_of_descriptors() -> None:
