@@ -4,7 +4,7 @@
     descriptor = concatenation over p of f_p / (||f_p|| sqrt(P))
 
 as in the evaluation of LPN's authors (Wang et al., TCSVT 2021). With quarter turns, f is the sum over the image and its
-mirror image in each of four directions, which a drone that heads in any direction sees alike. The norm of a descriptor is 1, and the dot product of
+mirror image in each of four directions: a drone may head in any. The norm of a descriptor is 1, and the dot product of
 two descriptors is the mean cosine of corresponding parts.
 """
 
@@ -15,7 +15,6 @@ from typing import Literal
 
 import torch
 from torch import Tensor
-
 
 Turns = Literal[1, 4]
 """in how many directions an image is described: as it is, or turned by each multiple of 90 degrees"""

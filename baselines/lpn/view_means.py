@@ -62,7 +62,9 @@ class ViewMeans:
 
     def _mean(self, view: str) -> Descriptors:
         if view not in self._means:
-            images = [ImageView(path.name, view, partial(_read, path)) for path in unlabelled_images(self._folder, view)]
+            images = [
+                ImageView(path.name, view, partial(_read, path)) for path in unlabelled_images(self._folder, view)
+            ]
             self._means[view] = np.nanmean(self._describe(images), axis=0)
         return self._means[view]
 

@@ -137,7 +137,10 @@ def main() -> int:
     parser.add_argument("--set", action="append", default=[], help="NAME.key=value")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--unlabelled", action="append", default=[], help="a method that gets the even pairs' images; asks the odd pairs"
+        "--unlabelled",
+        action="append",
+        default=[],
+        help="a method that gets the even pairs' images; asks the odd pairs",
     )
     options = parser.parse_args()
     methods = options.method or ["colour-histogram=baselines.floors:ColourHistogram"]

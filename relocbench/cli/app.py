@@ -10,6 +10,7 @@ from typer.exceptions import TyperException
 from relocbench import version
 from relocbench.cli.build_dataset import build_dataset
 from relocbench.cli.check_method import check_method
+from relocbench.cli.command import Command, Group
 from relocbench.cli.demo import demo
 from relocbench.cli.evaluate import evaluate
 from relocbench.cli.evaluate_relocalization import evaluate_relocalization
@@ -27,6 +28,7 @@ from relocbench.cli.validate import validate
 from relocbench.errors import USER_ERROR
 
 app = typer.Typer(
+    cls=Group,
     help="Can this method still say where the camera is: relocalization tracking measured across weather, light and "
     "season.",
     epilog="Start with: relocbench demo",
@@ -51,21 +53,21 @@ def _main(
     pass
 
 
-app.command()(demo)
+app.command(cls=Command)(demo)
 app.add_typer(build_dataset, name="build-dataset")
-app.command()(preview)
-app.command()(evaluate)
-app.command("evaluate-retrieval")(evaluate_retrieval)
-app.command("evaluate-relocalization")(evaluate_relocalization)
-app.command()(probe)
-app.command()(leaderboard)
-app.command()(train)
-app.command()(inspect)
-app.command()(validate)
-app.command()(methods)
-app.command("check-method")(check_method)
-app.command("fetch-weights")(fetch_weights)
-app.command()(export)
+app.command(cls=Command)(preview)
+app.command(cls=Command)(evaluate)
+app.command("evaluate-retrieval", cls=Command)(evaluate_retrieval)
+app.command("evaluate-relocalization", cls=Command)(evaluate_relocalization)
+app.command(cls=Command)(probe)
+app.command(cls=Command)(leaderboard)
+app.command(cls=Command)(train)
+app.command(cls=Command)(inspect)
+app.command(cls=Command)(validate)
+app.command(cls=Command)(methods)
+app.command("check-method", cls=Command)(check_method)
+app.command("fetch-weights", cls=Command)(fetch_weights)
+app.command(cls=Command)(export)
 
 
 def run() -> int:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 
+from relocbench.cli.command import Command, Group
 from relocbench.cli.options import (
     Json,
     Quiet,
@@ -48,6 +49,14 @@ _MADE = {"synthetic": "the dataset, or the recordings,", "cross-view": "the plac
 """what a kind makes, if it is not a dataset"""
 _SOURCES = {"photographs": "Folders of photographs, PNG or JPEG; folders in them are searched too."}
 """what a kind is made from, if it is not recordings"""
+_PANELS = {
+    "ImportOptions": "The dataset",
+    "LinkingOptions": "The dataset",
+    "RuleOptions": "Which images make a pair",
+    "PhotoOptions": "Photo collections",
+    "FieldOptions": "From lidar to true poses",
+}
+"""headings of the options that kinds share, by the class that declares them"""
 _SETS = {
     "kitti": "pair_step: [1, 2]",
     "tum-rgbd": "pair_step: [1, 2]",
@@ -65,7 +74,7 @@ _SETS = {
 """an option of each kind as a YAML file sets it"""
 
 
-class _Kinds(TyperGroup):
+class _Kinds(Group):
     """Loads an importer when its own help or its work is asked for, and no sooner."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -113,7 +122,10 @@ def _command(kind: str) -> TyperCommand:
         _build(kind, options, given)
 
     run.__doc__ = f"{KINDS[kind][0].upper()}{KINDS[kind][1:]}."
-    parameters = {**_common(kind), **{name: _annotation(name, field) for name, field in fields.items()}}
+    parameters = {
+        **_common(kind),
+        **{name: _annotation(name, field, _panel(kind, options, name)) for name, field in fields.items()},
+    }
     run.__annotations__ = {**parameters, "return": None}
     run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [
@@ -127,7 +139,7 @@ def _command(kind: str) -> TyperCommand:
         ]
     )
     single = typer.Typer(rich_markup_mode="markdown", pretty_exceptions_enable=False, add_completion=False)
-    single.command(kind, epilog=f"Example: {_EXAMPLES[kind]}")(run)
+    single.command(kind, cls=Command, epilog=f"Example: {_EXAMPLES[kind]}")(run)
     return typing.cast(TyperCommand, typer.main.get_command(single))
 
 
@@ -136,7 +148,7 @@ _DEFAULTS: dict[str, Any] = {"quiet": False, "json": False}
 
 def _common(kind: str) -> dict[str, Any]:
     what = _SOURCES.get(kind, "Recordings; the first is the reference.")
-    sources = Annotated[list[Path], typer.Argument(help=what, show_default=False)]
+    sources = Annotated[list[Path], typer.Argument(metavar="FOLDER", help=what, show_default=False)]
     common: dict[str, Any] = {} if kind in _NO_SOURCE else {"sources": sources}
     return common | {
         "out": Annotated[
@@ -161,15 +173,23 @@ def _is_option(field: FieldInfo) -> bool:
     return typing.get_origin(field.annotation) is not dict
 
 
-def _annotation(name: str, field: FieldInfo) -> Any:
+def _panel(kind: str, options: type[Strict], name: str) -> str:
+    """The heading of an option: that of the most general class that declares it."""
+    declaring = [of.__name__ for of in options.__mro__ if name in inspect.get_annotations(of)]
+    return _PANELS.get(declaring[-1], f"Options of {kind}")
+
+
+def _annotation(name: str, field: FieldInfo, panel: str) -> Any:
     """A flag for a bool; for the rest a word that pydantic will understand."""
     flag = "--" + name.replace("_", "-")
     text = field.description or ""
     if field.annotation is bool:
-        return Annotated[bool | None, typer.Option(f"{flag}/--no-{flag[2:]}", help=text, show_default=False)]
+        both = f"{flag}/--no-{flag[2:]}"
+        return Annotated[bool | None, typer.Option(both, help=text, show_default=False, rich_help_panel=panel)]
     default = "" if field.is_required() or field.default in (None, "", ()) else f" [default: {_words(field.default)}]"
     metavar = _metavar(field.annotation)
-    return Annotated[str | None, typer.Option(flag, help=text + default, metavar=metavar, show_default=False)]
+    about = {"help": text + default, "metavar": metavar, "rich_help_panel": panel}
+    return Annotated[str | None, typer.Option(flag, show_default=False, **about)]
 
 
 def _kinds_with(key: str) -> str:

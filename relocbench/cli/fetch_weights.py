@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 def fetch_weights(
-    name: Annotated[str, typer.Argument(help="The method: an installed name or package.module:Class.")],
+    name: Annotated[
+        str, typer.Argument(metavar="METHOD", help="The method: an installed name or package.module:Class.")
+    ],
     settings: Settings = [],  # noqa: B006
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Fetch without asking.")] = False,
     quiet: Quiet = False,

@@ -10,7 +10,7 @@ from relocbench.cli.options import Json
 
 
 def methods(
-    name: Annotated[str | None, typer.Argument(help="Show one method with its parameters.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="METHOD", help="Show one method with its parameters.")] = None,
     json: Json = False,
 ) -> None:
     """List the installed trackers and retrievers, or one with its parameters.

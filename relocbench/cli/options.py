@@ -96,12 +96,24 @@ Overwrite = Annotated[
     ),
 ]
 Seed = Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed for methods that have one [default: 0].")]
+
+
+def installed(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The methods that a shell offers: trackers, retrievers for ``evaluate-retrieval``; ``LABEL=`` stays in front."""
+    from relocbench.methods.discovery import RETRIEVERS, TRACKERS, installed_methods
+
+    label, equals, begun = incomplete.rpartition("=")
+    names = installed_methods(RETRIEVERS if ctx.info_name == "evaluate-retrieval" else TRACKERS)
+    return [f"{label}{equals}{name}" for name in names if name.startswith(begun)]
+
+
 Methods = Annotated[
     list[str],
     typer.Option(
         "--method",
         "-m",
         metavar="NAME",
+        autocompletion=installed,
         help="An installed name, package.module:Class, or 'subprocess:COMMAND'; write LABEL=NAME to keep its results "
         "under that label. Repeat for several.",
     ),

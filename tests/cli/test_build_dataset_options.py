@@ -34,6 +34,16 @@ def test_an_option_is_shown_by_the_kinds_that_use_it_alone(option: str, kinds: t
     assert {kind for kind in KINDS if option in help_of(kind).split()} == set(kinds)
 
 
+def test_options_stand_under_what_they_are_about() -> None:
+    headings = ["Where and how work runs", "The dataset", "Which images make a pair", "Options of kitti"]
+    parts = re.split("|".join(headings), help_of("kitti"))
+    assert ["--workers" in parts[1], "--licence" in parts[2], "--pair-rule" in parts[3], "--sequence" in parts[4]] == [
+        True
+    ] * 4
+    assert "From lidar to true poses" in help_of("robotcar")
+    assert "Photo collections" in help_of("colmap")
+
+
 @pytest.mark.parametrize("kind", LIDAR)
 @pytest.mark.parametrize(("option", "value"), [("--pair-step", "1"), ("--pair-rule", "nearest")])
 def test_an_option_of_other_kinds_is_refused_with_their_names(

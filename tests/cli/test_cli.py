@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -50,6 +51,36 @@ def test_every_command_explains_itself(command: str) -> None:
     assert len(shown.out.split()) > 20
     if command != "build-dataset":
         assert "Example: relocbench" in " ".join(shown.out.split())
+
+
+@pytest.mark.parametrize(
+    "command", [[], ["evaluate"], ["methods"], ["build-dataset"], ["build-dataset", "generic-lidar"]]
+)
+def test_flags_and_arguments_are_shown_without_types(command: list[str]) -> None:
+    shown = " ".join(relocbench(*command, "--help").out.split())
+    assert "--help" in shown
+    for noise in ("<bool>", "<str>", "<list"):
+        assert noise not in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (["eval"], ["evaluate", "evaluate-retrieval", "evaluate-relocalization"]),
+        (["build-dataset", "ki"], ["kitti", "kitti-lidar"]),
+        (["build-dataset", "kitti", "--pair-r"], ["--pair-rule"]),
+        (["evaluate", "-m", "dso"], ["dso", "dso-multistart"]),
+        (["evaluate", "--method", "mine=orb"], ["mine=orb-pnp"]),
+        (["evaluate-retrieval", "--method", "orb"], ["orb-bow"]),
+    ],
+)
+def test_a_shell_completes_commands_kinds_options_and_methods(words: list[str], offered: list[str]) -> None:
+    asked = {"_RELOCBENCH_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(["relocbench", *words])}
+    program = [sys.executable, "-c", "import sys; from relocbench.cli.app import run; sys.exit(run())"]
+    environment = {**os.environ, **asked, "COMP_CWORD": str(len(words))}
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == offered
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
