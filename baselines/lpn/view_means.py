@@ -4,7 +4,7 @@ Descriptors of a trained network share most of what they are: between two views,
 much of the rest is the difference of the views. Of each part of a descriptor, the mean over unlabelled images of the
 same view is taken away:
 
-    descriptor_p = (f_p - m_p) / (||f_p - m_p|| sqrt(P))        m_p: the mean of f_p over images of the view
+    descriptor_p = (u_p - m_p) / (||u_p - m_p|| sqrt(P))        u_p = f_p / ||f_p||; m_p: its mean over the view
 
 This is the centring before whitening of Jégou and Chum ("Negative evidences and co-occurences in image retrieval",
 ECCV 2012), done for each view as in the alignment of domains by their first moments (Sun, Feng and Saenko, "Return of
@@ -13,7 +13,8 @@ frustratingly easy domain adaptation", AAAI 2016, who also align the second ones
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -30,6 +31,10 @@ Descriptors = NDArray[np.floating]
 SUFFIXES = (".jpg", ".jpeg", ".png")
 MOST_IMAGES = 64
 """of a view, evenly from all in the order of their names: the mean hardly changes with more"""
+_BATCH = 16
+"""images in memory at a time"""
+_SAME = 1e-5
+"""a descriptor of norm 1 that is so near to the mean is the mean, in single precision"""
 
 
 class ViewMeans:
@@ -53,32 +58,40 @@ class ViewMeans:
     def centred(self, rows: Descriptors, views: Sequence[str]) -> Descriptors:
         """Descriptors (N, P * D) of images of these views, relative to the mean of the view, float32 of norm 1.
 
+        An image whose descriptor is the mean itself has a row of NaN.
+
         Raises:
-            MethodError: a view has no images, or one of them cannot be read.
+            MethodError: a view has no images, none of them has a descriptor, or one cannot be read.
         """
-        means = np.stack([self._mean(view) for view in views]) if len(views) else np.zeros_like(rows)
-        relative = parts_of(torch.from_numpy(rows - means), self._parts)
-        return descriptors(relative).numpy()
+        relative = rows - np.stack([self._mean(view) for view in views]) if len(views) else rows.copy()
+        relative[np.linalg.norm(relative, axis=1) < _SAME] = np.nan
+        return descriptors(parts_of(torch.from_numpy(relative), self._parts)).numpy()
 
     def _mean(self, view: str) -> Descriptors:
         if view not in self._means:
-            images = [
-                ImageView(path.name, view, partial(_read, path)) for path in unlabelled_images(self._folder, view)
-            ]
-            self._means[view] = np.nanmean(self._describe(images), axis=0)
+            paths = unlabelled_images(self._folder, view)
+            rows = np.concatenate([self._rows(paths[k : k + _BATCH], view) for k in range(0, len(paths), _BATCH)])
+            described = rows[np.isfinite(rows).all(axis=1)]
+            if not len(described):
+                raise MethodError("none of its images can be described", self._folder / view)
+            self._means[view] = described.mean(axis=0)
         return self._means[view]
+
+    def _rows(self, paths: Sequence[Path], view: str) -> Descriptors:
+        return self._describe([ImageView(path.name, view, partial(_read, path)) for path in paths])
 
 
 def unlabelled_images(folder: Path, view: str) -> list[Path]:
     """The images that the mean of a view is made of, in the order of their names.
 
+    Links to folders are followed; files whose name begins with a dot are not images.
+
     Raises:
         MethodError: the view has none.
     """
-    within = folder / view
-    paths = sorted(path for path in within.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    paths = sorted(_images(folder / view))
     if not paths:
-        raise MethodError(f"holds no image; expected unlabelled images of the view '{view}'", within)
+        raise MethodError(f"holds no JPEG or PNG; expected unlabelled images of the view '{view}'", folder / view)
     chosen = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), MOST_IMAGES)).round().astype(int))
     return [paths[k] for k in chosen]
 
@@ -87,17 +100,22 @@ def unlabelled_files(folder: Path | None) -> dict[str, Path]:
     """All images that the means can depend on, by a name, for the record of a run; none without a folder."""
     if folder is None or not Path(folder).is_dir():
         return {}
-    folder = Path(folder)
-    views = sorted(path.name for path in folder.iterdir() if path.is_dir())
-    found = [path for view in views for path in _listed(folder, view)]
+    views = sorted(path.name for path in Path(folder).iterdir() if path.is_dir() and any(_images(path)))
+    found = [path for view in views for path in unlabelled_images(Path(folder), view)]
     return {f"unlabelled/{path.relative_to(folder).as_posix()}": path for path in found}
 
 
-def _listed(folder: Path, view: str) -> list[Path]:
-    try:
-        return unlabelled_images(folder, view)
-    except MethodError:
-        return []
+def _images(folder: Path) -> Iterator[Path]:
+    seen = set()
+    for path, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(path)
+        if real in seen:  # a link that leads back
+            folders.clear()
+            continue
+        seen.add(real)
+        for name in files:
+            if Path(name).suffix.lower() in SUFFIXES and not name.startswith("."):
+                yield Path(path, name)
 
 
 def _read(path: Path) -> NDArray[np.uint8]:

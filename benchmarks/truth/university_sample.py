@@ -53,15 +53,16 @@ _BATCH = 32
 
 
 class Asked:
-    """A retriever that describes every image once, however many tasks show it."""
+    """A retriever that describes every image once, however many tasks show it; one that fits begins anew in each."""
 
     def __init__(self, spec: MethodSpec, seed: int) -> None:
-        self._retriever, self._seed = spec.create(), seed
+        self._spec, self._retriever, self._seed = spec, spec.create(), seed
         self._rows: dict[str, np.ndarray] = {}
 
     def metrics(self, task: RetrievalTask) -> dict[str, float]:
         """The metrics of one task."""
         if isinstance(self._retriever, FittingRetriever):
+            self._retriever = self._spec.create()
             self._retriever.fit(task.gallery, self._seed)
             self._rows.clear()
         query, gallery = self._described(task.queries), self._described(task.gallery)
@@ -89,11 +90,12 @@ def odd_pairs(task: RetrievalTask) -> RetrievalTask:
 
 
 def write_even_pairs(tasks: Sequence[RetrievalTask], folder: Path) -> None:
-    """Write the images of every second pair, a folder for each view, in an order that tells nothing."""
+    """Write the images of every second pair, a folder for each view, in an order of its own that tells nothing."""
+    rng = np.random.default_rng(0)
     for task in tasks:
         images = task.queries[::2]
         (folder / images[0].view).mkdir()
-        for number, each in enumerate(np.random.default_rng(len(task.name)).permutation(len(images))):
+        for number, each in enumerate(rng.permutation(len(images))):
             path = folder / images[0].view / f"{number:03d}.png"
             cv2.imwrite(str(path), cv2.cvtColor(images[each].image, cv2.COLOR_RGB2BGR))
 
@@ -144,6 +146,9 @@ def main() -> int:
     )
     options = parser.parse_args()
     methods = options.method or ["colour-histogram=baselines.floors:ColourHistogram"]
+    unknown = set(options.unlabelled) - {method.split("=")[0] for method in methods}
+    if unknown:
+        parser.error(f"--unlabelled {sorted(unknown)[0]}: no --method has that label")
     try:
         with tempfile.TemporaryDirectory() as folder:
             result = run(options.sample, methods, options.set, options.seed, options.unlabelled, Path(folder))

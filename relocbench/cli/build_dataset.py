@@ -100,7 +100,7 @@ class _Kinds(Group):
 build_dataset = typer.Typer(
     cls=_Kinds,
     no_args_is_help=True,
-    subcommand_metavar="KIND [SOURCES]... --out FOLDER",
+    subcommand_metavar="KIND [FOLDER]... --out FOLDER",
     help="Make a dataset from recordings, or render one. `relocbench build-dataset KIND --help` has the options.",
     rich_markup_mode="markdown",
 )

@@ -23,6 +23,7 @@ def evaluate_relocalization(
             "--retriever",
             "-r",
             metavar="NAME",
+            autocompletion=common.retrievers,
             help="What ranks the keyframes: a retriever as evaluate-retrieval takes it, 'oracle', which knows the "
             "truth, or LABEL=predictions:PATH with lists of 'query db' lines. Repeat for several: each is run with "
             "each tracker.",

@@ -32,7 +32,7 @@ def evaluate_retrieval(
             "--method",
             "-m",
             metavar="NAME",
-            autocompletion=common.installed,
+            autocompletion=common.retrievers,
             help="An installed name or package.module:Class; write LABEL=NAME to keep its results under that label. "
             "Repeat for several.",
         ),

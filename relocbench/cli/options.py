@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+if TYPE_CHECKING:
+    from relocbench.methods.discovery import MethodKind
 
 _RUN = "Where and how work runs"
 
@@ -98,12 +101,30 @@ Overwrite = Annotated[
 Seed = Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed for methods that have one [default: 0].")]
 
 
-def installed(ctx: typer.Context, incomplete: str) -> list[str]:
-    """The methods that a shell offers: trackers, retrievers for ``evaluate-retrieval``; ``LABEL=`` stays in front."""
-    from relocbench.methods.discovery import RETRIEVERS, TRACKERS, installed_methods
+def trackers(incomplete: str) -> list[str]:
+    """The trackers that a shell offers for a word that was begun."""
+    from relocbench.methods.discovery import TRACKERS
+
+    return _offered(TRACKERS, incomplete)
+
+
+def retrievers(incomplete: str) -> list[str]:
+    """The retrievers that a shell offers for a word that was begun."""
+    from relocbench.methods.discovery import RETRIEVERS
+
+    return _offered(RETRIEVERS, incomplete)
+
+
+def _offered(kind: MethodKind, incomplete: str) -> list[str]:
+    """``LABEL=`` stays in front. Bash takes ``=`` for the end of a word: it completes no name behind a label."""
+    from relocbench.errors import RelocbenchError
+    from relocbench.methods.discovery import installed_methods
 
     label, equals, begun = incomplete.rpartition("=")
-    names = installed_methods(RETRIEVERS if ctx.info_name == "evaluate-retrieval" else TRACKERS)
+    try:
+        names = installed_methods(kind)
+    except RelocbenchError:  # a line that is being typed is no place for it
+        return []
     return [f"{label}{equals}{name}" for name in names if name.startswith(begun)]
 
 
@@ -113,7 +134,7 @@ Methods = Annotated[
         "--method",
         "-m",
         metavar="NAME",
-        autocompletion=installed,
+        autocompletion=trackers,
         help="An installed name, package.module:Class, or 'subprocess:COMMAND'; write LABEL=NAME to keep its results "
         "under that label. Repeat for several.",
     ),

@@ -70,8 +70,8 @@ def test_flags_and_arguments_are_shown_without_types(command: list[str]) -> None
         (["build-dataset", "ki"], ["kitti", "kitti-lidar"]),
         (["build-dataset", "kitti", "--pair-r"], ["--pair-rule"]),
         (["evaluate", "-m", "dso"], ["dso", "dso-multistart"]),
-        (["evaluate", "--method", "mine=orb"], ["mine=orb-pnp"]),
         (["evaluate-retrieval", "--method", "orb"], ["orb-bow"]),
+        (["evaluate-relocalization", "--retriever", "orb"], ["orb-bow"]),
     ],
 )
 def test_a_shell_completes_commands_kinds_options_and_methods(words: list[str], offered: list[str]) -> None:
@@ -81,6 +81,13 @@ def test_a_shell_completes_commands_kinds_options_and_methods(words: list[str], 
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split() == offered
     assert done.stderr == ""
+
+
+def test_a_name_is_completed_behind_a_label_where_the_shell_allows_it() -> None:
+    asked = {"_RELOCBENCH_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": "relocbench evaluate --method mine=orb"}
+    program = [sys.executable, "-c", "import sys; from relocbench.cli.app import run; sys.exit(run())"]
+    done = subprocess.run(program, env={**os.environ, **asked}, capture_output=True, text=True, check=True)
+    assert "mine=orb-pnp" in done.stdout
 
 
 @pytest.mark.parametrize("kind", list(KINDS))

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from relocbench.datasets.core.layout import DatasetLayout
-from relocbench.datasets.cross_view import open_cross_view
+from relocbench.datasets.cross_view import is_cross_view, open_cross_view
 from relocbench.datasets.learning.drive_places import drive_places
 from relocbench.errors import ConfigError
 from relocbench.progress import Reporter
@@ -32,7 +32,8 @@ def training_places(roots: Sequence[Path], reporter: Reporter) -> PlaceData:
 
 def _places(root: Path, reporter: Reporter) -> PlaceData:
     layout = DatasetLayout(root)
-    drives = layout.dataset_yaml.exists() or layout.build_yaml.exists()  # of a build that was not finished the second
+    # A rendered cross-view set has files of these names, too. Of an unfinished build there is the second alone.
+    drives = not is_cross_view(root) and (layout.dataset_yaml.exists() or layout.build_yaml.exists())
     return drive_places(root) if drives else open_cross_view(root, reporter).training()
 
 

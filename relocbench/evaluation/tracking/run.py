@@ -304,6 +304,8 @@ def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool)
         for k in sorted(before.files.keys() & record.files.keys())
         if before.files[k] != record.files[k] and not any(line.startswith(f"{k}: ") for line in changed)
     ]
+    if before.files and record.files and not changed:
+        changed = [f"{k}: a file of one of the two only" for k in sorted(before.files.keys() ^ record.files.keys())][:3]
     if work_left and not changed:
         changed = [
             f"{k} {before.versions.get(k)} there, {v} now"

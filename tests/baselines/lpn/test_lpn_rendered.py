@@ -14,6 +14,7 @@ from baselines.lpn.retriever import Lpn
 from baselines.lpn.training.trainer import LpnTrainer
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.datasets.importers.rendered import cross_view
+from relocbench.datasets.learning.training_places import training_places
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.execution import Run
 from relocbench.progress import Silent
@@ -28,6 +29,13 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> CrossViewSet:
     small = {"size": 64, "extent": 190.0, "conditions": ("Sunny",)}
     options = cross_view.Options.model_validate({**of_four, **small})
     return cross_view.build_places([], options, tmp_path_factory.mktemp("places") / "out", Silent(), Run(1))
+
+
+def test_a_rendered_set_is_learnt_from_by_its_folder(rendered: CrossViewSet) -> None:
+    places = training_places([rendered.root], Silent())
+    assert places.views == ("drone", "satellite")
+    assert places.places == rendered.training().places == 4
+    assert [one.image.key for one in places.images] == [one.image.key for one in rendered.training().images]
 
 
 @pytest.mark.parametrize("name", FROM_ABOVE)

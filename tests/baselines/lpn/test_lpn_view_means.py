@@ -95,7 +95,8 @@ def test_some_images_of_many_are_enough(tmp_path: Path) -> None:
     (tmp_path / "street").mkdir()
     for number in range(3 * MOST_IMAGES):
         (tmp_path / "street" / f"{number:04d}.jpg").touch()
-    (tmp_path / "street" / "notes.txt").touch()
+    for name in ("notes.txt", "._0000.jpg"):
+        (tmp_path / "street" / name).touch()
     chosen = unlabelled_images(tmp_path, "street")
     assert len(chosen) == MOST_IMAGES
     assert (chosen[0].name, chosen[-1].name) == ("0000.jpg", f"{3 * MOST_IMAGES - 1:04d}.jpg")
@@ -105,11 +106,32 @@ def test_some_images_of_many_are_enough(tmp_path: Path) -> None:
     assert unlabelled_files(tmp_path / "none") == {}
 
 
+def test_a_linked_flight_is_one_of_the_view(tmp_path: Path) -> None:
+    (tmp_path / "flight").mkdir()
+    (tmp_path / "flight" / "0.png").touch()
+    (tmp_path / "all" / "drone").mkdir(parents=True)
+    (tmp_path / "all" / "drone" / "first").symlink_to(tmp_path / "flight")
+    (tmp_path / "flight" / "back").symlink_to(tmp_path / "all" / "drone")
+    assert [path.name for path in unlabelled_images(tmp_path / "all", "drone")] == ["0.png"]
+
+
+def test_an_image_that_is_the_mean_has_no_descriptor(tmp_path: Path) -> None:
+    (tmp_path / "drone").mkdir()
+    (tmp_path / "drone" / "0.png").touch()
+    only = np.eye(4, dtype=np.float32)[:1]
+    rows = ViewMeans(tmp_path, lambda images: only, 1).centred(np.concatenate([only, -only]), ["drone", "drone"])
+    assert np.isnan(rows[0]).all()
+    assert np.allclose(rows[1], -only)
+    nothing = ViewMeans(tmp_path, lambda images: np.full((1, 4), np.nan), 1)
+    with pytest.raises(MethodError, match=r"drone: none of its images can be described"):
+        nothing.centred(only, ["drone"])
+
+
 def test_what_is_not_there_is_named(weights: Path, unlabelled: Path) -> None:
     with pytest.raises(MethodError, match=r"nowhere: is no folder; expected one with a folder of images for each view"):
         Lpn(weights=weights, unlabelled=unlabelled / "nowhere")
     street = ViewMeans(unlabelled, lambda images: np.zeros((len(images), 2)), 1)
-    with pytest.raises(MethodError, match=r"street: holds no image; expected unlabelled images of the view 'street'"):
+    with pytest.raises(MethodError, match=r"street: holds no JPEG or PNG; expected unlabelled"):
         street.centred(np.zeros((1, 2), np.float32), ["street"])
     (unlabelled / "satellite" / "0.png").write_bytes(b"no image")
     with pytest.raises(MethodError, match=r"an unlabelled image cannot be read: .*0\.png"):
