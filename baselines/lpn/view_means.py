@@ -18,13 +18,13 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from baselines.lpn.descriptor import descriptors, parts_of
-from relocbench.datasets.core.images import as_rgb, read_image
-from relocbench.errors import DatasetError, MethodError
+from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
 
 Descriptors = NDArray[np.floating]
@@ -120,6 +120,9 @@ def _images(folder: Path) -> Iterator[Path]:
 
 def _read(path: Path) -> NDArray[np.uint8]:
     try:
-        return as_rgb(read_image(path))
-    except DatasetError as bad:
-        raise MethodError(f"an unlabelled image cannot be read: {bad}") from bad
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error as bad:  # more pixels than OpenCV reads
+        raise MethodError("an unlabelled image that is too large", path) from bad
+    if image is None:
+        raise MethodError("an unlabelled image that cannot be read; expected a JPEG or PNG", path)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)

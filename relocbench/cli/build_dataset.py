@@ -188,8 +188,8 @@ def _annotation(name: str, field: FieldInfo, panel: str) -> Any:
         return Annotated[bool | None, typer.Option(both, help=text, show_default=False, rich_help_panel=panel)]
     default = "" if field.is_required() or field.default in (None, "", ()) else f" [default: {_words(field.default)}]"
     metavar = _metavar(field.annotation)
-    about = {"help": text + default, "metavar": metavar, "rich_help_panel": panel}
-    return Annotated[str | None, typer.Option(flag, show_default=False, **about)]
+    option = typer.Option(flag, help=text + default, metavar=metavar, show_default=False, rich_help_panel=panel)
+    return Annotated[str | None, option]
 
 
 def _kinds_with(key: str) -> str:

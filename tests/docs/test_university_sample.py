@@ -6,12 +6,12 @@ import sys
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from made_places import picture
 from repository import ROOT
 
+from relocbench.datasets.core.images import as_rgb, read_image
 from relocbench.methods import RETRIEVERS, parse_method
 from relocbench.metrics import relevance_from_lists
 from relocbench.retrieval import ImageView, RetrievalTask
@@ -46,7 +46,7 @@ def test_the_images_of_even_pairs_do_not_tell_which_belong_together(tmp_path: Pa
     for view in ("drone", "satellite"):
         pictures = {picture(n, view, 0, 16).tobytes(): n for n in range(COUNT)}
         files = sorted((tmp_path / view).iterdir())
-        shown = [cv2.imread(str(path))[..., ::-1] for path in files]
+        shown = [as_rgb(read_image(path)) for path in files]
         places[view] = [pictures[np.ascontiguousarray(image).tobytes()] for image in shown]
         assert sorted(places[view]) == list(range(0, COUNT, 2))
         assert places[view] != list(range(0, COUNT, 2))
