@@ -66,6 +66,11 @@ PAGES = (
         ("benchmarks/publish/real.py", *_SMALL_SETS),
     ),
     Page(
+        "leaderboard/real/webcams_probe/probe.md",
+        "make leaderboard RECORDINGS=FOLDER",
+        ("relocbench/evaluation/probe", *_SMALL_SETS),
+    ),
+    Page(
         "leaderboard/weather/cross_weather.md",
         "make leaderboard-weather",
         ("benchmarks/publish/cross_weather.py", "benchmarks/publish/districts.py", *_TOWN, *_TRACKING, *_TRACKERS),
