@@ -11,31 +11,25 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from made_places import NarrowResNet, picture
+from made_places import picture
 from numpy.typing import NDArray
 from safetensors.torch import save_file
+from small_lpn import ABOUT, NARROW, drawn_weights
 
 from baselines.lpn.descriptor import parts_of
 from baselines.lpn.dmli import aligned_distance
 from baselines.lpn.images import resized
 from baselines.lpn.network import LpnNetwork
-from baselines.lpn.options import NetworkOptions
 from baselines.lpn.retriever import GlobalAverage, Lpn
-from baselines.lpn.weights import About, load_weights, save_weights
+from baselines.lpn.weights import load_weights, save_weights
 from relocbench.errors import ConfigError, MethodError
 from relocbench.retrieval import ImageView, RerankingRetriever, Retriever
-
-NARROW = NetworkOptions(backbone="resnet18", width=8)
-ABOUT = About("lpn", 64, "drawn, no ImageNet", ("drone", "satellite"), 0, {"data": '{"made": "0"}'})
 
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The drawn weights of a small LPN."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
-        path = tmp_path_factory.mktemp("weights") / "lpn.safetensors"
-        save_weights(path, LpnNetwork(3, NARROW).eval(), ABOUT)
+    with drawn_weights(tmp_path_factory.mktemp("weights")) as path:
         yield path
 
 

@@ -9,27 +9,20 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from made_places import NarrowResNet, picture
+from made_places import picture
 from numpy.typing import NDArray
+from small_lpn import drawn_weights
 
-from baselines.lpn.network import LpnNetwork
-from baselines.lpn.options import NetworkOptions
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.view_means import MOST_IMAGES, ViewMeans, unlabelled_files, unlabelled_images
-from baselines.lpn.weights import About, save_weights
 from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
-
-ABOUT = About("lpn", 64, "drawn, no ImageNet", ("drone", "satellite"), 0, {"data": '{"made": "0"}'})
 
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The drawn weights of a small LPN."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
-        path = tmp_path_factory.mktemp("weights") / "lpn.safetensors"
-        save_weights(path, LpnNetwork(3, NetworkOptions(backbone="resnet18", width=8)).eval(), ABOUT)
+    with drawn_weights(tmp_path_factory.mktemp("weights")) as path:
         yield path
 
 
