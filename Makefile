@@ -2,11 +2,11 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
+.PHONY: help setup browser test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
 PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --extra learned \
-  --extra pretrained --python-version 3.11 --custom-compile-command "make constraints"
+  --extra pretrained --extra viewer --python-version 3.11 --custom-compile-command "make constraints"
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 24
@@ -15,6 +15,9 @@ setup: $(VENV)/.ready ## virtual environment, pinned packages, system libraries
 
 $(VENV)/.ready: tools/setup.sh tools/hashes.txt pyproject.toml
 	VENV=$(VENV) tools/setup.sh
+
+browser:         ## Chromium, which the tests of the pages in HTML open them in (they are skipped without one)
+	tools/browser.sh
 
 PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=20
 

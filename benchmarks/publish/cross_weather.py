@@ -236,6 +236,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
     parser.add_argument("--set", dest="settings", action="append", help="method.key=value")
     options = parser.parse_args()
+    if options.first > options.districts:
+        parser.error(f"--first {options.first} lies behind the last district, --districts {options.districts}")
     options.settings = options.settings or ([] if options.methods else list(SETTINGS))
     options.methods = options.methods or list(METHODS)
     options.phrase = VALIDATION_PHRASE if options.split != "test" else NEXT_PHRASE if options.next else PHRASE
