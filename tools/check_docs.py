@@ -115,7 +115,8 @@ class CodeBlock:
 def code_blocks(page: Path) -> Iterator[CodeBlock]:
     """The fenced blocks of a page that begin at the margin, in their order."""
     opened: re.Match[str] | None = None
-    start, lines = 0, []
+    start = 0
+    lines: list[str] = []
     for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
         fence = _FENCE.match(line)
         if opened is None and fence:

@@ -29,8 +29,7 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     """Add the published results, and a page for each notebook."""
     for path in sorted((ROOT / BOARD).rglob("*")):
         if path.suffix in _SHOWN:
-            name = path.relative_to(ROOT).as_posix()
-            files.append(File.generated(config, name, abs_src_path=str(path)))
+            files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))
     for path in sorted(Path(config.docs_dir).rglob("*.ipynb")):
         name = path.relative_to(config.docs_dir).with_suffix(".md")
         text, pictures = notebook_page(path)
