@@ -69,6 +69,10 @@ def leaderboard(
     plots: Annotated[
         bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves of trackers are drawn.")
     ] = True,
+    html: Annotated[
+        bool,
+        typer.Option("--html", help="Also write html/index.html, pages that sort, filter and zoom, opened from the disk."),
+    ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -115,6 +119,12 @@ def leaderboard(
             write_chain_board(chains, out, told)
         if board is not None:
             write_board(board, out, plots=plots, reporter=told)
+        if html:
+            from relocbench.leaderboard.html.site import Boards, write_site
+
+            write_site(Boards(board, found, chains), out / "html", reporter=told)
+    if html and not quiet:
+        typer.echo(f"written: {out / 'html' / 'index.html'}", err=True)
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if chains is not None:

@@ -1,6 +1,6 @@
 """Names of files and links of the site: what people may have bookmarked or cited, and so what stays as it is.
 
-Everything is relative to the folder of the site, and every file lies directly in it or in ``data/`` and ``assets/``. The
+Everything is relative to the folder of the site; every file lies directly in it or in ``data/`` and ``assets/``. The
 state of a page stands in the part of its address behind ``#``, as ``key=value&key=value`` with percent-encoded values.
 """
 
