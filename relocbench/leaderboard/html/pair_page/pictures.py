@@ -46,12 +46,12 @@ def small_camera(camera: Camera) -> Camera:
 def small_image(image: Image, camera: Camera) -> Image:
     """An image (H, W[, 3]) as :func:`small_camera` sees it; black where the image shows nothing."""
     target = small_camera(camera)
-    small = np.asarray(cv2.resize(image, target.size, interpolation=cv2.INTER_AREA))
+    small = np.asarray(cv2.resize(image, target.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     if camera.model == "pinhole":
         return small
     still_distorted = replace(target, model=camera.model, distortion=camera.distortion)
     u, v = still_distorted.undistortion_map(target)
-    return np.asarray(cv2.remap(small, u, v, cv2.INTER_LINEAR))
+    return np.asarray(cv2.remap(small, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
 
 
 def image_payload(image: Image, camera: Camera) -> dict[str, object]:
