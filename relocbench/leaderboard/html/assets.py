@@ -15,12 +15,12 @@ _NOTICES = """\
 The pages of this site use these programs, which are in the folder assets:
 
 plotly.min.js     Plotly.js, copyright Plotly, Inc., MIT licence
-datatables.js     DataTables and its extensions, copyright SpryMedia Ltd, MIT licence; jQuery, copyright OpenJS Foundation
-                  and other contributors, MIT licence; further licences stand at the beginning of the file
+datatables.js     DataTables and its extensions, copyright SpryMedia Ltd, MIT licence; jQuery, copyright OpenJS
+                  Foundation and other contributors, MIT licence; further licences stand at the beginning of the file
 datatables.css    DataTables, copyright SpryMedia Ltd, MIT licence
 
-The bundle of DataTables is that of the package itables, MIT licence, with its export replaced by a name of the window,
-since pages that are opened from a disk cannot load modules. All other scripts and styles are those of relocbench, licence
+The bundle of DataTables is that of the package itables, MIT licence, with its export replaced by a name of the window:
+pages that are opened from a disk cannot load modules. All other scripts and styles are those of relocbench, licence
 Apache-2.0.
 """
 

@@ -31,14 +31,19 @@ def is_floor(method: Method) -> bool:
     return method.is_floor or method.is_clock
 
 
-def site_payload(board: Board | None) -> dict[str, Any]:
-    """What every page knows: the look of each method, and which pages there are."""
+def site_payload(board: Board | None, *, pair_page: bool = False) -> dict[str, Any]:
+    """What every page knows: the look of each method, and which pages there are.
+
+    Args:
+        pair_page: whether the site has pages of single pairs, which lists of pairs then link.
+    """
     methods = [m for dataset in (board.datasets if board else ()) for m in dataset.entry.methods]
     floors = {m.label for m in methods if is_floor(m)}
     return {
         "looks": looks({m.label for m in methods}, floors),
         "pages": {m.label: links.method_page(m.label) for m in methods},
         "correct": list(CORRECT),
+        "pair_page": pair_page,
         "statuses": list(STATUSES),
     }
 

@@ -32,12 +32,13 @@ class Boards:
     relocalization: ChainBoard | None = None
 
 
-def write_site(boards: Boards, site: Path, *, reporter: Reporter | None = None) -> Path:
+def write_site(boards: Boards, site: Path, *, pair_page: bool = False, reporter: Reporter | None = None) -> Path:
     """Write the site; returns the path of its start page.
 
     Args:
         boards: of one results folder.
         site: its folder. Pages and payloads of sets and methods that are no longer there are removed.
+        pair_page: whether pages of single pairs are written too, which lists of pairs then link.
         reporter: receives the number of sets that are done.
 
     Raises:
@@ -46,7 +47,7 @@ def write_site(boards: Boards, site: Path, *, reporter: Reporter | None = None) 
     board = boards.tracking
     remove_parts(site)
     write_assets(site)
-    written = {write_data(site, "site", site_payload(board))}
+    written = {write_data(site, "site", site_payload(board, pair_page=pair_page))}
     datasets = board.datasets if board else ()
     with (reporter or Silent()).stage("site", len(datasets)) as advance:
         for dataset in datasets:

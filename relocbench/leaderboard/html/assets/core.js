@@ -81,13 +81,21 @@
   const DIGITS = { m: 3, deg: 3, s: 3 };
   const UNITS = { share: "%", m: "m", deg: "°", s: "s" };
 
+  /** Ties go to the even digit, as on the pages that relocbench itself fills. */
+  function rounded(value, digits) {
+    const scaled = Math.abs(value) * 10 ** digits;
+    const tie = scaled % 1 === 0.5 && scaled < 2 ** 40;
+    const even = 2 * Math.round(scaled / 2);
+    return tie ? (Math.sign(value) * even / 10 ** digits).toFixed(digits) : value.toFixed(digits);
+  }
+
   /** A value in its unit without the unit's name; shares in percent, "inf" for no answer, empty for no value. */
   function number(value, unit) {
     if (value === null || value === undefined) return "";
     const plain = Number(value);
     if (Number.isNaN(plain)) return "";
     if (!Number.isFinite(plain)) return "inf";
-    return unit === "share" ? (100 * plain).toFixed(1) : plain.toFixed(DIGITS[unit] ?? 3);
+    return unit === "share" ? rounded(100 * plain, 1) : rounded(plain, DIGITS[unit] ?? 3);
   }
 
   /** The state in the address, key=value&key=value behind the #. */

@@ -59,6 +59,10 @@
     return out;
   }
 
+  /** As pair_link of links.py has it. */
+  const pairLink = (pair, label) => "pair.html#" + Object.entries({ set: set.id, pairset: pair.set, pair: `${pair.reference}-${pair.query}`, method: label })
+    .map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
+
   function openPairs(label, pairs, where) {
     $("pairs-title").textContent = `${label}: ${where}, worst first`;
     if (DataTable.isDataTable("#pair-list")) new DataTable.Api("#pair-list").destroy();
@@ -69,7 +73,7 @@
       data: [...pairs].sort((a, b) => (a.both === b.both ? 0 : b.both > a.both ? 1 : -1)),
       columns: [
         { title: "pair set", data: "set", className: "text", render: text },
-        { title: "reference, ns", data: (row) => String(row.reference), render: text },
+        { title: "reference, ns", data: (row) => String(row.reference), render: (value, type, row) => (type === "display" && site.pair_page ? `<a href="${escape(pairLink(row, label))}">${value}</a>` : value) },
         { title: "query, ns", data: (row) => String(row.query), render: text },
         { title: "translation error, m", data: "t", render: numeric("m") },
         { title: "rotation error, °", data: "r", render: numeric("deg") },
@@ -144,7 +148,9 @@
       if (finite && !set.methods[label].floor) limits.push(values[Math.floor(0.8 * finite)]);
       const step = Math.max(1, Math.floor(finite / 800)), x = [0], y = [0];
       for (let i = 0; i < finite; i += step) { x.push(values[i]); y.push((100 * (i + 1)) / values.length); }
-      return line(label, { x, y, mode: "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % at most %{x:.3f}<extra></extra>` });
+      const last = finite ? values[finite - 1] : 0, reached = (100 * finite) / values.length;
+      x.push(last, Math.max(last, 1e9)); y.push(reached, reached);
+      return line(label, { x, y, line: { color: look(label).colour, dash: look(label).dash, width: 2, shape: "hv" }, mode: "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % at most %{x:.3f}<extra></extra>` });
     });
     const mark = { both: 1, translation: metres, rotation: degrees }[what];
     const limit = Math.max(2 * mark, ...(limits.length ? [limits.sort((a, b) => a - b)[limits.length >> 1]] : []));
@@ -195,9 +201,9 @@
     }));
     chart("heat", [{
       type: "heatmap", z: cells, x: queries.map(escape), y: references.map(escape), xgap: 2, ygap: 2,
-      colorscale: b ? [[0, "#b3561b"], [0.5, "#f4f4f4"], [1, "#2b5fb8"]] : "Cividis", zmin: b ? -100 : 0, zmax: 100,
+      colorscale: b ? [[0, "#b3561b"], [0.5, "#f4f4f4"], [1, "#2b5fb8"]] : "Cividis", showscale: innerWidth > 640, zmin: b ? -100 : 0, zmax: 100,
       texttemplate: "%{z:.1f}", hovertemplate: "%{y} → %{x}: %{z:.1f} %<extra></extra>",
-    }], { margin: { l: 150, r: 12, t: 12, b: 60 }, xaxis: { title: { text: "query" }, type: "category" }, yaxis: { title: { text: "reference" }, type: "category" } },
+    }], { height: 150 + 60 * references.length, xaxis: { title: { text: "query" }, type: "category" }, yaxis: { title: { text: "reference" }, type: "category" } },
     async (event) => {
       const [y, x] = event.points[0].pointIndex || event.points[0].pointNumber;
       const chosen = tables.filter((t) => facts[t.pair_sets[0]].reference === references[y] && facts[t.pair_sets[0]].query === queries[x]);
