@@ -82,8 +82,8 @@ def leaderboard(
         typer.Option(
             min=0,
             metavar="N",
-            help="With --html: Pages of single pairs show images, where the dataset is at hand, of the N worst pairs of each "
-            "method and of N drawn at random, in each pair set; about 0.1 MB a pair.",
+            help="With --html: where the dataset is at hand, the pages of the N worst pairs of each method and of N "
+            "drawn at random, in each pair set, show their images; about 0.1 MB a pair.",
         ),
     ] = 6,
     quiet: Quiet = False,
@@ -168,8 +168,8 @@ def report(
         typer.Option(
             min=0,
             metavar="N",
-            help="Pages of single pairs show images, where the dataset is at hand, of the N worst pairs of each "
-            "method and of N drawn at random, in each pair set; about 0.1 MB a pair.",
+            help="Where the dataset is at hand, the pages of the N worst pairs of each method and of N drawn at "
+            "random, in each pair set, show their images; about 0.1 MB a pair.",
         ),
     ] = 6,
     quiet: Quiet = False,

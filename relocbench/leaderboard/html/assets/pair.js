@@ -120,11 +120,37 @@
     render();
   }
 
-  const key = (label) => {
-    const look = relocbench.look(label), svg = element("span");
-    svg.innerHTML = `<svg class="key" width="12" height="12" aria-hidden="true"><circle cx="6" cy="6" r="5" fill="${look.colour}"/></svg>`;
-    return svg.firstChild;
+  /* marker -> points, turn in degrees, inner radius of a star */
+  const MARKERS = {
+    square: [4, 45], diamond: [4, 0], "triangle-up": [3, 0], "triangle-down": [3, 180], "triangle-left": [3, -90], "triangle-right": [3, 90],
+    pentagon: [5, 0], hexagon: [6, 0], star: [5, 0, 0.45], cross: [4, 0, 0.35], x: [4, 45, 0.35], bowtie: [2, 90, 0.4],
   };
+  /** The path of a method's marker. */
+  function markerPath(marker, x, y, r) {
+    const [points, turned, inner] = MARKERS[marker.replace("-open", "")] || [24, 0];
+    const corners = inner ? 2 * points : points;
+    return Array.from({ length: corners }, (_, i) => {
+      const angle = (2 * Math.PI * i) / corners + (turned * Math.PI) / 180, radius = inner && i % 2 ? inner * r : r;
+      return `${i ? "L" : "M"}${(x + radius * Math.sin(angle)).toFixed(2)} ${(y - radius * Math.cos(angle)).toFixed(2)}`;
+    }).join("") + "Z";
+  }
+  const SVG = "http://www.w3.org/2000/svg";
+  function draw(name, attributes, text = "") {
+    const node = document.createElementNS(SVG, name);
+    for (const [k, v] of Object.entries(attributes)) node.setAttribute(k, v);
+    node.textContent = text;
+    return node;
+  }
+  function marker(label, x, y, r) {
+    const look = relocbench.look(label), open = look.marker.endsWith("-open");
+    const paint = open ? { fill: "none", stroke: look.colour, "stroke-width": 1.8 } : { fill: look.colour };
+    return draw("path", { d: markerPath(look.marker, x, y, r), ...paint });
+  }
+  function key(label) {
+    const svg = draw("svg", { class: "key", width: 14, height: 14, "aria-hidden": "true" });
+    svg.append(marker(label, 7, 7, 5.5));
+    return svg;
+  }
 
   function drawNumbers() {
     const { of, row, label, labels } = now;
@@ -249,7 +275,7 @@
 
   function drawPlan() {
     const { of, row, label, labels } = now, css = relocbench.css;
-    const width = 400, height = 340, edge = 34;
+    const width = 400, height = 480, edge = 34;
     const marks = [{ name: "keyframe", pose: KEYFRAME, colour: css("--text"), shape: "keyframe" }];
     const truth = truthOf(of, row);
     if (truth) marks.push({ name: "truth", pose: truth, colour: css("--good"), shape: "truth" });
@@ -268,13 +294,6 @@
     const [left, right] = range(0), [back, front] = range(1);
     const scale = Math.min((width - 2 * edge) / Math.max(right - left, 0.2), (height - 2 * edge - 24) / Math.max(front - back, 0.2), 400);
     const x = (metre) => width / 2 + (metre - (left + right) / 2) * scale, y = (metre) => (height - 24) / 2 - (metre - (back + front) / 2) * scale;
-    const SVG = "http://www.w3.org/2000/svg";
-    const draw = (name, attributes, text = "") => {
-      const node = document.createElementNS(SVG, name);
-      for (const [k, v] of Object.entries(attributes)) node.setAttribute(k, v);
-      node.textContent = text;
-      return node;
-    };
     const told = marks.map((mark) => `${mark.name} ${number(mark.at[0], "m")} m right and ${number(mark.at[1], "m")} m ahead`).join("; ");
     const svg = draw("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Positions relative to the keyframe: ${told}` });
     for (const mark of marks) {
@@ -291,7 +310,7 @@
         group.append(draw("line", { x1: px, y1: py, x2: px + 22 * hx, y2: py - 22 * hz, stroke: mark.colour, "stroke-width": 2 }));
         if (mark.shape === "answer") {
           if (mark.chosen) group.append(draw("circle", { cx: px, cy: py, r: 9, fill: "none", stroke: mark.colour, "stroke-width": 1.5 }));
-          group.append(draw("circle", { cx: px, cy: py, r: 4.5, fill: mark.colour, stroke: css("--raised"), "stroke-width": 1 }));
+          group.append(marker(mark.name, px, py, 5.5));
         } else if (mark.shape === "truth") {
           group.append(draw("path", { d: `M${px - 8} ${py}H${px + 8}M${px} ${py - 8}V${py + 8}`, stroke: mark.colour, "stroke-width": 2.5 }));
         } else {

@@ -61,7 +61,27 @@ relocbench.warp = (() => {
         }
       }
     }
-    return buffer;
+    return filled(buffer, outWidth, outHeight);
+  }
+
+  /** The same without gaps of one or two pixels, which open where a slanted surface is stretched. */
+  function filled(buffer, width, height) {
+    const out = buffer.slice();
+    const between = (at, before, after, stride) => {
+      for (let a = 1; a <= Math.min(2, before); a++) {
+        for (let b = 1; b <= Math.min(3 - a, after); b++) {
+          const first = buffer[at - a * stride], second = buffer[at + b * stride];
+          if (first && second && Math.abs(first - second) <= FAR_APART * Math.max(first, second)) return (first * b + second * a) / (a + b);
+        }
+      }
+      return 0;
+    };
+    for (let v = 0, at = 0; v < height; v++) {
+      for (let u = 0; u < width; u++, at++) {
+        if (!buffer[at]) out[at] = between(at, v, height - 1 - v, width) || between(at, u, width - 1 - u, 1);
+      }
+    }
+    return out;
   }
 
   /** The keyframe as the query's camera would see it at a pose; transparent where it shows nothing. */
