@@ -18,6 +18,7 @@ from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import floats, script_json
 from relocbench.leaderboard.html.looks import looks
 from relocbench.leaderboard.html.site import Boards, write_site
+from relocbench.metrics import CORRECT
 
 HOSTILE = "<script>alert(1)</script>"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -108,9 +109,9 @@ def page(request: pytest.FixtureRequest) -> Iterator[Any]:
         found = browser.new_page(color_scheme=request.param)
         found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
         found.on("pageerror", lambda error: told.append(str(error)))
-        found.on("dialog", lambda dialog: (told.append("a dialog opened"), dialog.dismiss()))
+        found.on("dialog", lambda dialog: told.extend(["a dialog opened"]) or dialog.dismiss())
         allowed = ("file:", "data:", "blob:")
-        found.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
+        found.on("request", lambda asked: told.extend([] if asked.url.startswith(allowed) else [asked.url]))
         found.told = told
         yield found
         browser.close()
@@ -155,13 +156,17 @@ def test_the_start_page_sorts_and_searches_and_keeps_both_in_its_address(page: A
 
 @needs_browser
 @pytest.mark.slow
-def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path) -> None:
+def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boards) -> None:
+    assert boards.tracking is not None
+    (good,) = [m for m in boards.tracking.datasets[0].entry.methods if m.label == "good"]
+    joint = np.concatenate([rows.errors.joint_error(*CORRECT) for rows in good.errors.values()])
+    metres = np.concatenate([rows.errors.translation_error_m for rows in good.errors.values()])
     page.goto(next(site.glob("set-*.html")).as_uri())
     row = page.locator("#methods tbody tr", has_text="good")
     row.locator("button.cell").first.click()
     page.wait_for_selector("#pairs[open]")
     errors = page.locator("#pair-list tbody tr")
     assert errors.count() == 50
-    assert errors.first.locator("td").nth(3).inner_text() == "inf"
+    assert errors.first.locator("td").nth(3).inner_text() == f"{metres[np.argmax(joint)]:.3f}"
     assert "100 entries" in page.locator("#pairs .dt-info").inner_text()
     assert _faults(page) == []
