@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import relocbench
 from numpy.typing import NDArray
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from test_leaderboard import WINTER, MadeResults, made
@@ -62,6 +63,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     failing = {pair_set.asked[0].key for pair_set in dataset.pair_sets()}
 
     def wrong(pair: Pair) -> NDArray[np.float64] | None:
+        assert pair.T_query_ref is not None
         return None if pair.key in failing else FAULT @ pair.T_query_ref
 
     _add(root / "results", dataset, "identity", "identity", lambda pair: np.eye(4))
@@ -138,9 +140,12 @@ def test_with_too_many_answers_only_the_chosen_pairs_have_poses(
 ) -> None:
     monkeypatch.setattr(pair_page, "MOST_ROWS", 10)
     payloads: dict[str, Any] = {}
-    monkeypatch.setattr(
-        pair_page, "write_data", lambda site, key, payload: payloads.setdefault(key, payload) and site / key
-    )
+
+    def keep(site: Path, key: str, payload: object) -> Path:
+        payloads[key] = payload
+        return site / key
+
+    monkeypatch.setattr(pair_page, "write_data", keep)
     board = _boards(results).tracking
     assert board is not None
     pair_page.write_pair_pages(board, tmp_path, pairs=1)
@@ -162,17 +167,32 @@ def test_results_that_no_dataset_explains_still_have_pages_of_pairs(tmp_path: Pa
     assert len(list(site.glob("data/pairs/*/*.js"))) == 1
 
 
+def test_the_command_line_says_how_many_pairs_have_images(results: Path, tmp_path: Path) -> None:
+    told = relocbench("report", results, "--out", tmp_path / "none", "--pairs", 0, "--quiet")
+    assert told.status == 0, told.err
+    assert not (tmp_path / "none" / "data" / "images").exists()
+    board = tmp_path / "board"
+    told = relocbench("leaderboard", results, "--out", board, "--no-plots", "--html", "--pairs", 1, "--quiet")
+    assert told.status == 0, told.err
+    assert list((board / "html").glob("data/images/*/*/*.js"))
+
+
 @pytest.fixture
 def page(request: pytest.FixtureRequest) -> Iterator[Any]:
     """A page of a browser, which must report no error and ask for nothing beyond the disk."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     told: list[str] = []
+
+    def refuse(dialog: Any) -> None:
+        told.append("a dialog opened")
+        dialog.dismiss()
+
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
         found = browser.new_page(color_scheme=getattr(request, "param", "light"))
         found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
         found.on("pageerror", lambda error: told.append(str(error)))
-        found.on("dialog", lambda dialog: (told.append("a dialog opened"), dialog.dismiss()))
+        found.on("dialog", refuse)
         allowed = ("file:", "data:", "blob:")
         found.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
         found.told = told
