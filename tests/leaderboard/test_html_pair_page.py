@@ -177,27 +177,33 @@ def test_the_command_line_says_how_many_pairs_have_images(results: Path, tmp_pat
     assert list((board / "html").glob("data/images/*/*/*.js"))
 
 
-@pytest.fixture
-def page(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """A page of a browser, which must report no error and ask for nothing beyond the disk."""
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def page(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
+    """A page of a browser, which must report no error and ask for nothing beyond the disk."""
     told: list[str] = []
 
     def refuse(dialog: Any) -> None:
         told.append("a dialog opened")
         dialog.dismiss()
 
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        found = browser.new_page(color_scheme=getattr(request, "param", "light"))
-        found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
-        found.on("pageerror", lambda error: told.append(str(error)))
-        found.on("dialog", refuse)
-        allowed = ("file:", "data:", "blob:")
-        found.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
-        found.told = told
-        yield found
-        browser.close()
+    found = browser.new_page(color_scheme=getattr(request, "param", "light"))
+    found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
+    found.on("pageerror", lambda error: told.append(str(error)))
+    found.on("dialog", refuse)
+    allowed = ("file:", "data:", "blob:")
+    found.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
+    found.told = told
+    yield found
+    found.close()
 
 
 def _open_list(page: Any, site: Path, label: str, pair_set: str = ACROSS) -> None:
