@@ -109,7 +109,7 @@ def page(request: pytest.FixtureRequest) -> Iterator[Any]:
         found = browser.new_page(color_scheme=request.param)
         found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
         found.on("pageerror", lambda error: told.append(str(error)))
-        found.on("dialog", lambda dialog: told.extend(["a dialog opened"]) or dialog.dismiss())
+        found.on("dialog", lambda dialog: told.append(f"a dialog opened: {dialog.message}"))
         allowed = ("file:", "data:", "blob:")
         found.on("request", lambda asked: told.extend([] if asked.url.startswith(allowed) else [asked.url]))
         found.told = told
@@ -133,8 +133,9 @@ def test_every_kind_of_page_opens_from_the_disk_and_is_accessible(page: Any, sit
         page.goto((site / name).as_uri())
         page.wait_for_load_state()
         if name.startswith("set-"):
-            page.wait_for_selector("#curves .main-svg")
-            page.wait_for_selector("#heat .main-svg")
+            for chart in ("curves", "heat", "route", "distance", "angle", "risk", "cost"):
+                page.locator(f"#{chart}").scroll_into_view_if_needed()
+                page.wait_for_selector(f"#{chart} .main-svg")
         assert _faults(page) == [], name
 
 

@@ -6,7 +6,29 @@ relocbench.look = (label) => {
   return { colour: relocbench.isDark ? look.dark : look.light, dash: look.dash, marker: look.marker };
 };
 
-relocbench.chart = async (id, traces, layout, onClick = null) => {
+/** Charts are drawn when they come near the window: drawing all of a large set at once takes seconds. */
+const waitingCharts = new Map();
+const chartsInSight = new IntersectionObserver((entries) => {
+  for (const { target } of entries.filter((entry) => entry.isIntersecting)) {
+    const given = waitingCharts.get(target.id);
+    waitingCharts.delete(target.id);
+    chartsInSight.unobserve(target);
+    if (given) relocbench.drawChart(target.id, ...given);
+  }
+}, { rootMargin: "150px" });
+
+relocbench.chart = (id, ...given) => {
+  waitingCharts.set(id, given);
+  chartsInSight.unobserve(document.getElementById(id));
+  chartsInSight.observe(document.getElementById(id));
+};
+
+window.addEventListener("beforeprint", () => {
+  for (const [id, given] of waitingCharts) relocbench.drawChart(id, ...given);
+  waitingCharts.clear();
+});
+
+relocbench.drawChart = async (id, traces, layout, onClick = null) => {
   await relocbench.script("assets/plotly.min.js");
   const { css } = relocbench;
   const axis = { gridcolor: css("--line"), zerolinecolor: css("--line"), linecolor: css("--line-strong"), automargin: true };

@@ -161,7 +161,7 @@
     }, click);
     const points = (x, order) => own.filter((label) => shown[label].length).map((label) => {
       const pairs = shown[label].filter((p) => Number.isFinite(p.t) && Number.isFinite(x(p))).sort((a, b) => x(a) - x(b));
-      const every = Math.max(1, Math.floor(pairs.length / 1500)), kept = pairs.filter((_, i) => i % every === 0);
+      const every = Math.max(1, Math.floor(pairs.length / 300)), kept = pairs.filter((_, i) => i % every === 0);
       return line(label, { x: kept.map(x), y: kept.map((p) => Math.max(p.t, 1e-4)), mode: "markers", type: "scattergl", hovertemplate: `${escape(label)}<br>%{y:.3f} m at %{x:.2f}<extra></extra>` });
     });
     const error = { title: { text: "translation error, m" }, type: "log" };
@@ -247,6 +247,7 @@
   document.addEventListener("relocbench-theme", () => { drawLegend(); drawCharts(); });
   drawTable(current());
   drawLegend();
+  await new Promise((resolve) => setTimeout(resolve, 50)); // the table can be used before the errors are decoded
   await drawCharts();
   if (state.get("pairs") && shown[chosen]) openPairs(chosen, shown[chosen], current().title);
 })();
