@@ -77,6 +77,15 @@ def leaderboard(
             "--html", help="Also write html/index.html, pages that sort, filter and zoom, opened from the disk."
         ),
     ] = False,
+    pairs: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="With --html: where the dataset is at hand, the pages of the N worst pairs of each method and of N "
+            "drawn at random, in each pair set, show their images; about 0.1 MB a pair.",
+        ),
+    ] = 6,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -112,7 +121,7 @@ def leaderboard(
         if html:
             from relocbench.leaderboard.html.site import Boards, write_site
 
-            write_site(Boards(board, found, chains), out / "html", reporter=told)
+            write_site(Boards(board, found, chains), out / "html", pairs=pairs, reporter=told)
     if html and not quiet:
         typer.echo(f"written: {out / 'html' / 'index.html'}", err=True)
     if json:
@@ -154,13 +163,22 @@ def report(
     ] = None,
     split: Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the draws that decide ranks.")] = 0,
+    pairs: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Where the dataset is at hand, the pages of the N worst pairs of each method and of N drawn at "
+            "random, in each pair set, show their images; about 0.1 MB a pair.",
+        ),
+    ] = 6,
     quiet: Quiet = False,
 ) -> None:
     """Write results as pages that sort, filter and zoom, opened from the disk without a server or the network.
 
     The same pages as those of leaderboard --html, alone. The same results give the same bytes.
 
-    Example: relocbench report results --out report
+    Example: relocbench report results --out report --pairs 20
     """
     from relocbench.cli.console import reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
@@ -170,7 +188,8 @@ def report(
     told = reporter(quiet)
     at_hand = DatasetsAtHand(results, dataset or (), told)
     with alone_writing_to(out):
-        start = write_site(Boards(*_load(results, at_hand, _USUAL, split, seed, told)), out, reporter=told)
+        boards = Boards(*_load(results, at_hand, _USUAL, split, seed, told))
+        start = write_site(boards, out, pairs=pairs, reporter=told)
     if not quiet:
         typer.echo(f"written: {start}", err=True)
 

@@ -26,24 +26,24 @@ def id_of(dataset: DatasetBoard) -> str:
     return links.set_id(dataset.entry.record.name, dataset.entry.record.fingerprint)
 
 
+def answers_key(dataset: DatasetBoard, pair_set: str) -> str:
+    """The key of the payload with the answers to the pairs of a pair set."""
+    return f"pairs/{id_of(dataset)}/{links.pair_set_id(pair_set)}"
+
+
 def is_floor(method: Method) -> bool:
     """Whether a method is one that every other is compared with."""
     return method.is_floor or method.is_clock
 
 
-def site_payload(board: Board | None, *, pair_page: bool = False) -> dict[str, Any]:
-    """What every page knows: the look of each method, and which pages there are.
-
-    Args:
-        pair_page: whether the site has pages of single pairs, which lists of pairs then link.
-    """
+def site_payload(board: Board | None) -> dict[str, Any]:
+    """What every page knows: the look of each method, and which pages there are."""
     methods = [m for dataset in (board.datasets if board else ()) for m in dataset.entry.methods]
     floors = {m.label for m in methods if is_floor(m)}
     return {
         "looks": looks({m.label for m in methods}, floors),
         "pages": {m.label: links.method_page(m.label) for m in methods},
         "correct": list(CORRECT),
-        "pair_page": pair_page,
         "statuses": list(STATUSES),
     }
 
@@ -64,6 +64,7 @@ def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
         "pair_sets": {
             name: {
                 "key": f"errors/{id_of(dataset)}/{links.pair_set_id(name)}",
+                "answers": answers_key(dataset, name),
                 "reference": record.reference_condition,
                 "query": record.query_condition,
                 "same_drive": record.reference == record.query,

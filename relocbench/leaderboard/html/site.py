@@ -13,6 +13,7 @@ from relocbench.leaderboard.common.text import json_text, number
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.assets import write_assets
 from relocbench.leaderboard.html.data import write_data
+from relocbench.leaderboard.html.pair_page.write import USUAL_PAIRS, write_pair_pages
 from relocbench.leaderboard.html.payloads import errors_payload, id_of, is_floor, set_payload, site_payload, table_title
 from relocbench.leaderboard.relocalization.board import ChainBoard
 from relocbench.leaderboard.retrieval.board import RetrievalBoard
@@ -32,22 +33,25 @@ class Boards:
     relocalization: ChainBoard | None = None
 
 
-def write_site(boards: Boards, site: Path, *, pair_page: bool = False, reporter: Reporter | None = None) -> Path:
+def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter: Reporter | None = None) -> Path:
     """Write the site; returns the path of its start page.
 
     Args:
         boards: of one results folder.
         site: its folder. Pages and payloads of sets and methods that are no longer there are removed.
-        pair_page: whether pages of single pairs are written too, which lists of pairs then link.
-        reporter: receives the number of sets that are done.
+        pairs: in each pair set, so many worst pairs of each method, and so many drawn at random, have pictures where
+            the dataset is at hand.
+        reporter: receives the number of sets and of pictures that are done.
 
     Raises:
+        PredictionError: a file of predictions is bad.
+        DatasetError: an image of a dataset cannot be read.
         ConfigError: an installed package does not ship the scripts that the pages need.
     """
     board = boards.tracking
     remove_parts(site)
     write_assets(site)
-    written = {write_data(site, "site", site_payload(board, pair_page=pair_page))}
+    written = {write_data(site, "site", site_payload(board))}
     datasets = board.datasets if board else ()
     with (reporter or Silent()).stage("site", len(datasets)) as advance:
         for dataset in datasets:
@@ -56,6 +60,8 @@ def write_site(boards: Boards, site: Path, *, pair_page: bool = False, reporter:
             advance(1)
     if board is not None:
         written |= _write_methods(board, site)
+        written |= write_pair_pages(board, site, pairs=pairs, reporter=reporter)
+    _page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
     _page(site / links.START, "start.html.j2", page="start", level=f"{LEVEL:.0%}", sections=_sections(boards))
     _page(site / "reading.html", "reading.html.j2", page="reading", metric=board.metric if board else None)
     _remove_old(site, written)
@@ -201,6 +207,7 @@ def _page(path: Path, template: str, **values: object) -> None:
 
 def _remove_old(site: Path, written: set[Path]) -> None:
     """Remove pages and payloads of sets and methods that have left the results."""
-    for pattern in ("set-*.html", "method-*.html", "data/sets/*.js", "data/errors/*/*.js"):
+    payloads = ("sets/*", "errors/*/*", "pairs/*/*", "images/*/*/*", "depths/*/*/*")
+    for pattern in ("set-*.html", "method-*.html", *(f"data/{each}.js" for each in payloads)):
         for path in set(site.glob(pattern)) - written:
             path.unlink()

@@ -69,6 +69,8 @@ class Method:
     """the errors of pairs of different places, by pair set that has any; ``errors`` is without them"""
     ran_as: str = ""
     """the label in the run's record, which the name of the folder replaces"""
+    results: MethodResults | None = None
+    """where the answers themselves lie"""
 
     def tables(self, pair_set: str) -> list[ErrorTable]:
         """The errors of the pairs of one place, and those of different places where there are any."""
@@ -127,6 +129,8 @@ class DatasetEntry:
     """chosen pair sets that cannot be scored: the ground truth is withheld or no pair was accepted"""
     copies: tuple[str, ...] = ()
     """fingerprints of other copies of the same question, from other processors, that methods answered on"""
+    dataset: Dataset | None = None
+    """the dataset itself, or a copy of it, where it is at hand"""
 
     @property
     def title(self) -> str:
@@ -225,7 +229,8 @@ def _merged(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
         label = distinct_label(method.label, known, other.record.fingerprint)
         known[label] = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
     methods = tuple(known[label] for label in sorted(known))
-    return replace(first, methods=methods, copies=(*first.copies, other.record.fingerprint))
+    copies = (*first.copies, other.record.fingerprint)
+    return replace(first, methods=methods, copies=copies, dataset=first.dataset or other.dataset)
 
 
 def machine_words(run: RunRecord) -> str:
@@ -267,6 +272,7 @@ def _dataset(folder: DatasetResults, split: str | None, truth: Truth | None) -> 
         pair_sets,
         {name: kept for name, names in splits.items() if (kept := tuple(n for n in names if n in pair_sets))},
         tuple(n for n in chosen if n not in pair_sets),
+        dataset=None if truth is None else truth.dataset,
     )
 
 
@@ -303,7 +309,7 @@ def _method(
         if scores is not None and (name in scores.matching or folder.matching(name).exists())
     }
     confirmed = truth is not None and bool(errors)
-    return Method(folder.label, run, errors, missing, stopped, matching, confirmed, elsewhere, ran_as)
+    return Method(folder.label, run, errors, missing, stopped, matching, confirmed, elsewhere, ran_as, folder)
 
 
 def _complete(folder: MethodResults, pair_set: str) -> bool:

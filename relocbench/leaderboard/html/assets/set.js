@@ -73,7 +73,7 @@
       data: [...pairs].sort((a, b) => (a.both === b.both ? 0 : b.both > a.both ? 1 : -1)),
       columns: [
         { title: "pair set", data: "set", className: "text", render: text },
-        { title: "reference, ns", data: (row) => String(row.reference), render: (value, type, row) => (type === "display" && site.pair_page ? `<a href="${escape(pairLink(row, label))}">${value}</a>` : value) },
+        { title: "reference, ns", data: (row) => String(row.reference), render: (value, type, row) => (type === "display" ? `<a href="${escape(pairLink(row, label))}">${value}</a>` : value) },
         { title: "query, ns", data: (row) => String(row.query), render: text },
         { title: "translation error, m", data: "t", render: numeric("m") },
         { title: "rotation error, °", data: "r", render: numeric("deg") },
