@@ -37,6 +37,14 @@ HOSTILE = "<script>document.title = 'taken over'</script><img src=x onerror=aler
 FAULT = make_transform(so3_exp([0.0, np.radians(4.0), 0.0]), [0.25, 0.0, 0.0])
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+_GO_TO_ONE_WITHOUT_IMAGES = """async () => {
+  const { set, pairset } = relocbench.state.all();
+  const errors = await relocbench.load(`errors/${set}/${pairset}`);
+  const answers = await relocbench.load(`pairs/${set}/${pairset}`);
+  const row = [...Array(errors.pairs).keys()].find((i) => !answers.pictured.includes(i));
+  const [reference, query] = [errors.reference, errors.query].map((times) => relocbench.integers(times)[row]);
+  location.hash = `set=${set}&pairset=${pairset}&pair=${reference}-${query}`;
+}"""
 Answering = Callable[[Pair], NDArray[np.float64] | None]
 
 
@@ -315,7 +323,14 @@ def test_without_images_the_page_says_how_to_bring_them(page: Any, numbers_only:
     _open_list(page, numbers_only, "right")
     page.locator("#none", has_text="--dataset FOLDER").wait_for()
     assert not page.locator("#pictures").is_visible()
+    assert not page.locator("#thumbs").is_visible()
     assert page.locator("#plan svg").is_visible()
+    _open_list(page, site, "right")  # its worst pair has images, others have none
+    page.wait_for_selector("#thumbs", state="visible")
+    page.evaluate(_GO_TO_ONE_WITHOUT_IMAGES)
+    page.locator("#none p").wait_for()
+    assert "larger --pairs" in page.locator("#none").inner_text()
+    assert not page.locator("#thumbs").is_visible()
     page.goto((site / "pair.html").as_uri())
     page.locator("#note", has_text="shows one pair").wait_for()
     of_set = next(site.glob("set-*.html")).stem.removeprefix("set-")

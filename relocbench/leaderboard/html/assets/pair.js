@@ -189,6 +189,7 @@
   async function drawPictures(own) {
     const { of, row } = now, shown = of.pictured.has(row);
     $("pictures").hidden = $("thumbs").hidden = !shown;
+    document.querySelector(".pair-grid").classList.toggle("numbers-only", !shown);
     $("none").replaceChildren();
     if (!shown) {
       const why = of.truth
@@ -225,6 +226,7 @@
     const words = { truth: "the true pose", answer: `the answer of ${label}`, keyframe: "the keyframe’s own pose" }[asked];
     const out = $("agreement");
     delete out.dataset.correlation;
+    now.warped = Boolean(poses[asked]);
     if (!poses[asked]) {
       const why = asked === "answer" ? `${label} gave no pose for this pair: ${messageOf(of, row, label) || site.statuses[of.methods[label].status[row]]}` : "This pose is not known.";
       put("warp", new ImageData(pictures.to[0], pictures.to[1]));
@@ -248,7 +250,7 @@
   function wipe() {
     const hidden = $("blink").getAttribute("aria-pressed") === "true", share = Number($("wipe").value);
     $("warp").style.visibility = hidden ? "hidden" : "";
-    $("edge").hidden = hidden || share === 0 || share === 100;
+    $("edge").hidden = hidden || !now?.warped || share === 0 || share === 100;
     $("warp").style.clipPath = `inset(0 ${100 - share}% 0 0)`;
     $("edge").style.left = `${share}%`;
   }
