@@ -12,6 +12,8 @@ from command_line import Outcome, relocbench
 
 from relocbench.cli import demo
 
+pytestmark = pytest.mark.slow
+
 METHODS = ("identity", "orb-pnp")
 TINY = {"conditions": ("Sunny", "Night"), "size": "96x72", "steps": 3, "extent": 190.0}
 

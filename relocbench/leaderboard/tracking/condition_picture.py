@@ -27,13 +27,13 @@ _FOUND, _MISSED, _TEXT, _FAINT, _BAND = "#0072B2", "#8A8A8A", "#1A1A1A", "#5F5F5
 _WIDTH = 11.0
 """inches, as all lengths here; at the width of a README the smallest text is about 11 pixels high"""
 _EDGE, _GAP = 0.08, 0.1
-_HEADING, _UNDER_IMAGES, _LINE, _LEGEND = 0.6, 0.14, 0.42, 0.4
-_SHARE = 0.62
+_HEADING, _UNDER_IMAGES, _LINE, _LEGEND = 0.52, 0.14, 0.38, 0.38
+_SHARE = 0.68
 """for the number at the right of a cell"""
-_RADIUS = 0.068
+_RADIUS = 0.062
 _MOST_MARKS = 12
 """pairs of a cell that are marked one by one; of more the cell has the number alone"""
-_LONGEST = 26
+_LONGEST = 24
 """characters of a name or a condition"""
 
 
@@ -87,14 +87,14 @@ def _figure(picture: ConditionPicture) -> Figure:
     for left, image, (condition, role) in zip(lefts, (picture.keyframe, *picture.queries), headings, strict=True):
         top = _EDGE + _HEADING
         axes.imshow(image, extent=(left, left + wide, top + high, top), aspect="auto", interpolation="lanczos")
-        axes.text(left, _EDGE + 0.15, _short(condition), va="center", size=12, weight="bold", color=_TEXT)
-        axes.text(left, _EDGE + 0.4, role, va="center", size=11, color=_FAINT)
+        axes.text(left, _EDGE + 0.12, _short(condition), va="center", size=10.3, weight="bold", color=_TEXT)
+        axes.text(left, _EDGE + 0.34, role, va="center", size=10.3, color=_FAINT)
     for number, line in enumerate(results.lines):
         y = below_images + (number + 0.5) * _LINE
         if number % 2 == 0:
             axes.add_patch(Rectangle((0, y - _LINE / 2), _WIDTH, _LINE, facecolor=_BAND, linewidth=0))
         colour = _FAINT if line.floor else _TEXT
-        axes.text(lefts[0] + 0.05, y, _short(line.label), va="center", size=13, color=colour)
+        axes.text(lefts[0] + 0.05, y, _short(line.label), va="center_baseline", size=12, color=colour)
         for left, found in zip(lefts[1:], line.found, strict=True):
             _cell(axes, found, left, wide, y)
     _legend(axes, lefts, tall - _LEGEND / 2)
@@ -107,10 +107,7 @@ def _figure(picture: ConditionPicture) -> Figure:
 def _cell(axes: Axes, found: Found, left: float, wide: float, y: float) -> None:
     """The marks of a method's pairs of one column, and their share at the right."""
     text = "" if found.share is None else f"{100 * found.share:.0f} %"
-    strong = found.share is not None and found.share >= 0.5
-    axes.text(
-        left + wide - 0.05, y, text, va="center", ha="right", size=12.5, color=_TEXT, weight="bold" if strong else None
-    )
+    axes.text(left + wide - 0.05, y, text, va="center_baseline", ha="right", size=11.5, color=_TEXT)
     if len(found.right) <= _MOST_MARKS:
         step = min((wide - _SHARE) / max(len(found.right), 1), 2.7 * _RADIUS)
         for number, right in enumerate(found.right):
@@ -127,14 +124,16 @@ def _mark(axes: Axes, x: float, y: float, *, right: bool, radius: float = _RADIU
 def _legend(axes: Axes, lefts: Sequence[float], y: float) -> None:
     metres, degrees = CORRECT
     _mark(axes, lefts[1] + 0.1, y, right=True)
-    axes.text(lefts[1] + 0.27, y, f"pose within {metres:g} m and {degrees:g}°", va="center", size=11, color=_FAINT)
+    axes.text(
+        lefts[1] + 0.27, y, f"within {metres:g} m and {degrees:g}°", va="center_baseline", size=10.3, color=_FAINT
+    )
     _mark(axes, lefts[2] + 0.1, y, right=False)
-    axes.text(lefts[2] + 0.27, y, "not found", va="center", size=11, color=_FAINT)
-    axes.text(_WIDTH - _EDGE - 0.05, y, "a mark is one query image", va="center", ha="right", size=11, color=_FAINT)
+    axes.text(lefts[2] + 0.27, y, "not found", va="center_baseline", size=10.3, color=_FAINT)
+    axes.text(_WIDTH - _EDGE - 0.05, y, "a mark is a query", va="center_baseline", ha="right", size=10.3, color=_FAINT)
 
 
 def _role(column: Column) -> str:
-    return "queries of the map's own drive" if column.one_drive else "queries"
+    return "queries, of the same drive" if column.one_drive else "queries"
 
 
 def _short(text: str) -> str:
