@@ -23,7 +23,10 @@ _STREET: dict[str, Any] = {
     "steps": 8,
     "correspondences": 0,
 }
-"""a street small enough for a minute; nothing here measures matching quality, so nothing reads correspondences"""
+"""A street small enough for a minute; nothing here measures matching quality, so nothing reads correspondences.
+
+The preset ``demo`` is larger and stays as it is: the published leaderboard has a dataset that is made by it.
+"""
 PICTURE = "demo.png"
 
 
@@ -98,7 +101,7 @@ def _print_summary(results: ByCondition) -> None:
     from relocbench.metrics import CORRECT
 
     metres, degrees = CORRECT
-    title = f"Map: {results.map_condition}. Found within {metres:g} m and {degrees:g}°, in % of the queries in"
+    title = f"Map: {results.map_condition}. Queries found within {metres:g} m and {degrees:g}°, in %"
     # A word a line, so that the table fits a narrow terminal.
     named = ["\n".join((*c.condition.split(", "), *(["(same drive)"] if c.one_drive else []))) for c in results.columns]
     rows = [[line.label, *(number(found.share, "share") for found in line.found)] for line in results.lines]
