@@ -24,7 +24,8 @@ _URL = re.compile(r"https?://[A-Za-z0-9._~:/?#\[\]@!$&()*+,;=%-]{3,300}")
 _LONGEST = 1000
 RESERVED = ("identity", "clock")
 """labels of the floors, which every other row is read against"""
-_WHAT = "the card of a submission; `relocbench submit-check --new FOLDER` writes a template"
+_WHAT = "the card of a submission"
+_TEMPLATE_WRITER = "`relocbench submit-check --new FOLDER` writes one to fill in"
 
 
 def _filled(text: str) -> str:
@@ -106,6 +107,9 @@ class Card(Strict):
 def read_card(folder: Path, found: Findings) -> tuple[Card | None, YamlPlaces | None]:
     """The card of a submission and where its parts stand; where it is not valid None, and a fault for each key."""
     path = folder / CARD
+    if not path.exists():
+        found.fault(f"missing; expected {_WHAT}: {_TEMPLATE_WRITER}", path)
+        return None, None
     with found.catching():
         text = read_text(path, _WHAT, PredictionError, MAX_CARD_BYTES)
         try:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.checks.faults import Findings
@@ -119,7 +118,7 @@ def _key(fields: list[str], path: Path, number: int) -> PairKey:
 
 def _pose(fields: list[str], path: Path, number: int) -> Array:
     pose = parse_pose(fields[2:], path, number, PredictionError)
-    distance = float(np.linalg.norm(pose[:3, 3]))
+    distance = math.hypot(*pose[:3, 3])
     if not distance <= FARTHEST_M:
         told = f"the translation is {distance:.3g} m long, expected metres between two cameras on one road"
         raise PredictionError(told, path, number)
