@@ -22,6 +22,7 @@ from relocbench.cli.leaderboard import leaderboard, report
 from relocbench.cli.methods import methods
 from relocbench.cli.preview import preview
 from relocbench.cli.probe import probe
+from relocbench.cli.submit import leaderboard_add, submit_check
 from relocbench.cli.train import train
 from relocbench.cli.usage import usage_fault
 from relocbench.cli.validate import validate
@@ -62,6 +63,8 @@ app.command("evaluate-relocalization", cls=Command)(evaluate_relocalization)
 app.command(cls=Command)(probe)
 app.command(cls=Command)(leaderboard)
 app.command(cls=Command)(report)
+app.command("leaderboard add", cls=Command)(leaderboard_add)
+app.command("submit-check", cls=Command)(submit_check)
 app.command(cls=Command)(train)
 app.command(cls=Command)(inspect)
 app.command(cls=Command)(validate)

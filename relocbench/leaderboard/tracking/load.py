@@ -30,6 +30,7 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
     all_results,
 )
+from relocbench.evaluation.submission.kept import KeptCard, kept_card
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
@@ -39,6 +40,7 @@ from relocbench.evaluation.tracking.verification import (
     rescored,
 )
 from relocbench.files import read_journal
+from relocbench.leaderboard.common.cards import add_command
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder
@@ -71,6 +73,8 @@ class Method:
     """the label in the run's record, which the name of the folder replaces"""
     results: MethodResults | None = None
     """where the answers themselves lie"""
+    card: KeptCard | None = None
+    """of predictions that were submitted"""
 
     def tables(self, pair_set: str) -> list[ErrorTable]:
         """The errors of the pairs of one place, and those of different places where there are any."""
@@ -248,7 +252,9 @@ def natural(text: str) -> list[tuple[bool, int, str]]:
 def evaluate_command(
     method: RunRecord, dataset: str = "DATASET", results: str = "RESULTS", *, matching: bool = False
 ) -> str:
-    """The command that runs a method as it was run, or resumes a run that was stopped."""
+    """The command that runs a method as it was run, resumes a run that was stopped, or brings a submission in."""
+    if method.submitted:
+        return add_command(method.method, results=results, dataset=dataset)
     words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results, *method_words(method)]
     return shlex.join([*words, "--matching"] if matching and not method.target.startswith(PREDICTIONS) else words)
 
@@ -286,7 +292,7 @@ def _method(
             f"{dataset.name}@{dataset.fingerprint[:SHORT]}",
             folder.run_yaml,
         )
-    ran_as = run.method
+    ran_as, card = run.method, kept_card(folder.root, run)
     run = run.model_copy(update={"method": folder.label})
     errors: dict[str, ErrorTable] = {}
     elsewhere: dict[str, ErrorTable] = {}
@@ -309,7 +315,7 @@ def _method(
         if scores is not None and (name in scores.matching or folder.matching(name).exists())
     }
     confirmed = truth is not None and bool(errors)
-    return Method(folder.label, run, errors, missing, stopped, matching, confirmed, elsewhere, ran_as, folder)
+    return Method(folder.label, run, errors, missing, stopped, matching, confirmed, elsewhere, ran_as, folder, card)
 
 
 def _complete(folder: MethodResults, pair_set: str) -> bool:
