@@ -51,6 +51,7 @@ def demo(
     from relocbench.execution import Run, default_workers
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard import write_leaderboard
+    from relocbench.leaderboard.html.site import Boards, write_site
     from relocbench.leaderboard.tracking.by_condition import by_condition
     from relocbench.leaderboard.tracking.condition_picture import write_condition_picture
 
@@ -66,9 +67,10 @@ def demo(
         (of_street,) = (each for each in board.datasets if each.entry.record.fingerprint == dataset.fingerprint)
         found = by_condition(of_street)
         write_condition_picture(found, dataset, out / PICTURE)
+        page = write_site(Boards(board, None, None), out / "leaderboard" / "html", reporter=report)
     _print_summary(found)
     typer.echo(f"picture: {out / PICTURE}")
-    typer.echo(f"page: {out / 'leaderboard' / 'leaderboard.md'}")
+    typer.echo(f"page: {page}")
 
 
 def _able(report: Reporter) -> tuple[str, ...]:

@@ -64,7 +64,7 @@ def test_the_last_line_names_the_page(ran: tuple[Outcome, Path]) -> None:
     ended, out = ran
     word, page = ended.out.splitlines()[-1].split(": ")
     assert word == "page"
-    assert Path(page) == out / "leaderboard" / "leaderboard.md"
+    assert Path(page) == out / "leaderboard" / "html" / "index.html"
     assert "orb-pnp" in Path(page).read_text()
 
 
