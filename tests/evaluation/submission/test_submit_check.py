@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -233,7 +234,7 @@ def test_a_card_of_50_megabytes_is_not_read(town: Dataset, tmp_path: Path) -> No
     ],
 )
 def test_an_entry_of_the_card_that_cannot_be_is_refused(
-    town: Dataset, tmp_path: Path, changes: dict[str, object], told: str
+    town: Dataset, tmp_path: Path, changes: dict[str, Any], told: str
 ) -> None:
     found = faults(check(submit(tmp_path / "s", town, **changes), town))
     assert any(told in fault and fault.startswith("card.yaml:") for fault in found), found
