@@ -48,7 +48,7 @@ format: setup    ## format the code
 	$(RUN)/ruff format .
 	$(RUN)/ruff check --fix .
 
-demo: setup      ## small dataset -> three trackers -> leaderboard
+demo: setup      ## small dataset -> trackers -> what each finds in which condition
 	$(RUN)/relocbench demo --out demo-output
 
 bench: setup     ## speed and memory; each benchmark prints one JSON line last

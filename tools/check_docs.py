@@ -151,6 +151,8 @@ def unknown_words(command: str) -> Iterator[str]:
         name = words.pop(0)
         if name.startswith("-"):
             return
+        if words and context.get_command(None, f"{name} {words[0]}") is not None:
+            name += f" {words.pop(0)}"
         found = context.get_command(None, name)
         if found is None:
             yield f"no command '{name}'"

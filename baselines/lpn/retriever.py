@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.device import to_device
+from baselines.lpn.averaging import move_towards_imagenet
 from baselines.lpn.configurations import configuration
 from baselines.lpn.descriptor import Turns, parts_of
 from baselines.lpn.dmli import aligned_distance
@@ -29,6 +30,7 @@ from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
 
 Descriptors = NDArray[np.floating]
+TrainedShare = Annotated[float, Field(ge=0, le=1)]
 _TRAINED_ALIKE = ("partition", "parts", "attention", "ring_mean")
 """the network's options that distinguish the weights of one system from another's"""
 
@@ -46,11 +48,13 @@ class Lpn:
         turns: 4 describes an image by the sum over its quarter turns, for aerial images of any direction.
         unlabelled: folder with a folder for each view (``street``, ``drone``, ``satellite``) of images whose place need
             not be known; descriptors are then relative to the mean of their view.
+        trained_share: where the backbone stands between ImageNet's weights (0), from which its training must have
+            started, and the trained ones (1): less than 1 keeps more of what it knew of photographs.
         device: where the network runs.
 
     Raises:
         MethodError: there are no weights, or the file cannot be used or holds another system; there is no folder of
-            unlabelled images.
+            unlabelled images; the training did not start from the weights that ``trained_share`` leads to.
         ConfigError: no configuration has that name.
     """
 
@@ -64,6 +68,7 @@ class Lpn:
         rerank: Annotated[int, Field(ge=0)] | None = None,
         turns: Turns = 1,
         unlabelled: Path | None = None,
+        trained_share: TrainedShare = 1.0,
         device: str = "cpu",
     ) -> None:
         if weights is None:
@@ -75,6 +80,8 @@ class Lpn:
         asked = configuration(config) if config else None
         if asked is not None:
             _check_fits(network.options, asked.network, f"'{self.about.configuration}'", asked.name, Path(weights))
+        move_towards_imagenet(network, self.about, trained_share, Path(weights))
+        self._trained_share = trained_share
         self._network = to_device(network, device).to(memory_format=torch.channels_last)
         self._device = torch.device(device)
         self._batch = batch
@@ -107,6 +114,7 @@ class Lpn:
             "rerank_top": self.rerank_top,
             "turns": self._turns,
             "centred": self._means is not None,
+            "trained_share": self._trained_share,
         }
 
     def describe(self, images: Sequence[ImageView]) -> Descriptors:
@@ -162,9 +170,10 @@ class GlobalAverage(Lpn):
         batch: Annotated[int, Field(ge=1)] = 16,
         turns: Turns = 1,
         unlabelled: Path | None = None,
+        trained_share: TrainedShare = 1.0,
         device: str = "cpu",
     ) -> None:
-        super().__init__(weights, self.name, batch, 0, turns, unlabelled, device)
+        super().__init__(weights, self.name, batch, 0, turns, unlabelled, trained_share, device)
 
 
 def _check_fits(found: NetworkOptions, asked: NetworkOptions, holds: str, name: str, path: Path) -> None:

@@ -35,8 +35,8 @@ from relocbench.metrics import Difference, paired_difference
 
 CONDITIONS = ("WetNoon", "SoftRainNoon", "Overcast", "Night")
 """the condition of the map first"""
-RETRIEVERS = (ORACLE, "colour-histogram", "orb-bow", "random")
-TRACKERS = ("dso", "orb-pnp", "gn-net")
+RETRIEVERS = (ORACLE, "imagenet-average", "colour-histogram", "orb-bow", "random")
+TRACKERS = ("dso", "orb-pnp", "gn-net-from-prior", "gn-net")
 SHARES = (RANKING, "recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit", "right_without_hit", *FAILURES)
 
 

@@ -1,10 +1,10 @@
 """Seconds and peak memory of ``relocbench leaderboard`` on many pair sets and pairs, and of scoring predictions.
 
-There are three cases: 200 pair sets x 10 methods, one pair set of 100,000 pairs x 2 methods, and ``relocbench evaluate
---predictions`` with 100,000 pairs. Results are artificial: errors follow a random walk along a drive, and a share of
-pairs fails. Every command runs in a new process and is timed from start to end; its peak memory is that of the process
-and of its children. The reference for a leaderboard's time is that of ``pandas.read_csv`` on the same tables
-(``PAIRSET.csv`` and ``PAIRSET.errors.csv``) in the same run.
+There are four cases: 200 pair sets x 10 methods, one pair set of 100,000 pairs x 2 methods, the site of 20 pair sets
+x 20 methods x 5000 pairs, and ``relocbench evaluate --predictions`` with 100,000 pairs. Results are artificial:
+errors follow a random walk along a drive, and a share of pairs fails. Every command runs in a new process and is
+timed from start to end; its peak memory is that of the process and of its children. The reference for a leaderboard's
+time is that of ``pandas.read_csv`` on the same tables (``PAIRSET.csv`` and ``PAIRSET.errors.csv``) in the same run.
 
     python benchmarks/speed/leaderboard.py [--sets N] [--methods N] [--pairs N] [--no-plots]
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -229,6 +230,43 @@ def board(scratch: Path, name: str, sets: int, methods: int, pairs: int, plots: 
     }
 
 
+def site(scratch: Path, sets: int, methods: int, pairs: int) -> dict[str, Any]:
+    """Measure ``report``: writing the site, and opening it from the disk and sorting a table in Chromium."""
+    results = make_results(scratch / "site", sets, methods, pairs)
+    folder = scratch / "site-report"
+    taken = run("report", str(results), "--out", str(folder), "--quiet")
+    mib = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20
+    print(f"report, {sets} sets x {methods} methods x {pairs} pairs: {taken.seconds:.1f} s, {mib:.0f} MiB", flush=True)
+    found: dict[str, Any] = {"sets": sets, "methods": methods, "pairs": pairs, "mib": round(mib)}
+    found |= {"seconds": round(taken.seconds, 2), "peak_mib": round(taken.peak_mib)}
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    return found | (_in_browser(folder, browser) if browser else {})
+
+
+def _in_browser(folder: Path, browser: str) -> dict[str, float]:
+    """Seconds until the table of the start page and of a set can be used, and to sort the table."""
+    from playwright.sync_api import sync_playwright
+
+    out = {}
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=browser, args=["--no-sandbox"])
+        for name, path in (("start", folder / "index.html"), ("set", next(folder.glob("set-*.html")))):
+            page = started.new_page()
+            begun = time.perf_counter()
+            page.goto(path.as_uri())
+            page.wait_for_selector("table.dataTable tbody tr")
+            out[f"open_{name}_seconds"] = round(time.perf_counter() - begun, 2)
+            took = page.evaluate(
+                "() => { const t = new DataTable.Api('table.dataTable'), s = performance.now();"
+                " t.order([1, 'desc']).draw(); return performance.now() - s; }"
+            )
+            out[f"sort_{name}_seconds"] = round(took / 1000, 3)
+            page.close()
+        started.close()
+    print(out, flush=True)
+    return out
+
+
 def predictions(scratch: Path, pairs: int) -> dict[str, Any]:
     """Measure ``evaluate --predictions``."""
     dataset = make_dataset(scratch / "many", pairs)
@@ -253,6 +291,7 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=200)
     parser.add_argument("--methods", type=int, default=10)
     parser.add_argument("--pairs", type=int, default=100_000)
+    parser.add_argument("--site-sets", type=int, default=20, help="of the site of 20 methods and 5000 pairs a set")
     parser.add_argument("--plots", action=argparse.BooleanOptionalAction, default=True)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -260,6 +299,7 @@ def main() -> None:
         results = {
             "many_sets": board(scratch, "many_sets", options.sets, options.methods, PER_SET, options.plots),
             "many_pairs": board(scratch, "many_pairs", 1, 2, options.pairs, options.plots),
+            "site": site(scratch, options.site_sets, 20, 5000),
             "predictions": predictions(scratch, options.pairs),
         }
     print(json.dumps({"benchmark": "leaderboard", **results}))

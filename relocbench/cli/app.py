@@ -18,10 +18,11 @@ from relocbench.cli.evaluate_retrieval import evaluate_retrieval
 from relocbench.cli.export import export
 from relocbench.cli.fetch_weights import fetch_weights
 from relocbench.cli.inspect import inspect
-from relocbench.cli.leaderboard import leaderboard
+from relocbench.cli.leaderboard import leaderboard, report
 from relocbench.cli.methods import methods
 from relocbench.cli.preview import preview
 from relocbench.cli.probe import probe
+from relocbench.cli.submit import leaderboard_add, submit_check
 from relocbench.cli.train import train
 from relocbench.cli.usage import usage_fault
 from relocbench.cli.validate import validate
@@ -61,6 +62,9 @@ app.command("evaluate-retrieval", cls=Command)(evaluate_retrieval)
 app.command("evaluate-relocalization", cls=Command)(evaluate_relocalization)
 app.command(cls=Command)(probe)
 app.command(cls=Command)(leaderboard)
+app.command(cls=Command)(report)
+app.command("leaderboard add", cls=Command)(leaderboard_add)
+app.command("submit-check", cls=Command)(submit_check)
 app.command(cls=Command)(train)
 app.command(cls=Command)(inspect)
 app.command(cls=Command)(validate)

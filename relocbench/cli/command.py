@@ -1,4 +1,7 @@
-"""Commands whose help shows a flag as a flag and an argument by its name: Typer would add ``<bool>`` and ``<str>``."""
+"""Commands whose help shows a flag as a flag and an argument by its name: Typer would add ``<bool>`` and ``<str>``.
+
+A command's name may be of two words, the first of which is a command too: ``leaderboard add`` beside ``leaderboard``.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,15 @@ class Command(TyperCommand):
 
 
 class Group(TyperGroup):
-    """A group of commands without types behind its own flags."""
+    """A group of commands without types behind its own flags, some of whose names are of two words."""
 
     def get_params(self, ctx: Any) -> Any:
         return _without_types(super().get_params(ctx))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        words = " ".join(args[:2])
+        command = self.commands.get(words) if len(args) > 1 else None
+        return super().resolve_command(ctx, args) if command is None else (words, command, args[2:])
 
 
 def _without_types(params: Any) -> Any:

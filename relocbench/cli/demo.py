@@ -1,15 +1,33 @@
-"""``relocbench demo``: the whole line on a small dataset rendered on the spot."""
+"""``relocbench demo``: the whole line on a small dataset rendered on the spot, and what it shows."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from relocbench.cli.options import Quiet, Workers
 
-_METHODS = ("identity", "clock", "orb-pnp", "dso")
+if TYPE_CHECKING:
+    from relocbench.leaderboard.tracking.by_condition import ByCondition
+    from relocbench.progress import Reporter
+
+_METHODS = ("identity", "dso", "orb-pnp", "gn-net")
+_FETCHED = "aliked-pnp"
+"""runs too where the weights that its authors publish are installed"""
+_STREET: dict[str, Any] = {
+    "name": "demo",
+    "conditions": ("Sunny", "Rain", "Snow", "Night"),
+    "size": "400x300",
+    "steps": 8,
+    "correspondences": 0,
+}
+"""A street small enough for a minute; nothing here measures matching quality, so nothing reads correspondences.
+
+The preset ``demo`` is larger and stays as it is: the published leaderboard has a dataset that is made by it.
+"""
+PICTURE = "demo.png"
 
 
 def demo(
@@ -20,28 +38,73 @@ def demo(
     workers: Workers = None,
     quiet: Quiet = False,
 ) -> None:
-    """Render a street in four conditions, run three trackers on it and print the leaderboard, in a minute or two.
+    """Render a street in four conditions, run trackers on it and show which finds the camera in which, in two minutes.
+
+    The map is a drive in sunshine; the queries are of the same street in the sun, in rain, in snow and at night. A
+    table of the shares found is printed, and a picture and the leaderboard's pages are written.
 
     Example: relocbench demo --out demo
     """
     from relocbench.cli.console import reporter
-    from relocbench.cli.leaderboard import print_leaderboard
     from relocbench.datasets.importers import importer
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
     from relocbench.execution import Run, default_workers
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard import write_leaderboard
+    from relocbench.leaderboard.html.site import Boards, write_site
+    from relocbench.leaderboard.tracking.by_condition import by_condition
+    from relocbench.leaderboard.tracking.condition_picture import write_condition_picture
 
     report = reporter(quiet)
     with alone_writing_to(out):
         town = importer("synthetic")
-        options = town.Options.model_validate({"preset": "demo", "seed": seed})
+        options = town.Options.model_validate({**_STREET, "seed": seed})
         dataset = town.build([], options, out / "dataset", report, Run(workers or default_workers()))
         evaluate_methods(
-            EvaluateOptions(dataset=dataset.root, methods=_METHODS, out=out / "results", workers=workers), report
+            EvaluateOptions(dataset=dataset.root, methods=_able(report), out=out / "results", workers=workers), report
         )
         board = write_leaderboard(out / "results", out / "leaderboard", reporter=report)
-    print_leaderboard(board)
-    if not quiet:
-        typer.echo(f"\nlook at: {out / 'leaderboard' / 'leaderboard.md'}", err=True)
-        typer.echo(f"pictures of the truth: relocbench inspect {dataset.root} --pictures {out / 'pictures'}", err=True)
+        (of_street,) = (each for each in board.datasets if each.entry.record.fingerprint == dataset.fingerprint)
+        found = by_condition(of_street)
+        write_condition_picture(found, dataset, out / PICTURE)
+        page = write_site(Boards(board, None, None), out / "leaderboard" / "html", reporter=report)
+    _print_summary(found)
+    typer.echo(f"picture: {out / PICTURE}")
+    typer.echo(f"page: {page}")
+
+
+def _able(report: Reporter) -> tuple[str, ...]:
+    """The trackers that can run here; what keeps others from it is reported."""
+    from relocbench.errors import MethodError
+    from relocbench.methods import parse_method
+    from relocbench.methods.fetching import published_files
+
+    able = []
+    for name in (*_METHODS, _FETCHED):
+        try:
+            parse_method(name)
+            missing = name == _FETCHED and not all(path.is_file() for path in published_files(parse_method(name)))
+        except MethodError as why:
+            report.note(f"{name} is left out: {why}")
+            continue
+        if missing:
+            report.note(
+                f"{name} is left out, as its weights are not here; to get them: relocbench fetch-weights {name}"
+            )
+        else:
+            able.append(name)
+    return tuple(able)
+
+
+def _print_summary(results: ByCondition) -> None:
+    """The share of queries that each method finds, by condition."""
+    from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.text import number
+    from relocbench.metrics import CORRECT
+
+    metres, degrees = CORRECT
+    title = f"Map: {results.map_condition}. Queries found within {metres:g} m and {degrees:g}°, in %"
+    # A word a line, so that the table fits a narrow terminal.
+    named = ["\n".join((*c.condition.split(", "), *(["(same drive)"] if c.one_drive else []))) for c in results.columns]
+    rows = [[line.label, *(number(found.share, "share") for found in line.found)] for line in results.lines]
+    print_table(title, ["method", *named], rows)

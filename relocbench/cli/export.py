@@ -17,14 +17,14 @@ def export(
     dataset: DatasetPath,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="Folder to write; for mlad, the zip file.")],
     format: Annotated[
-        Literal["tum", "kitti", "colmap", "kapture", "hloc", "mlad"],
+        Literal["tum", "kitti", "colmap", "kapture", "hloc", "mlad", "blind"],
         typer.Option(
             "--format",
             "-f",
             metavar="NAME",
             help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model), kapture (kapture "
-            "folders mapping and query), hloc (named poses and pairs; with --retriever its lists) or mlad (MLAD "
-            "submission).",
+            "folders mapping and query), hloc (named poses and pairs; with --retriever its lists), mlad (MLAD "
+            "submission) or blind (the dataset without truth, times and order, for somebody else's method).",
         ),
     ],
     results: Annotated[
@@ -59,9 +59,18 @@ def export(
             help="Pair file of a challenge: the MLAD zip gets its name and the order of its lines. Repeat for several.",
         ),
     ] = [],  # noqa: B006
+    edition: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            max=999_999_999,
+            help="With --format blind: exports of other editions have other keys for the same images [default: 1].",
+        ),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write predictions, the ground truth, or the rankings of a retriever, as other tools read them.
+    """Write predictions, the ground truth, or rankings, as other tools read them; or the dataset, blind.
 
     Example: relocbench export -d D --method dso --format mlad --out submission.zip
     """
@@ -70,6 +79,7 @@ def export(
     from relocbench.errors import ConfigError
     from relocbench.evaluation.common.opening import check_outside
     from relocbench.evaluation.retrieval.exports import export_lists
+    from relocbench.evaluation.tracking.blind_export import export_blind
     from relocbench.evaluation.tracking.exports import export_poses
     from relocbench.files import alone_writing_to
 
@@ -77,8 +87,16 @@ def export(
         raise ConfigError("--top is the length of a retriever's lists; name the retriever: --retriever LABEL")
     if retriever is not None and (format != "hloc" or method is not None):
         raise ConfigError("--retriever exports lists of images for hloc: give --format hloc and no --method")
+    if edition is not None and format != "blind":
+        raise ConfigError("--edition chooses the keys of a blind export; it goes with --format blind")
     opened = Dataset(dataset)
     check_outside(out, dataset)
+    if format == "blind":
+        if method is not None or pair_set or relocalization_file:
+            raise ConfigError("a blind export holds all pair sets and no answers; give no option but --edition")
+        with alone_writing_to(out):
+            typer.echo(export_blind(opened, out, 1 if edition is None else edition, reporter(quiet)).name)
+        return
     if retriever is not None:
         asked = [opened.pair_set(name).name for name in pair_set]
         with alone_writing_to(out):

@@ -1,4 +1,4 @@
-"""``relocbench leaderboard``: tables, plots and a page from a results folder."""
+"""``relocbench leaderboard`` and ``relocbench report``: tables, plots and pages from a results folder."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import typer
 from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
+    from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.leaderboard.relocalization.board import ChainBoard
     from relocbench.leaderboard.retrieval.board import RetrievalBoard
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
     from relocbench.metrics import Metric
+    from relocbench.progress import Reporter
 
 _USUAL = {
     "--metric": "recall@(0.25m,2deg)",
@@ -69,6 +71,21 @@ def leaderboard(
     plots: Annotated[
         bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves of trackers are drawn.")
     ] = True,
+    html: Annotated[
+        bool,
+        typer.Option(
+            "--html", help="Also write html/index.html, pages that sort, filter and zoom, opened from the disk."
+        ),
+    ] = False,
+    pairs: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="With --html: where the dataset is at hand, the pages of the N worst pairs of each method and of N "
+            "drawn at random, in each pair set, show their images; about 0.1 MB a pair.",
+        ),
+    ] = 6,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -82,14 +99,10 @@ def leaderboard(
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.files import alone_writing_to
-    from relocbench.leaderboard.relocalization.board import load_chains
     from relocbench.leaderboard.relocalization.write import chain_rows, write_chain_board
-    from relocbench.leaderboard.retrieval.board import holds_tracking, load_retrieval
     from relocbench.leaderboard.retrieval.write import retrieval_rows, write_retrieval_board
-    from relocbench.leaderboard.tracking.load import load_results
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
-    from relocbench.leaderboard.tracking.tables import ranking_metric
-    from relocbench.leaderboard.tracking.write import compare, write_board
+    from relocbench.leaderboard.tracking.write import write_board
 
     given = {"--metric": metric, "--retrieval-metric": retrieval_metric}
     given["--relocalization-metric"] = relocalization_metric
@@ -97,24 +110,20 @@ def leaderboard(
     ranked_by = {option: name or _USUAL[option] for option, name in given.items()}
     told = reporter(quiet)
     at_hand = DatasetsAtHand(results, dataset or (), told)
-    asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": at_hand}
     with alone_writing_to(out):
-        found = load_retrieval(results, metric=ranked_by["--retrieval-metric"], **asked)
-        chains = load_chains(results, metric=ranked_by["--relocalization-metric"], **asked)
-        entries = None
-        if (found is None and chains is None) or holds_tracking(results):
-            ranking_metric(ranked_by["--metric"])  # a mistyped metric is reported before anything is read
-            entries = load_results(results, split, datasets=at_hand)
-        at_hand.check_used()  # before anything is written
-        board = None
-        if entries is not None:
-            board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=told)
+        board, found, chains = _load(results, at_hand, ranked_by, split, seed, told)
         if found is not None:
             write_retrieval_board(found, out, told)
         if chains is not None:
             write_chain_board(chains, out, told)
         if board is not None:
             write_board(board, out, plots=plots, reporter=told)
+        if html:
+            from relocbench.leaderboard.html.site import Boards, write_site
+
+            write_site(Boards(board, found, chains), out / "html", pairs=pairs, reporter=told)
+    if html and not quiet:
+        typer.echo(f"written: {out / 'html' / 'index.html'}", err=True)
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if chains is not None:
@@ -134,6 +143,84 @@ def leaderboard(
             _print_chains(chains)
             if not quiet:
                 typer.echo(f"written: {out / 'relocalization.md'}", err=True)
+
+
+def report(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="Results folder of the evaluate commands.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write; index.html is in it.")],
+    dataset: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--dataset",
+            "-d",
+            metavar="FOLDER",
+            help="Dataset of the results, or a folder with datasets in it, by which errors and ranks are computed "
+            "anew. Repeatable; datasets beside RESULTS need not be named.",
+            show_default=False,
+        ),
+    ] = None,
+    split: Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")] = None,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the draws that decide ranks.")] = 0,
+    pairs: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Where the dataset is at hand, the pages of the N worst pairs of each method and of N drawn at "
+            "random, in each pair set, show their images; about 0.1 MB a pair.",
+        ),
+    ] = 6,
+    quiet: Quiet = False,
+) -> None:
+    """Write results as pages that sort, filter and zoom, opened from the disk without a server or the network.
+
+    The same pages as those of leaderboard --html, alone. The same results give the same bytes.
+
+    Example: relocbench report results --out report --pairs 20
+    """
+    from relocbench.cli.console import reporter
+    from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+    from relocbench.files import alone_writing_to
+    from relocbench.leaderboard.html.site import Boards, write_site
+
+    told = reporter(quiet)
+    at_hand = DatasetsAtHand(results, dataset or (), told)
+    with alone_writing_to(out):
+        boards = Boards(*_load(results, at_hand, _USUAL, split, seed, told))
+        start = write_site(boards, out, pairs=pairs, reporter=told)
+    if not quiet:
+        typer.echo(f"written: {start}", err=True)
+
+
+def _load(
+    results: Path,
+    at_hand: DatasetsAtHand,
+    ranked_by: Mapping[str, str],
+    split: str | None,
+    seed: int,
+    told: Reporter,
+) -> tuple[Board | None, RetrievalBoard | None, ChainBoard | None]:
+    """The boards of trackers, retrievers and chains; None where the folder holds nothing of a task."""
+    from relocbench.leaderboard.relocalization.board import load_chains
+    from relocbench.leaderboard.retrieval.board import holds_tracking, load_retrieval
+    from relocbench.leaderboard.tracking.load import load_results
+    from relocbench.leaderboard.tracking.tables import ranking_metric
+    from relocbench.leaderboard.tracking.write import compare
+
+    asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": at_hand}
+    found = load_retrieval(results, metric=ranked_by["--retrieval-metric"], **asked)
+    chains = load_chains(results, metric=ranked_by["--relocalization-metric"], **asked)
+    entries = None
+    if (found is None and chains is None) or holds_tracking(results):
+        ranking_metric(ranked_by["--metric"])  # a mistyped metric is reported before anything is read
+        entries = load_results(results, split, datasets=at_hand)
+    at_hand.check_used()  # before anything is written
+    board = None
+    if entries is not None:
+        board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=told)
+    return board, found, chains
 
 
 def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None:

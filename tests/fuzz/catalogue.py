@@ -11,7 +11,17 @@ from fuzz.parser import Parser
 
 AREAS = tuple(
     f"fuzz.{name}"
-    for name in ("datasets", "sensors", "recordings", "photos", "places", "results", "records", "methods")
+    for name in (
+        "datasets",
+        "sensors",
+        "recordings",
+        "photos",
+        "places",
+        "results",
+        "records",
+        "submissions",
+        "methods",
+    )
 )
 """modules with ``SEEDS`` and ``PARSERS``"""
 

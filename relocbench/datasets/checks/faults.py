@@ -103,7 +103,7 @@ def read_yaml(path: Path, model: type[Model], what: str, found: Findings) -> Mod
         try:
             return model.model_validate(values)
         except ValidationError as bad:
-            for one in _single_errors(bad):
+            for one in single_errors(bad):
                 message, location = first_fault(one)
                 found.fault(message, path, yaml_line(node, location))
     return None
@@ -242,7 +242,8 @@ def _table(path: Path, columns: tuple[str, ...], what: str, found: Findings) -> 
         yield from rows
 
 
-def _single_errors(bad: ValidationError) -> Iterator[ValidationError]:
+def single_errors(bad: ValidationError) -> Iterator[ValidationError]:
+    """A validation error for each fault of one."""
     for error in bad.errors():
         kept = {k: v for k, v in error.items() if k in ("type", "loc", "input", "ctx")}
         yield ValidationError.from_exception_data(bad.title, [kept])  # type: ignore[list-item]

@@ -126,6 +126,12 @@ class RunRecord(Strict):
     """whether the method was shown the times of images, as it declared to need"""
     made_elsewhere: bool = False
     """whether the predictions were made elsewhere and imported; all that the record says of them is hearsay"""
+    answered_blind: str = ""
+    """of submitted predictions: the blind export of the dataset that was answered; empty where times were at hand"""
+    submitted: dict[str, str] = Field(default_factory=dict)
+    """of submitted predictions: SHA-256 of the files as they were handed in, ``card.yaml`` among them"""
+    remarks: tuple[str, ...] = ()
+    """of submitted predictions: what is odd about them, for a reader to judge"""
     start: str = ""
     end: str = ""
 
@@ -300,6 +306,7 @@ def adopted_run(theirs: Path, run: Run, what: str) -> Run:
         return run.model_copy(update={"made_elsewhere": True})
     record = load_yaml(theirs, type(run), what, PredictionError)
     told: dict[str, Any] = {"method": run.method, "made_elsewhere": True}
+    told |= {"submitted": {}, "remarks": (), "answered_blind": ""}  # only a submission that was checked has these
     if record.fingerprint != run.fingerprint and run.question and record.question == run.question:
         # Another machine's copy: the question is the same, and images differ in last digits only.
         told |= {"fingerprint": run.fingerprint, "answered_on": record.fingerprint}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from relocbench.errors import PredictionError
@@ -73,8 +73,18 @@ def _files(asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path) ->
 def _checked(task: RetrievalTask, path: Path) -> tuple[dict[str, list[str]], list[QueryAnswer]]:
     queries = {image.key: index for index, image in enumerate(task.queries)}
     gallery = {image.key: index for index, image in enumerate(task.gallery)}
-    lists = read_lists(path, queries, gallery)
-    ranking = rank_lists(list(lists.values()), task.relevance)
+    return answers_to(task, read_lists(path, queries, gallery))
+
+
+def answers_to(
+    task: RetrievalTask, lists: Mapping[str, Sequence[int]]
+) -> tuple[dict[str, list[str]], list[QueryAnswer]]:
+    """The retrieved images by name, and the row of each query.
+
+    Args:
+        lists: indices of the gallery, best first, of every query in the task's order; empty where it failed.
+    """
+    ranking = rank_lists(list(map(list, lists.values())), task.relevance)
     answers = [
         QueryAnswer(
             query=key,
@@ -84,6 +94,6 @@ def _checked(task: RetrievalTask, path: Path) -> tuple[dict[str, list[str]], lis
             ranks=tuple(int(r) + 1 for r in ranking.of(q) if r != NEVER),
             message="" if ranking.answered[q] else "not in the list",
         )
-        for key, q in queries.items()
+        for q, key in enumerate(lists)
     ]
     return {key: [task.gallery[i].key for i in kept] for key, kept in lists.items()}, answers

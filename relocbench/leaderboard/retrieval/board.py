@@ -28,6 +28,7 @@ from relocbench.evaluation.retrieval.records import (
 )
 from relocbench.evaluation.retrieval.rescoring import Confirmed, RetrievalTruth, belongs, truth_of
 from relocbench.evaluation.retrieval.score import checked_answers, resampled, scores_of
+from relocbench.evaluation.submission.kept import KeptCard, kept_card
 from relocbench.files import sha256_file
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
@@ -51,6 +52,8 @@ class Retriever:
     """how far the ranks follow from the images that were kept, by task; empty where the truth is not at hand"""
     ran_as: str = ""
     """the label in the run's record, which the name of the folder replaces"""
+    card: KeptCard | None = None
+    """of lists that were submitted"""
 
     @property
     def renamed(self) -> bool:
@@ -322,7 +325,10 @@ def _method(
         for name, rows in answers.items():
             _check_summary(folder, name, done[name], rows, scores)
     confirmed = {} if truth is None else {n: truth.confirmed(folder, n, run.keep, rows) for n, rows in answers.items()}
-    return Retriever(folder.label, run.model_copy(update={"method": folder.label}), answers, confirmed, run.method)
+    card = kept_card(folder.root, run)
+    return Retriever(
+        folder.label, run.model_copy(update={"method": folder.label}), answers, confirmed, run.method, card
+    )
 
 
 def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: RetrievalScores) -> None:

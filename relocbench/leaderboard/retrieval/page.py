@@ -7,6 +7,7 @@ import shlex
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.retrieval.records import RetrievalRun, SetRecord
+from relocbench.leaderboard.common.cards import add_command, shown_cards
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
@@ -41,6 +42,8 @@ def retrieval_page(board: RetrievalBoard) -> str:
 
 def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
     """The command that runs a retriever as it was run, or resumes a run that was stopped."""
+    if run.submitted:
+        return add_command(run.method)
     words = ["relocbench", "evaluate-retrieval", "--dataset", "DATASET", "--out", "RESULTS"]
     for key, value in asked.options.items():
         words += [f"--{key}", f"{value:g}" if isinstance(value, float) else value]
@@ -71,6 +74,8 @@ def _set(board: RetrievalBoard, asked: SetBoard) -> dict[str, object]:
             (m.label, m.run, sorted({t.dimensions for t in m.run.tasks.values() if t.dimensions}), machine_words(m.run))
             for m in methods
         ],
+        "cards": shown_cards(asked.title, methods),
+        "elsewhere": [m.label for m in methods if m.run.made_elsewhere or m.run.target.startswith(PREDICTIONS)],
         "renamed": [(m.label, m.ran_as) for m in methods if m.renamed],
         "parameters": [(m.label, json_text(m.run.parameters)) for m in methods if m.run.parameters],
         "told": [(m.label, json_text(m.run.info)) for m in methods if m.run.info],

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.files import remove_parts, write_text
+from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.retrieval.board import (
     RANKING,
@@ -53,6 +54,8 @@ def write_retrieval_board(board: RetrievalBoard, out: Path, reporter: Reporter) 
             for name in missing:
                 reporter.note(f"{asked.title}: {method.label} has no result on {name}")
     remove_parts(out, deep=False)
+    for asked in board.sets:
+        write_cards(out, asked.title, asked.methods)
     write_records(out / "retrieval.csv", retrieval_rows(board))
     write_text(out / "retrieval.md", retrieval_page(board))
 

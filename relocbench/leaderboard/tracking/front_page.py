@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
+from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.tracking.cells import (
     DAGGER,
@@ -69,6 +70,7 @@ def _dataset(board: Board, dataset: DatasetBoard) -> dict[str, object]:
         "name": _shown_name(board, dataset),
         "page": quote(set_file(dataset)),
         "missing": missing,
+        "cards": shown_cards(entry.title, entry.methods),
         "totals": [
             {
                 "title": total_name(table),

@@ -30,6 +30,7 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
     all_results,
 )
+from relocbench.evaluation.submission.kept import KeptCard, kept_card
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
@@ -39,6 +40,7 @@ from relocbench.evaluation.tracking.verification import (
     rescored,
 )
 from relocbench.files import read_journal
+from relocbench.leaderboard.common.cards import add_command
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder
@@ -69,6 +71,10 @@ class Method:
     """the errors of pairs of different places, by pair set that has any; ``errors`` is without them"""
     ran_as: str = ""
     """the label in the run's record, which the name of the folder replaces"""
+    results: MethodResults | None = None
+    """where the answers themselves lie"""
+    card: KeptCard | None = None
+    """of predictions that were submitted"""
 
     def tables(self, pair_set: str) -> list[ErrorTable]:
         """The errors of the pairs of one place, and those of different places where there are any."""
@@ -127,6 +133,8 @@ class DatasetEntry:
     """chosen pair sets that cannot be scored: the ground truth is withheld or no pair was accepted"""
     copies: tuple[str, ...] = ()
     """fingerprints of other copies of the same question, from other processors, that methods answered on"""
+    dataset: Dataset | None = None
+    """the dataset itself, or a copy of it, where it is at hand"""
 
     @property
     def title(self) -> str:
@@ -225,7 +233,8 @@ def _merged(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
         label = distinct_label(method.label, known, other.record.fingerprint)
         known[label] = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
     methods = tuple(known[label] for label in sorted(known))
-    return replace(first, methods=methods, copies=(*first.copies, other.record.fingerprint))
+    copies = (*first.copies, other.record.fingerprint)
+    return replace(first, methods=methods, copies=copies, dataset=first.dataset or other.dataset)
 
 
 def machine_words(run: RunRecord) -> str:
@@ -243,7 +252,9 @@ def natural(text: str) -> list[tuple[bool, int, str]]:
 def evaluate_command(
     method: RunRecord, dataset: str = "DATASET", results: str = "RESULTS", *, matching: bool = False
 ) -> str:
-    """The command that runs a method as it was run, or resumes a run that was stopped."""
+    """The command that runs a method as it was run, resumes a run that was stopped, or brings a submission in."""
+    if method.submitted:
+        return add_command(method.method, results=results, dataset=dataset)
     words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results, *method_words(method)]
     return shlex.join([*words, "--matching"] if matching and not method.target.startswith(PREDICTIONS) else words)
 
@@ -267,6 +278,7 @@ def _dataset(folder: DatasetResults, split: str | None, truth: Truth | None) -> 
         pair_sets,
         {name: kept for name, names in splits.items() if (kept := tuple(n for n in names if n in pair_sets))},
         tuple(n for n in chosen if n not in pair_sets),
+        dataset=None if truth is None else truth.dataset,
     )
 
 
@@ -280,7 +292,7 @@ def _method(
             f"{dataset.name}@{dataset.fingerprint[:SHORT]}",
             folder.run_yaml,
         )
-    ran_as = run.method
+    ran_as, card = run.method, kept_card(folder.root, run)
     run = run.model_copy(update={"method": folder.label})
     errors: dict[str, ErrorTable] = {}
     elsewhere: dict[str, ErrorTable] = {}
@@ -303,7 +315,7 @@ def _method(
         if scores is not None and (name in scores.matching or folder.matching(name).exists())
     }
     confirmed = truth is not None and bool(errors)
-    return Method(folder.label, run, errors, missing, stopped, matching, confirmed, elsewhere, ran_as)
+    return Method(folder.label, run, errors, missing, stopped, matching, confirmed, elsewhere, ran_as, folder, card)
 
 
 def _complete(folder: MethodResults, pair_set: str) -> bool:

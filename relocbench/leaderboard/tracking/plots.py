@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import matplotlib as mpl
@@ -138,13 +138,18 @@ def risk_picture(dataset: DatasetBoard, table: Table) -> RiskPicture:
 
 def draw(picture: Picture) -> bytes:
     """Draw a picture as PNG, with the same bytes in any process."""
+    return png_of(lambda: _figure(picture))
+
+
+def png_of(make: Callable[[], Figure]) -> bytes:
+    """The PNG of the figure that ``make`` returns, drawn with settings of relocbench, the same bytes in any process."""
     with mpl.rc_context(), warnings.catch_warnings():
         # Names may contain letters that the font lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         mpl.rcdefaults()  # the user's own settings must not change the picture
         mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
         mpl.rcParams["text.parse_math"] = False  # a $ in a name is not a formula
-        return _png(_figure(picture))
+        return _png(make())
 
 
 def _figure(picture: Picture) -> Figure:

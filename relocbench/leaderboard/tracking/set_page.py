@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.matching_table import ALL
+from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.text import json_text, number
 from relocbench.leaderboard.tracking.cells import (
@@ -89,6 +90,7 @@ def set_page(board: Board, dataset: DatasetBoard, *, plots: bool) -> str:
             if plots and has_risks(table)
         ],
         imported=any(made_elsewhere(m.run) for m in methods),
+        cards=shown_cards(entry.title, methods),
         machines_differ=len({m.machine for m in methods if m.machine}) > 1,
         settings=[(m.label, json_text(m.settings)) for m in methods if m.settings],
         differences=list(_differences(methods)),

@@ -10,6 +10,7 @@ from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.common.tables import write_rows
 from relocbench.execution import Run, default_workers, run_units
 from relocbench.files import remove_parts, write_bytes, write_text
+from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.text import write_records
 from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
 from relocbench.leaderboard.tracking.load import DatasetEntry, load_results
@@ -102,6 +103,8 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
             write_records(paths[-1], records)
     if plots:
         paths += _write_plots(board, out, reporter)
+    for dataset in board.datasets:
+        paths += write_cards(out, dataset.entry.title, dataset.entry.methods)
     pages = {set_file(dataset): set_page(board, dataset, plots=plots) for dataset in board.datasets}
     pages |= {READING: reading_page(board), "leaderboard.md": front_page(board)}
     for name, text in pages.items():

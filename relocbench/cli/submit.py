@@ -1,0 +1,179 @@
+"""``relocbench submit-check`` and ``relocbench leaderboard add``: predictions that were made elsewhere, with a card."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from relocbench.cli.options import Json, Quiet
+
+if TYPE_CHECKING:
+    from relocbench.evaluation.submission.check import Checked, SubmissionOptions
+
+FAULTY = 1
+"""exit status where a submission has faults; 2 is left to commands that could not look at it"""
+_MOST_SHOWN = 100
+"""faults of one file that are printed; --json has all"""
+
+Datasets = Annotated[
+    list[Path],
+    typer.Option(
+        "--dataset",
+        "-d",
+        metavar="FOLDER",
+        help="Dataset that is answered; of answers to a blind export, the dataset it was made of, or the export "
+        "itself. Repeat for several.",
+        show_default=False,
+    ),
+]
+BlindOnly = Annotated[bool, typer.Option("--blind-only", help="Refuse answers to a dataset whose times were at hand.")]
+Radius = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        min=0.0,
+        help="Of a retriever along drives: distance within which an image is right [default: 25].",
+    ),
+]
+
+
+def submit_check(
+    submission: Annotated[
+        Path | None,
+        typer.Argument(metavar="SUBMISSION", help="Folder with card.yaml and answers.", show_default=False),
+    ] = None,
+    dataset: Datasets = [],  # noqa: B006  typer copies it
+    new: Annotated[
+        Path | None, typer.Option("--new", metavar="FOLDER", help="Write a card to fill in to this folder, and end.")
+    ] = None,
+    blind_only: BlindOnly = False,
+    radius: Radius = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Find every fault of a submission, with file and line, and say what is in it; exit status 1 where there is one.
+
+    A submission is a folder with card.yaml and, for each dataset, a folder with PAIRSET.txt files of nine columns.
+
+    Example: relocbench submit-check my-submission --dataset town
+    """
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.errors import ConfigError
+    from relocbench.evaluation.submission.check import check_submission
+
+    if new is not None:
+        if submission is not None or dataset:
+            raise ConfigError("--new writes a card and checks nothing; give it alone")
+        _write_template(new)
+        return
+    if submission is None:
+        raise ConfigError("nothing to check: give the folder of a submission, or --new FOLDER for a card to fill in")
+    checked = check_submission(submission, _options(dataset, radius, blind_only=blind_only), reporter(quiet))
+    if json:
+        print_json(checked.to_dict())
+    else:
+        _print_checked(checked, quiet=quiet)
+    if not checked.sound:
+        raise typer.Exit(FAULTY)
+
+
+def leaderboard_add(
+    submission: Annotated[
+        Path, typer.Argument(metavar="SUBMISSION", help="Folder with card.yaml and answers.", show_default=False)
+    ],
+    to: Annotated[Path, typer.Option("--to", metavar="RESULTS", help="Results folder that gets the row.")],
+    dataset: Datasets = [],  # noqa: B006
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace the row of an earlier submission of the same label.")
+    ] = False,
+    blind_only: BlindOnly = False,
+    radius: Radius = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Check a submission, score its answers and put them into a results folder as a row that was made elsewhere.
+
+    Nothing is written where the check finds a fault. Each row appears whole or not at all, and a command that was
+    stopped goes on when it is given again. A results folder called 'add' is given to leaderboard as ./add.
+
+    Example: relocbench leaderboard add my-submission --to results --dataset town
+    """
+    from relocbench.cli.console import print_json, print_table, reporter
+    from relocbench.evaluation.submission.add import add_submission
+    from relocbench.evaluation.submission.check import check_submission
+
+    options, told = _options(dataset, radius, blind_only=blind_only), reporter(quiet)
+    checked = check_submission(submission, options, told)
+    if not checked.sound:
+        if json:
+            print_json({**checked.to_dict(), "rows": []})
+        else:
+            _print_checked(checked, quiet=quiet)
+        raise typer.Exit(FAULTY)
+    added = add_submission(checked, to, options, told, replace=replace)
+    if json:
+        rows = [{"folder": str(one.folder), "state": one.state, "remarks": one.remarks} for one in added]
+        print_json({**checked.to_dict(), "rows": rows})
+        return
+    print_table("", ["row", ""], [[str(one.folder), one.state] for one in added])
+    for one in added:
+        for remark in one.remarks:
+            print(f"odd: {one.folder.parent.name}: {remark}")
+    if not quiet:
+        typer.echo(f"to compare: relocbench leaderboard {to} --out FOLDER", err=True)
+
+
+def _options(dataset: list[Path], radius: float | None, *, blind_only: bool) -> SubmissionOptions:
+    from relocbench.errors import ConfigError
+    from relocbench.evaluation.retrieval.opening import SetOptions
+    from relocbench.evaluation.submission.check import SubmissionOptions
+
+    if not dataset:
+        raise ConfigError("a submission is checked against what it answers: give --dataset FOLDER")
+    if radius == 0:
+        raise ConfigError("--radius is 0, expected metres")
+    return SubmissionOptions(tuple(dataset), blind_only, SetOptions(radius_m=radius))
+
+
+def _write_template(folder: Path) -> None:
+    from relocbench.errors import ConfigError
+    from relocbench.evaluation.submission.card import CARD, TEMPLATE
+    from relocbench.files import write_text
+
+    path = folder / CARD
+    if path.exists() or path.is_symlink():
+        raise ConfigError("is there already, and is not overwritten", path)
+    write_text(path, TEMPLATE)
+    print(path)
+
+
+def _print_checked(checked: Checked, *, quiet: bool) -> None:
+    from relocbench.cli.console import print_table
+    from relocbench.errors import printable
+
+    found = checked.found.by_place()
+    shown: Counter[Path | None] = Counter()
+    for fault in found.faults:
+        shown[fault.path] += 1
+        if shown[fault.path] <= _MOST_SHOWN:
+            print(fault)
+    for path, count in shown.items():
+        if count > _MOST_SHOWN:
+            print(f"{printable(str(path))}: {count - _MOST_SHOWN} more faults (--json has all)")
+    if not quiet:
+        for note in found.notes:
+            print(f"note: {note}")
+    for odd in checked.suspicions:
+        print(f"odd: {odd}")
+    if checked.rows:
+        columns = ["dataset", "of", "asked", "answered", "missing", "unknown", "twice", "unreadable"]
+        rows = [
+            [r.dataset, r.asked, *map(str, (r.pairs, r.answered, r.missing, r.unknown, r.duplicate, r.invalid))]
+            for r in checked.rows
+        ]
+        print_table("answers", columns, rows)
+    faults = len(found.faults)
+    print(f"{checked.root}: {'no fault' if not faults else '1 fault' if faults == 1 else f'{faults} faults'}")

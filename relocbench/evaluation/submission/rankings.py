@@ -1,0 +1,73 @@
+"""Reading submitted lists of images: every fault with its line, and what is there in numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from relocbench.datasets.checks.faults import Findings
+from relocbench.errors import PredictionError, quoted
+from relocbench.files import lines_of, read_text
+from relocbench.retrieval import RetrievalTask
+
+_LINE_BYTES, _SPARE_BYTES = 512, 2**16
+MOST_IMAGES = 10_000
+"""of one query's list"""
+
+
+@dataclass
+class TaskLists:
+    """What was submitted for a retrieval task."""
+
+    task: RetrievalTask
+    lists: dict[str, list[str]] = field(default_factory=dict)
+    """retrieved images of each answered query, best first"""
+    unknown: int = 0
+    duplicate: int = 0
+    invalid: int = 0
+
+    @property
+    def missing(self) -> int:
+        return len(self.task.queries) - len(self.lists)
+
+
+def read_ranked(path: Path, task: RetrievalTask, found: Findings) -> TaskLists:
+    """Read ``TASK.txt``, a line ``query db`` for each retrieved image."""
+    out = TaskLists(task)
+    queries, gallery = {image.key for image in task.queries}, {image.key for image in task.gallery}
+    most = _SPARE_BYTES + _LINE_BYTES * len(queries) * min(len(gallery), MOST_IMAGES)
+    with found.catching():
+        text = read_text(path, "retrieved images, a line 'query db' each", PredictionError, most)
+        seen: set[tuple[str, str]] = set()
+        for number, line in enumerate(lines_of(text), start=1):
+            words = line.split()
+            if not words or line.startswith("#"):
+                continue
+            if len(words) != 2:
+                out.invalid += 1
+                found.fault(f"expected 'query db', found {len(words)} words", path, number)
+                continue
+            query, image = words
+            if query not in queries:
+                out.unknown += 1
+                found.fault(f"unknown query {quoted(query)}; queries are such as '{task.queries[0].key}'", path, number)
+            elif image not in gallery:
+                out.unknown += 1
+                told = f"image {quoted(image)} is not in the gallery, whose images are such as '{task.gallery[0].key}'"
+                found.fault(told, path, number)
+            elif (query, image) in seen:
+                out.duplicate += 1
+                found.fault(f"image {quoted(image)} occurs again for the query {quoted(query)}", path, number)
+            else:
+                seen.add((query, image))
+                out.lists.setdefault(query, []).append(image)
+    return out
+
+
+def odd_lists(of: TaskLists) -> list[str]:
+    """What is odd about lists, one sentence each."""
+    lists = list(of.lists.values())
+    told = ["no answer has seconds"] if lists else []
+    if len(lists) > 1 and all(one == lists[0] for one in lists):
+        told.append("all queries have one list")
+    return told

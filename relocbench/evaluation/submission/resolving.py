@@ -1,0 +1,74 @@
+"""Which dataset a submission answers: the dataset itself, a copy of it, or a blind export of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.errors import PredictionError
+from relocbench.evaluation.tracking.blind_keys import BlindKeys, blind_name
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A dataset whose pairs are answered, and what they are called in the answers."""
+
+    dataset: Dataset
+    blind: BlindKeys | None = None
+    """of answers to a blind export of the dataset"""
+    answered_on: str = ""
+    """of answers to a copy of the dataset: its fingerprint"""
+
+    def keys(self, pair_set: PairSet) -> dict[PairKey, PairKey]:
+        """The pairs that are asked: as answers name them -> their times in the dataset."""
+        return self.blind.pairs(pair_set) if self.blind is not None else {key: key for key in pair_set.by_key}
+
+    def why_unknown(self, pair_set: PairSet, key: PairKey) -> str:
+        """Why a pair is none that is asked, in words."""
+        told = f"unknown pair {key[0]} {key[1]}"
+        if self.blind is not None:
+            if key in pair_set.by_key:
+                return f"{told}: these are real timestamps, and the card names a blind export, whose keys are due"
+            return f"{told}: not keys of the blind export {self.blind.name}; expected one of its pairs"
+        if (key[1], key[0]) in pair_set.by_key:
+            return f"{told}: keyframe and query are exchanged"
+        return f"{told}; expected one of the {len(pair_set.asked)} pairs of the dataset"
+
+
+def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Dataset]) -> Asked:
+    """The dataset that answers belong to.
+
+    Args:
+        name: of the dataset or blind export, as the card has it.
+        fingerprint: the same.
+        question: of the dataset, where a run.yaml beside the answers says it; empty elsewhere.
+        datasets: those at hand; of a blind export the dataset that it was made of, or the export itself.
+
+    Raises:
+        PredictionError: without a place: it is none of them, or another version or export of one.
+    """
+    own = next((d for d in datasets if d.name == name), None)
+    blind = blind_name(name)
+    source = None if blind is None else next((d for d in datasets if d.name == blind.dataset), None)
+    if own is not None and own.fingerprint != fingerprint:
+        if source is None and question and own.question == question:
+            return Asked(own, answered_on=fingerprint)
+        raise PredictionError(
+            f"the fingerprint of '{name}' is {fingerprint[:SHORT]}, the dataset given has {own.fingerprint[:SHORT]}"
+        )
+    if blind is not None and source is not None:
+        keys = BlindKeys(source, blind.edition)
+        if keys.name != blind:
+            raise PredictionError(
+                f"'{name}' is another export than that of {source.name}@{source.fingerprint[:SHORT]}, whose edition "
+                f"{blind.edition} is '{keys.name}'"
+            )
+        return Asked(source, keys)
+    if own is not None:
+        return Asked(own)
+    there = ", ".join(d.name for d in datasets) or "none"
+    raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")

@@ -1,0 +1,82 @@
+"""Cards of predictions that were made elsewhere, beside the pages that show their rows."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+from urllib.parse import quote
+
+from relocbench.evaluation.common.results import RunRecord
+from relocbench.evaluation.submission.card import Card
+from relocbench.evaluation.submission.kept import KeptCard
+from relocbench.files import write_bytes
+
+_FOLDER = "cards"
+
+
+class Submitted(Protocol):
+    """A method that may have been submitted."""
+
+    @property
+    def label(self) -> str: ...
+
+    @property
+    def run(self) -> RunRecord: ...
+
+    @property
+    def card(self) -> KeptCard | None: ...
+
+
+@dataclass(frozen=True)
+class ShownCard:
+    """What a page shows of a card."""
+
+    label: str
+    card: Card
+    link: str
+    """from the leaderboard's folder"""
+    blind: str
+    """the blind export that was answered"""
+    asked_once: bool
+    remarks: tuple[str, ...]
+
+
+def shown_cards(title: str, methods: Iterable[Submitted]) -> list[ShownCard]:
+    """The cards of the methods of one dataset that have one."""
+    return [
+        ShownCard(
+            method.label,
+            method.card.card,
+            quote(card_file(title, method.label)),
+            method.run.answered_blind,
+            all(answered.asked_once for answered in method.card.card.datasets.values()),
+            method.run.remarks,
+        )
+        for method in methods
+        if method.card is not None
+    ]
+
+
+def card_file(title: str, label: str) -> str:
+    """The path of a card, relative to the leaderboard's folder."""
+    return f"{_FOLDER}/{title}/{label}.yaml"
+
+
+def write_cards(out: Path, title: str, methods: Sequence[Submitted]) -> list[Path]:
+    """Write the cards of the methods of one dataset as they were handed in, and remove those of rows that are gone."""
+    paths = []
+    for method in methods:
+        if method.card is not None:
+            paths.append(out / card_file(title, method.label))
+            write_bytes(paths[-1], method.card.data)
+    for old in set((out / _FOLDER / title).glob("*.yaml")) - set(paths):
+        old.unlink()
+    return paths
+
+
+def add_command(label: str, *, results: str = "RESULTS", dataset: str = "DATASET") -> str:
+    """The command that brings a submission in again."""
+    return shlex.join(["relocbench", "leaderboard", "add", label, "--to", results, "--dataset", dataset])

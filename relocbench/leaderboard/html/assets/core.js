@@ -1,0 +1,161 @@
+/* What all pages share: payloads, numbers, the state in the address, and light or dark. */
+"use strict";
+
+(() => {
+  const payloads = new Map();
+  const waiting = new Map();
+
+  /** Called by each file in data/: registers its payload. */
+  window.relocbench_data = (key, payload) => {
+    payloads.set(key, payload);
+    const wait = waiting.get(key);
+    if (wait) wait.resolve(payload);
+  };
+
+  /** A script beside the page; resolves when it ran. */
+  const scripts = new Map();
+  function script(source) {
+    if (!scripts.has(source)) {
+      scripts.set(source, new Promise((resolve, reject) => {
+        const element = document.createElement("script");
+        element.src = source;
+        element.onload = () => resolve();
+        element.onerror = () => reject(new Error(`${source} is missing from this copy of the site`));
+        document.head.append(element);
+      }));
+    }
+    return scripts.get(source);
+  }
+
+  /** The payload of a key, from data/KEY.js, which is loaded when it is first asked for. */
+  function load(key) {
+    if (payloads.has(key)) return Promise.resolve(payloads.get(key));
+    if (!waiting.has(key)) {
+      const wait = {};
+      wait.promise = new Promise((resolve, reject) => { wait.resolve = resolve; wait.reject = reject; });
+      waiting.set(key, wait);
+      script(`data/${key.split("/").map(encodeURIComponent).join("/")}.js`).catch(wait.reject);
+    }
+    return waiting.get(key).promise;
+  }
+
+  function bytes(text) {
+    const binary = atob(text);
+    const out = new Uint8Array(binary.length);
+    for (let i = 0; i < binary.length; i++) out[i] = binary.charCodeAt(i);
+    return out;
+  }
+
+  /** base64 of little-endian float32 */
+  function floats(text) {
+    const view = new DataView(bytes(text).buffer);
+    const out = new Float32Array(view.byteLength / 4);
+    for (let i = 0; i < out.length; i++) out[i] = view.getFloat32(4 * i, true);
+    return out;
+  }
+
+  /** base64 of little-endian int64, as BigInt: timestamps in nanoseconds do not fit a number */
+  function integers(text) {
+    const view = new DataView(bytes(text).buffer);
+    const out = new BigInt64Array(view.byteLength / 8);
+    for (let i = 0; i < out.length; i++) out[i] = view.getBigInt64(8 * i, true);
+    return out;
+  }
+
+  const ENTITIES = { "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "'": "&#39;" };
+  /** Text as HTML that shows it. */
+  const escape = (text) => String(text).replace(/[&<>"']/g, (c) => ENTITIES[c]);
+
+  /** An element: element("a", {href: "..."}, "text", child). Texts are shown as they are. */
+  function element(name, attributes = {}, ...children) {
+    const out = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) {
+      if (value === null || value === undefined || value === false) continue;
+      if (key.startsWith("on")) out.addEventListener(key.slice(2), value);
+      else out.setAttribute(key, value === true ? "" : String(value));
+    }
+    out.append(...children.flat().filter((child) => child !== null && child !== undefined));
+    return out;
+  }
+
+  const DIGITS = { m: 3, deg: 3, s: 3 };
+  const UNITS = { share: "%", m: "m", deg: "°", s: "s" };
+
+  /** Ties go to the even digit, as on the pages that relocbench itself fills. */
+  function rounded(value, digits) {
+    const scaled = Math.abs(value) * 10 ** digits;
+    const tie = scaled % 1 === 0.5 && scaled < 2 ** 40;
+    const even = 2 * Math.round(scaled / 2);
+    return tie ? (Math.sign(value) * even / 10 ** digits).toFixed(digits) : value.toFixed(digits);
+  }
+
+  /** A value in its unit without the unit's name; shares in percent, "inf" for no answer, empty for no value. */
+  function number(value, unit) {
+    if (value === null || value === undefined) return "";
+    const plain = Number(value);
+    if (Number.isNaN(plain)) return "";
+    if (!Number.isFinite(plain)) return "inf";
+    return unit === "share" ? rounded(100 * plain, 1) : rounded(plain, DIGITS[unit] ?? 3);
+  }
+
+  /** The state in the address, key=value&key=value behind the #. */
+  const state = {
+    all() {
+      const out = {};
+      for (const part of location.hash.slice(1).split("&")) {
+        const at = part.indexOf("=");
+        if (at <= 0) continue;
+        try { out[part.slice(0, at)] = decodeURIComponent(part.slice(at + 1)); } catch { /* not percent-encoded */ }
+      }
+      return out;
+    },
+    get(key, fallback = "") { return this.all()[key] ?? fallback; },
+    /** Change some keys; null removes one. The page's history gets no entry, as filters are no places. */
+    set(changes) {
+      const next = { ...this.all(), ...changes };
+      const text = Object.entries(next)
+        .filter(([, value]) => value !== null && value !== undefined && value !== "")
+        .map(([key, value]) => `${key}=${encodeURIComponent(value)}`)
+        .join("&");
+      history.replaceState(null, "", text ? `#${text}` : location.pathname + location.search);
+    },
+  };
+
+  /** Light or dark: as chosen, otherwise as the system has it. */
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  const KEY = "relocbench-theme";
+  function chosen() {
+    try { return localStorage.getItem(KEY) || "system"; } catch { return "system"; }
+  }
+  function apply() {
+    const isDark = chosen() === "dark" || (chosen() === "system" && dark.matches);
+    document.documentElement.dataset.theme = isDark ? "dark" : "light";
+    document.documentElement.classList.toggle("dark", isDark);
+    document.dispatchEvent(new CustomEvent("relocbench-theme"));
+  }
+  apply();
+  dark.addEventListener("change", apply);
+  document.addEventListener("DOMContentLoaded", () => {
+    const button = document.getElementById("theme");
+    if (!button) return;
+    const label = () => { button.textContent = `Theme: ${chosen()}`; };
+    label();
+    button.addEventListener("click", () => {
+      const order = ["system", "light", "dark"];
+      const next = order[(order.indexOf(chosen()) + 1) % order.length];
+      try { localStorage.setItem(KEY, next); } catch { /* a browser that keeps nothing */ }
+      apply();
+      label();
+    });
+  });
+
+  window.relocbench = {
+    load, script, bytes, floats, integers, escape, element, number, state, DIGITS, UNITS,
+    get isDark() { return document.documentElement.dataset.theme === "dark"; },
+    /** A payload that is loaded already. */
+    payload: (key) => payloads.get(key),
+    /** Whether a payload is loaded already. */
+    has: (key) => payloads.has(key),
+    css: (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim(),
+  };
+})();

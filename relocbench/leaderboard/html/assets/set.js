@@ -1,0 +1,253 @@
+/* The page of a set: the table, the charts of what is chosen, and lists of pairs. */
+"use strict";
+
+(async () => {
+  const { element, escape, number, state, load, floats, integers, bytes, look, chart } = relocbench;
+  const $ = (id) => document.getElementById(id);
+  const site = relocbench.payload("site");
+  const set = await load(`sets/${$("set").dataset.set}`);
+  const [metres, degrees] = site.correct;
+  const ranking = set.metrics.findIndex((metric) => metric.name === set.ranking);
+  const seconds = set.metrics.length - 1;
+  const hidden = new Set(state.get("hide").split(",").filter(Boolean));
+  const labels = Object.keys(set.methods);
+  const decoded = new Map();
+  let shown = null;
+
+  const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
+  const titles = [...new Set(set.tables.map((table) => table.title))];
+
+  function current() {
+    const title = $("choose-table").value, group = $("choose-group").value;
+    return set.tables.find((t) => t.title === title && t.group === group) || set.tables.find((t) => t.title === title);
+  }
+
+  /** The arrays of a pair set, decoded once. */
+  async function errorsOf(name) {
+    if (!decoded.has(name)) {
+      const raw = await load(set.pair_sets[name].key);
+      const methods = {};
+      for (const [label, m] of Object.entries(raw.methods)) {
+        methods[label] = {
+          t: floats(m.translation_error_m), r: floats(m.rotation_error_deg),
+          confidence: floats(m.confidence), seconds: floats(m.seconds), status: bytes(m.status),
+        };
+      }
+      decoded.set(name, {
+        name, pairs: raw.pairs, reference: integers(raw.reference), query: integers(raw.query), groups: raw.groups,
+        group: floats(raw.group), distance: floats(raw.distance_m), angle: floats(raw.angle_deg), methods,
+      });
+    }
+    return decoded.get(name);
+  }
+
+  /** The pairs of a table as a method answered them. */
+  function pairsOf(sets, table, label) {
+    const out = [];
+    for (const of of sets) {
+      const m = of.methods[label];
+      if (!m) continue;
+      for (let i = 0; i < of.pairs; i++) {
+        if (table.group !== "all" && of.groups[of.group[i]] !== table.group) continue;
+        out.push({
+          set: of.name, reference: of.reference[i], query: of.query[i], t: m.t[i], r: m.r[i],
+          both: Math.max(m.t[i] / metres, m.r[i] / degrees), confidence: m.confidence[i], seconds: m.seconds[i],
+          status: site.statuses[m.status[i]], distance: of.distance[i], angle: of.angle[i],
+        });
+      }
+    }
+    return out;
+  }
+
+  /** As pair_link of links.py has it. */
+  const pairLink = (pair, label) => "pair.html#" + Object.entries({ set: set.id, pairset: pair.set, pair: `${pair.reference}-${pair.query}`, method: label })
+    .map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
+
+  function openPairs(label, pairs, where) {
+    $("pairs-title").textContent = `${label}: ${where}, worst first`;
+    if (DataTable.isDataTable("#pair-list")) new DataTable.Api("#pair-list").destroy();
+    $("pair-list").replaceChildren();
+    const numeric = (unit) => (value, type) => (type === "display" ? escape(number(value, unit)) : Number.isNaN(value) ? -1 : value);
+    const text = (value, type) => (type === "display" ? escape(value) : value);
+    relocbench.table($("pair-list"), {
+      data: [...pairs].sort((a, b) => (a.both === b.both ? 0 : b.both > a.both ? 1 : -1)),
+      columns: [
+        { title: "pair set", data: "set", className: "text", render: text },
+        { title: "reference, ns", data: (row) => String(row.reference), render: (value, type, row) => (type === "display" ? `<a href="${escape(pairLink(row, label))}">${value}</a>` : value) },
+        { title: "query, ns", data: (row) => String(row.query), render: text },
+        { title: "translation error, m", data: "t", render: numeric("m") },
+        { title: "rotation error, °", data: "r", render: numeric("deg") },
+        { title: "confidence", data: "confidence", render: numeric("") },
+        { title: "seconds", data: "seconds", render: numeric("s") },
+        { title: "distance, m", data: "distance", render: numeric("m") },
+        { title: "status", data: "status", className: "text", render: text },
+      ],
+      paging: true, pageLength: 50, lengthChange: false, deferRender: true, info: true,
+      layout: { topStart: "search", topEnd: null, bottomStart: "info", bottomEnd: "paging" },
+    });
+    if (!$("pairs").open) $("pairs").showModal();
+  }
+
+  function drawTable(table) {
+    if (DataTable.isDataTable("#methods")) new DataTable.Api("#methods").destroy();
+    $("methods").replaceChildren();
+    const name = (label, type) => {
+      if (type !== "display") return label;
+      const marks = set.methods[label].marks.map((mark) => ` <span class="tag">${escape(mark)}</span>`).join("");
+      return `<a href="${escape(site.pages[label])}">${escape(label)}</a>${marks}`;
+    };
+    const rank = (value, type) => (type === "display" ? (value ?? "") : (value ?? 1e9));
+    const value = (metric, index) => (row, type) => {
+      const known = row.values[index];
+      if (type !== "display") return known === null ? -1 : Number(known);
+      if (known === null) return '<span class="missing">missing</span>';
+      const bounds = row.intervals[metric.name];
+      const below = bounds ? `<span class="bounds">[${number(bounds[0], metric.unit)}, ${number(bounds[1], metric.unit)}]</span>` : "";
+      const finer = table.finer.includes(metric.name) ? "†" : "";
+      return `<button type="button" class="cell" aria-label="Pairs of ${escape(row.method)}, ${escape(metric.name)} ${number(known, metric.unit)}">${number(known, metric.unit)}${finer}</button>${below}`;
+    };
+    relocbench.table($("methods"), {
+      data: table.rows,
+      columns: [
+        { title: "rank", data: "rank", className: "rank", render: rank },
+        { title: "method", data: "method", className: "text", render: name },
+        ...set.metrics.map((metric, index) => ({ title: escape(metric.heading), data: null, render: value(metric, index) })),
+        { title: "failed / broke", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) },
+      ],
+      createdRow: (tr, row) => {
+        if (set.methods[row.method].floor) tr.classList.add("floor");
+        tr.addEventListener("click", async (event) => {
+          if (event.target.closest("button.cell")) openPairs(row.method, pairsOf(await dataOf(table), table, row.method), table.title);
+        });
+      },
+    }, "methods");
+    const level = table.level_with_floor;
+    $("level").hidden = !level.length;
+    $("level").textContent = `Not shown to be better than the floor: ${level.join(", ")}.`;
+  }
+
+  const dataOf = (table) => Promise.all(
+    table.pair_sets.filter((name) => table.rows.some((row) => !row.missing.includes(name))).map(errorsOf));
+
+  const line = (label, more) => {
+    const l = look(label);
+    return { name: escape(label), meta: label, line: { color: l.colour, dash: l.dash, width: 2 }, marker: { color: l.colour, symbol: l.marker, size: 6, maxdisplayed: 8 }, ...more };
+  };
+
+  async function drawCharts() {
+    const table = current(), sets = await dataOf(table);
+    if (table !== current()) return;
+    const own = labels.filter((label) => !hidden.has(label));
+    shown = Object.fromEntries(own.map((label) => [label, pairsOf(sets, table, label)]));
+    const click = (event) => { const label = event.points[0].data.meta; openPairs(label, shown[label], table.title); };
+    const what = $("choose-error").value, field = { both: "both", translation: "t", rotation: "r" }[what];
+    const limits = [];
+    const curves = own.filter((label) => shown[label].length).map((label) => {
+      const values = Float64Array.from(shown[label], (pair) => pair[field]).sort();
+      const finite = values.findLastIndex((v) => Number.isFinite(v)) + 1;
+      if (finite && !set.methods[label].floor) limits.push(values[Math.floor(0.8 * finite)]);
+      const step = Math.max(1, Math.floor(finite / 800)), x = [0], y = [0];
+      for (let i = 0; i < finite; i += step) { x.push(values[i]); y.push((100 * (i + 1)) / values.length); }
+      const last = finite ? values[finite - 1] : 0, reached = (100 * finite) / values.length;
+      x.push(last, Math.max(last, 1e9)); y.push(reached, reached);
+      return line(label, { x, y, line: { color: look(label).colour, dash: look(label).dash, width: 2, shape: "hv" }, mode: "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % at most %{x:.3f}<extra></extra>` });
+    });
+    const mark = { both: 1, translation: metres, rotation: degrees }[what];
+    const limit = Math.max(2 * mark, ...(limits.length ? [limits.sort((a, b) => a - b)[limits.length >> 1]] : []));
+    const title = { both: `error, 1 is ${metres} m and ${degrees}°`, translation: "translation error, m", rotation: "rotation error, °" }[what];
+    chart("curves", curves, {
+      xaxis: { title: { text: title }, range: [0, limit] }, yaxis: { title: { text: "share of all pairs, %" }, range: [0, 101] },
+      shapes: [{ type: "line", x0: mark, x1: mark, y0: 0, y1: 100, line: { color: relocbench.css("--line-strong"), dash: "dot", width: 1 } }],
+    }, click);
+    const points = (x, order) => own.filter((label) => shown[label].length).map((label) => {
+      const pairs = shown[label].filter((p) => Number.isFinite(p.t) && Number.isFinite(x(p))).sort((a, b) => x(a) - x(b));
+      const every = Math.max(1, Math.floor(pairs.length / 300)), kept = pairs.filter((_, i) => i % every === 0);
+      return line(label, { x: kept.map(x), y: kept.map((p) => Math.max(p.t, 1e-4)), mode: "markers", type: "scattergl", hovertemplate: `${escape(label)}<br>%{y:.3f} m at %{x:.2f}<extra></extra>` });
+    });
+    const error = { title: { text: "translation error, m" }, type: "log" };
+    let start = null;
+    for (const of of sets) for (const time of of.query) if (start === null || time < start) start = time;
+    chart("route", points((p) => Number(p.query - start) / 1e9), { xaxis: { title: { text: "time of the query since the first, s" } }, yaxis: error }, click);
+    chart("distance", points((p) => p.distance), { xaxis: { title: { text: "distance of the cameras, m" } }, yaxis: error }, click);
+    chart("angle", points((p) => p.angle), { xaxis: { title: { text: "angle between the cameras, °" } }, yaxis: error }, click);
+    const risks = own.filter((label) => !set.methods[label].floor && shown[label].some((p) => p.status === "ok")).map((label) => {
+      // Answers of one confidence are kept or dropped together; without a confidence an answer is the least sure.
+      const sure = (p) => (Number.isNaN(p.confidence) ? -Infinity : p.confidence);
+      const answered = shown[label].filter((p) => p.status === "ok").sort((a, b) => (sure(a) === sure(b) ? 0 : sure(b) - sure(a)));
+      const x = [], y = []; let wrong = 0;
+      answered.forEach((p, i) => {
+        if (!(p.t <= metres && p.r <= degrees)) wrong++;
+        if (i + 1 === answered.length || sure(answered[i + 1]) !== sure(p)) { x.push((100 * (i + 1)) / shown[label].length); y.push((100 * wrong) / (i + 1)); }
+      });
+      return line(label, { x, y, mode: x.length === 1 ? "markers" : "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % wrong of %{x:.1f} %<extra></extra>` });
+    });
+    chart("risk", risks, { xaxis: { title: { text: "surest answers, % of all pairs" }, range: [0, 101] }, yaxis: { title: { text: "wrong, %" }, range: [-1, 101] } }, click);
+    const cost = table.rows.filter((row) => !hidden.has(row.method) && row.values[seconds] > 0 && row.values[ranking] !== null);
+    chart("cost", cost.map((row) => line(row.method, { x: [row.values[seconds]], y: [100 * row.values[ranking]], mode: "markers", type: "scatter", hovertemplate: `${escape(row.method)}<br>%{y:.1f} %, %{x:.3f} s<extra></extra>` })),
+      { xaxis: { title: { text: "median seconds a pair" }, type: "log" }, yaxis: { title: { text: `${escape(set.ranking)}, %` } } }, click);
+    drawHeat();
+  }
+
+  function drawHeat() {
+    const a = $("heat-a").value, b = $("heat-b").value;
+    const tables = set.tables.filter((t) => !t.total && t.group === "all");
+    const facts = set.pair_sets, names = (key) => [...new Set(tables.map((t) => facts[t.pair_sets[0]][key]))].sort();
+    const references = names("reference"), queries = names("query");
+    const valueOf = (t, label) => t.rows.find((row) => row.method === label)?.values[ranking] ?? null;
+    const cells = references.map((reference) => queries.map((query) => {
+      const values = tables.filter((t) => facts[t.pair_sets[0]].reference === reference && facts[t.pair_sets[0]].query === query)
+        .map((t) => { const one = valueOf(t, a), other = b ? valueOf(t, b) : 0; return one === null || other === null ? null : 100 * (one - other); });
+      return values.length && !values.includes(null) ? values.reduce((s, v) => s + v, 0) / values.length : null;
+    }));
+    chart("heat", [{
+      type: "heatmap", z: cells, x: queries.map(escape), y: references.map(escape), xgap: 2, ygap: 2,
+      colorscale: b ? [[0, "#b3561b"], [0.5, "#f4f4f4"], [1, "#2b5fb8"]] : "Cividis", showscale: innerWidth > 640, zmin: b ? -100 : 0, zmax: 100,
+      texttemplate: "%{z:.1f}", hovertemplate: "%{y} → %{x}: %{z:.1f} %<extra></extra>",
+    }], { height: 150 + 60 * references.length, xaxis: { title: { text: "query" }, type: "category" }, yaxis: { title: { text: "reference" }, type: "category" } },
+    async (event) => {
+      const [y, x] = event.points[0].pointIndex || event.points[0].pointNumber;
+      const chosen = tables.filter((t) => facts[t.pair_sets[0]].reference === references[y] && facts[t.pair_sets[0]].query === queries[x]);
+      const sets = (await Promise.all(chosen.map(dataOf))).flat();
+      openPairs(a, pairsOf(sets, { group: "all" }, a), `${references[y]} → ${queries[x]}`);
+    });
+  }
+
+  function drawLegend() {
+    $("legend").replaceChildren(...labels.map((label) => {
+      const button = element("button", { type: "button", "aria-pressed": String(!hidden.has(label)) });
+      const l = look(label);
+      button.innerHTML = `<svg class="key" width="26" height="10" aria-hidden="true"><line x1="0" y1="5" x2="26" y2="5" stroke="${l.colour}" stroke-width="2.5" stroke-dasharray="${l.dash === "solid" ? "" : l.dash.replaceAll("px", "")}"/></svg>`;
+      button.append(label);
+      button.addEventListener("click", () => {
+        hidden.has(label) ? hidden.delete(label) : hidden.add(label);
+        state.set({ hide: [...hidden].join(",") });
+        button.setAttribute("aria-pressed", String(!hidden.has(label)));
+        drawCharts();
+      });
+      return element("li", {}, button);
+    }));
+  }
+
+  function groups() {
+    const own = set.tables.filter((t) => t.title === $("choose-table").value).map((t) => t.group);
+    $("choose-group").replaceChildren(...own.map((g) => option(g, g, state.get("group", "all"))));
+  }
+
+  $("choose-table").replaceChildren(...titles.map((t) => option(t, t, state.get("table", titles.find((x) => x.startsWith("total")) || titles[0]))));
+  groups();
+  const chosen = labels.includes(state.get("method")) ? state.get("method") : labels.find((l) => !set.methods[l].floor) || labels[0];
+  $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
+  $("heat-b").replaceChildren(option("", "nothing", ""), ...labels.map((l) => option(l, l, state.get("less"))));
+  $("choose-error").value = ["translation", "rotation"].includes(state.get("error")) ? state.get("error") : "both";
+  $("choose-table").addEventListener("change", () => { state.set({ table: $("choose-table").value, group: null }); groups(); drawTable(current()); drawCharts(); });
+  $("choose-group").addEventListener("change", () => { state.set({ group: $("choose-group").value }); drawTable(current()); drawCharts(); });
+  $("choose-error").addEventListener("change", () => { state.set({ error: $("choose-error").value }); drawCharts(); });
+  for (const [id, key] of [["heat-a", "method"], ["heat-b", "less"]]) $(id).addEventListener("change", () => { state.set({ [key]: $(id).value }); drawHeat(); });
+  $("close").addEventListener("click", () => $("pairs").close());
+  document.addEventListener("relocbench-theme", () => { drawLegend(); drawCharts(); });
+  drawTable(current());
+  drawLegend();
+  await new Promise((resolve) => setTimeout(resolve, 50)); // the table can be used before the errors are decoded
+  await drawCharts();
+  if (state.get("pairs") && shown[chosen]) openPairs(chosen, shown[chosen], current().title);
+})();

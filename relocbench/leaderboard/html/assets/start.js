@@ -1,0 +1,2 @@
+"use strict";
+document.querySelectorAll("table.sortable").forEach((node) => relocbench.table(node, {}, node.id));

@@ -1,0 +1,91 @@
+"""Names of files and links of the site: what people may have bookmarked or cited, and so what stays as it is.
+
+Everything is relative to the folder of the site; every file lies directly in it or in ``data/`` and ``assets/``. The
+state of a page stands in the part of its address behind ``#``, as ``key=value&key=value`` with percent-encoded values.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from urllib.parse import quote
+
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.files import fitting_name, plain_name
+
+START = "index.html"
+PAIR_PAGE = "pair.html"
+_LONGEST = 120
+"""bytes of what a name contributes to the name of a file"""
+_PLAIN = re.compile(r"[0-9A-Za-z][0-9A-Za-z._+-]*")
+
+
+def set_id(name: str, fingerprint: str) -> str:
+    """The id of a dataset, which is part of file names and of addresses: its name and short fingerprint."""
+    return f"{_safe(name)}-{_safe(fingerprint[:SHORT])}"
+
+
+def method_id(label: str) -> str:
+    """The id of a method, which is part of file names."""
+    return _safe(label)
+
+
+def pair_set_id(pair_set: str) -> str:
+    """The id of a pair set within its dataset, which is part of file names."""
+    return _safe(pair_set)
+
+
+def set_page(of_set: str) -> str:
+    """The page of a dataset's trackers, by the dataset's id."""
+    return f"set-{of_set}.html"
+
+
+def retrieval_page(of_set: str) -> str:
+    """The page of retrievers, by the id of their set."""
+    return f"retrieval-{of_set}.html"
+
+
+def relocalization_page(of_set: str) -> str:
+    """The page of chains, by the id of their dataset."""
+    return f"relocalization-{of_set}.html"
+
+
+def method_page(label: str) -> str:
+    """The page of a tracker."""
+    return f"method-{method_id(label)}.html"
+
+
+def pair_link(of_set: str, pair_set: str, reference_ns: int, query_ns: int, method: str) -> str:
+    """The link to a pair: ``pair.html#set=ID&pairset=PAIRSET&pair=REF-QUERY&method=LABEL``.
+
+    Args:
+        of_set: what :func:`set_id` gives.
+        pair_set: the name of the pair set, not its id.
+        reference_ns: timestamp of the reference keyframe, nanoseconds.
+        query_ns: timestamp of the query, nanoseconds.
+        method: the label of the method that is shown first.
+    """
+    state = {"set": of_set, "pairset": pair_set, "pair": f"{reference_ns}-{query_ns}", "method": method}
+    return f"{PAIR_PAGE}#{hash_of(state)}"
+
+
+def hash_of(state: dict[str, str]) -> str:
+    """The state of a page as it stands in its address, without the ``#``."""
+    return "&".join(f"{key}={quote(value, safe='')}" for key, value in state.items())
+
+
+def data_file(key: str) -> str:
+    """The file of a payload, by the key that it registers itself with; see :mod:`relocbench.leaderboard.html.data`."""
+    return f"data/{key}.js"
+
+
+def _safe(name: str) -> str:
+    """The name where it is one of plain ASCII; otherwise what is left of it, with a hash of the whole name."""
+    short = fitting_name(name, _LONGEST)
+    if _PLAIN.fullmatch(short):
+        return short
+    digest = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:SHORT]
+    try:
+        return f"{plain_name(short[:40], 'the name')}-{digest}"
+    except ValueError:
+        return f"named-{digest}"

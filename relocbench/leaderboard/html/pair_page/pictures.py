@@ -1,0 +1,112 @@
+"""Small pictures of a pair for its page: images without distortion, and a keyframe's depth on a grid.
+
+The page warps the keyframe itself, so that the poses of all methods are shown with one picture. It knows pinhole
+cameras alone: every image is undistorted to one here, and depth is looked up at the pixels of that camera.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from relocbench.arrays import Array, Floats, Image, Indices
+from relocbench.datasets.core.images import jpeg_bytes
+from relocbench.geometry import Camera
+from relocbench.tracking import Reference
+
+_PIXELS = 480 * 360
+"""pixels of a small picture at most"""
+_NODES = 20_000
+"""nodes of a grid of depth at most"""
+_SPARSE = 0.3
+"""share of pixels with depth below which each of them counts for the cell of the grid around it"""
+_LEVELS = 65535
+
+
+def small_camera(camera: Camera) -> Camera:
+    """The pinhole camera of the small picture of a camera's images; it is never larger than the image."""
+    factor = min(1.0, math.sqrt(_PIXELS / (camera.width * camera.height)))
+    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
+    across, down = width / camera.width, height / camera.height
+    return replace(
+        camera.pinhole(),
+        width=width,
+        height=height,
+        fx=camera.fx * across,
+        fy=camera.fy * down,
+        cx=(camera.cx + 0.5) * across - 0.5,
+        cy=(camera.cy + 0.5) * down - 0.5,
+    )
+
+
+def small_image(image: Image, camera: Camera) -> Image:
+    """An image (H, W[, 3]) as :func:`small_camera` sees it; black where the image shows nothing."""
+    target = small_camera(camera)
+    small = np.asarray(cv2.resize(image, target.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    if camera.model == "pinhole":
+        return small
+    still_distorted = replace(target, model=camera.model, distortion=camera.distortion)
+    u, v = still_distorted.undistortion_map(target)
+    return np.asarray(cv2.remap(small, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def image_payload(image: Image, camera: Camera) -> dict[str, object]:
+    """The small picture as the page takes it: a JPEG as an address, and the pinhole camera that sees it."""
+    target = small_camera(camera)
+    jpeg = base64.b64encode(jpeg_bytes(small_image(image, camera), 82)).decode()
+    return {
+        "src": f"data:image/jpeg;base64,{jpeg}",
+        "camera": [target.width, target.height, target.fx, target.fy, target.cx, target.cy],
+    }
+
+
+def inverse_depth_grid(reference: Reference) -> tuple[Floats, int]:
+    """Inverse depth (rows, columns) in 1/m on a grid over the small picture, 0 where unknown, and its step in pixels.
+
+    The node of row i and column j lies in the middle of the cell of ``step`` pixels that begins at (j step, i step). A
+    dense depth is looked up there; of sparse points in the cell the nearest to the camera counts.
+    """
+    small = small_camera(reference.camera)
+    step = max(1, math.ceil(math.sqrt(small.width * small.height / _NODES)))
+    shape = max(1, small.height // step), max(1, small.width // step)
+    grid = np.zeros(shape, dtype=np.float32)
+    known = reference.inverse_depth_map
+    if reference.depth is not None and np.count_nonzero(known) >= _SPARSE * known.size:
+        rows, columns = np.indices(shape)
+        nodes = np.stack([columns, rows], axis=-1) * step + (step - 1) / 2
+        pixels, valid = small.undistort(nodes, reference.camera)
+        valid &= reference.camera.contains(pixels)
+        u, v = _rounded(pixels[valid])
+        grid[valid] = known[v, u]
+        return grid, step
+    points = reference.points
+    pixels, valid = reference.camera.undistort(points.uv, small)
+    u, v = _rounded((pixels[valid] - (step - 1) / 2) / step)
+    inside = (u >= 0) & (v >= 0) & (u < shape[1]) & (v < shape[0])
+    np.maximum.at(grid, (v[inside], u[inside]), points.inverse_depth[valid][inside].astype(np.float32))
+    return grid, step
+
+
+def depth_payload(reference: Reference) -> dict[str, object]:
+    """The grid as the page takes it: base64 of little-endian uint16, in units of the nearest point's share."""
+    grid, step = inverse_depth_grid(reference)
+    nearest = float(grid.max(initial=0.0))
+    stored = np.rint(grid / (nearest or 1.0) * _LEVELS)
+    stored[(grid > 0) & (stored < 1)] = 1
+    return {
+        "rows": grid.shape[0],
+        "columns": grid.shape[1],
+        "step": step,
+        "unit": nearest / _LEVELS,
+        "data": base64.b64encode(stored.astype("<u2").tobytes()).decode(),
+    }
+
+
+def _rounded(pixels: Array) -> tuple[Indices, Indices]:
+    """u and v of the nearest pixels."""
+    u, v = np.rint(pixels).astype(np.int64).T
+    return u, v

@@ -1,0 +1,207 @@
+"""Writing the page of a pair: the poses of all methods on the pairs of a pair set, and the pictures of some pairs.
+
+The page takes errors, seconds and confidences from the payload that the page of the set has too; what is written here
+lies beside it. ``data/pairs/SET/PAIRSET.js`` holds answers and truth, ``data/images`` and ``data/depths`` one file for
+each image that a chosen pair shows, whichever pairs show it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey, read_pose_lines
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.results import read_answers
+from relocbench.execution import run_units
+from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.data import floats, write_data
+from relocbench.leaderboard.html.pair_page.pictures import depth_payload, image_payload
+from relocbench.leaderboard.html.payloads import answers_key, id_of, is_floor
+from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard
+from relocbench.metrics import CORRECT
+from relocbench.progress import Reporter, Silent
+
+USUAL_PAIRS = 6
+"""pairs with pictures: so many worst ones of each method, and so many drawn at random, in each pair set"""
+MOST_ROWS = 100_000
+"""answers of all methods up to which the pages hold the poses of all pairs, not only of those with pictures"""
+_SEED = 0
+
+
+@dataclass(frozen=True, order=True)
+class _Picture:
+    """One image to be written, with or without the depth of a keyframe."""
+
+    traversal: str
+    camera: str
+    timestamp_ns: int
+    is_keyframe: bool
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A picture, with where it comes from and goes to."""
+
+    dataset: Dataset = field(repr=False)
+    site: Path
+    of_set: str
+    picture: _Picture
+
+
+def write_pair_pages(
+    board: Board, site: Path, *, pairs: int = USUAL_PAIRS, reporter: Reporter | None = None
+) -> set[Path]:
+    """Write what the page of a pair loads; returns the paths of all files.
+
+    Truth and pictures are there only for datasets that are at hand.
+
+    Args:
+        site: the folder of the site.
+        pairs: in each pair set, pictures are made of so many worst pairs of each method that is no floor, and of as
+            many pairs drawn at random.
+        reporter: receives the number of pictures that are done.
+
+    Raises:
+        PredictionError: a file of predictions is bad.
+        DatasetError: an image of a dataset cannot be read.
+    """
+    asked = [(dataset, name) for dataset in board.datasets for name in dataset.entry.pair_sets]
+    rows = sum(len(m.errors[name]) for dataset, name in asked for m in _methods(dataset, name))
+    written: set[Path] = set()
+    jobs: dict[Path, _Job] = {}
+    for dataset, name in asked:
+        methods = _methods(dataset, name)
+        if not methods:
+            continue
+        chosen = chosen_pairs(methods, name, pairs)
+        kept = chosen if rows > MOST_ROWS else list(range(len(methods[0].errors[name])))
+        payload = _answers_payload(dataset, name, methods, kept, chosen)
+        written.add(write_data(site, answers_key(dataset, name), payload))
+        if dataset.entry.dataset is not None:
+            keys = methods[0].errors[name].keys
+            jobs |= _jobs(
+                dataset, dataset.entry.dataset, name, [(int(keys[i, 0]), int(keys[i, 1])) for i in chosen], site
+            )
+    return written | _write_pictures(list(jobs.values()), reporter or Silent())
+
+
+def chosen_pairs(methods: Sequence[Method], pair_set: str, count: int) -> list[int]:
+    """The rows of the pairs that are shown with pictures, in ascending order.
+
+    They are the ``count`` worst of each method that is no floor, by the larger of both errors in units of what counts
+    as correct, and ``count`` drawn at random, the same for the same number of pairs.
+    """
+    chosen: set[int] = set()
+    for method in methods:
+        if not is_floor(method):
+            errors = method.errors[pair_set].errors
+            both = np.maximum(errors.translation_error_m / CORRECT[0], errors.rotation_error_deg / CORRECT[1])
+            chosen.update(np.argsort(-both, kind="stable")[:count].tolist())
+    pairs = len(methods[0].errors[pair_set])
+    chosen.update(np.random.default_rng(_SEED).choice(pairs, min(count, pairs), replace=False).tolist())
+    return sorted(chosen)
+
+
+def _methods(dataset: DatasetBoard, pair_set: str) -> list[Method]:
+    return [method for method in dataset.entry.methods if pair_set in method.errors]
+
+
+def _answers_payload(
+    dataset: DatasetBoard, name: str, methods: Sequence[Method], kept: Sequence[int], chosen: Sequence[int]
+) -> dict[str, Any]:
+    """The poses of the rows that are kept, (3, 4) each and NaN where there is none, and what methods said."""
+    keys = [(int(ref), int(query)) for ref, query in methods[0].errors[name].keys[list(kept)].tolist()]
+    at_hand = dataset.entry.dataset
+    pair_set = None if at_hand is None else at_hand.pair_set(name)
+    places = {row: place for place, row in enumerate(kept)}
+    shown = [] if pair_set is None else [places[row] for row in chosen]
+    return {
+        "rows": None if len(kept) == len(methods[0].errors[name]) else list(kept),
+        "truth": None if pair_set is None else _poses([pair_set.by_key[key].T_query_ref for key in keys]),
+        "methods": {method.label: _answers(method, name, keys) for method in methods},
+        "pictured": shown,
+        "images": {} if pair_set is None else _folders(pair_set),
+        "set": id_of(dataset),
+    }
+
+
+def _answers(method: Method, name: str, keys: Sequence[PairKey]) -> dict[str, Any]:
+    if method.results is None:
+        return {"poses": _poses([None] * len(keys)), "messages": {}}
+    path = method.results.predictions(name)
+    found = {line.key: line.T_query_ref for line in read_pose_lines(path, PredictionError, allow_non_finite=True)}
+    table = method.results.answers(name)
+    answers = read_answers(table) if table.exists() else {}
+    messages = {place: answers[key].message for place, key in enumerate(keys) if key in answers}
+    return {
+        "poses": _poses([found.get(key) for key in keys]),
+        "messages": {place: message for place, message in messages.items() if message},
+    }
+
+
+def _poses(poses: Sequence[Array | None]) -> str:
+    """The upper three rows of each ``T_query_ref``, one after the other."""
+    out = np.full((len(poses), 3, 4), np.nan)
+    for place, pose in enumerate(poses):
+        if pose is not None:
+            out[place] = pose[:3]
+    with np.errstate(over="ignore"):
+        return floats(out.astype(np.float32))
+
+
+def _folders(pair_set: PairSet) -> dict[str, str]:
+    """The part of the keys of pictures that is the same for all keyframes, and for all queries."""
+    return {
+        "reference": links.pair_set_id(f"{pair_set.reference}__{pair_set.camera}"),
+        "query": links.pair_set_id(f"{pair_set.query}__{pair_set.camera}"),
+    }
+
+
+def _jobs(dataset: DatasetBoard, at_hand: Dataset, name: str, keys: Iterable[PairKey], site: Path) -> dict[Path, _Job]:
+    """The pictures of some pairs, by the first file that each writes; one that is also a keyframe has its depth."""
+    of_set, pair_set = id_of(dataset), at_hand.pair_set(name)
+    wanted: set[_Picture] = set()
+    for reference_ns, query_ns in keys:
+        wanted.add(_Picture(pair_set.reference, pair_set.camera, reference_ns, True))
+        wanted.add(_Picture(pair_set.query, pair_set.camera, query_ns, False))
+    jobs = [_Job(at_hand, site, of_set, picture) for picture in sorted(wanted)]
+    return {site / links.data_file(_key(job, "depths" if job.picture.is_keyframe else "images")): job for job in jobs}
+
+
+def _key(job: _Job, kind: str) -> str:
+    picture = job.picture
+    folder = links.pair_set_id(f"{picture.traversal}__{picture.camera}")
+    return f"{kind}/{job.of_set}/{folder}/{picture.timestamp_ns}"
+
+
+def _write_pictures(jobs: list[_Job], reporter: Reporter) -> set[Path]:
+    written: set[Path] = set()
+    keyframes = {_key(job, "images") for job in jobs if job.picture.is_keyframe}
+    own = [job for job in jobs if job.picture.is_keyframe or _key(job, "images") not in keyframes]
+    with reporter.stage("pictures of pairs", len(own)) as advance:
+        for _, paths in run_units(_write_picture, own):
+            written |= paths
+            advance(1)
+    return written
+
+
+def _write_picture(job: _Job) -> set[Path]:
+    picture = job.picture
+    traversal = job.dataset.traversal(picture.traversal)
+    if not picture.is_keyframe:
+        query = traversal.query(picture.camera, picture.timestamp_ns)
+        return {write_data(job.site, _key(job, "images"), image_payload(query.image, query.camera))}
+    keyframe = traversal.reference(picture.camera, picture.timestamp_ns)
+    return {
+        write_data(job.site, _key(job, "images"), image_payload(keyframe.image, keyframe.camera)),
+        write_data(job.site, _key(job, "depths"), depth_payload(keyframe)),
+    }

@@ -1,0 +1,160 @@
+"""What the pages show, as payloads: the tables of a set, and the errors of every pair of a pair set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from relocbench.evaluation.common.tables import STATUSES
+from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.data import bytes_of, floats, integers
+from relocbench.leaderboard.html.looks import looks
+from relocbench.leaderboard.tracking.cells import level_with_floor, plain_heading, shown_metrics
+from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.marks import MARKS
+from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
+from relocbench.metrics import CORRECT, Interval, metric_named
+from relocbench.metrics.pose.registry import SIGMA_FACTOR
+
+_SECONDS = "median_seconds"
+
+
+def id_of(dataset: DatasetBoard) -> str:
+    """The id of a dataset in links and names of files."""
+    return links.set_id(dataset.entry.record.name, dataset.entry.record.fingerprint)
+
+
+def answers_key(dataset: DatasetBoard, pair_set: str) -> str:
+    """The key of the payload with the answers to the pairs of a pair set."""
+    return f"pairs/{id_of(dataset)}/{links.pair_set_id(pair_set)}"
+
+
+def is_floor(method: Method) -> bool:
+    """Whether a method is one that every other is compared with."""
+    return method.is_floor or method.is_clock
+
+
+def site_payload(board: Board | None) -> dict[str, Any]:
+    """What every page knows: the look of each method, and which pages there are."""
+    methods = [m for dataset in (board.datasets if board else ()) for m in dataset.entry.methods]
+    floors = {m.label for m in methods if is_floor(m)}
+    return {
+        "looks": looks({m.label for m in methods}, floors),
+        "pages": {m.label: links.method_page(m.label) for m in methods},
+        "correct": list(CORRECT),
+        "statuses": list(STATUSES),
+    }
+
+
+def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
+    """All tables of a dataset."""
+    entry = dataset.entry
+    metrics = [*shown_metrics(board), metric_named(_SECONDS)]
+    return {
+        "id": id_of(dataset),
+        "title": entry.title,
+        "ranking": board.metric.name,
+        "metrics": [
+            {"name": m.name, "heading": "s a pair" if m.name == _SECONDS else plain_heading(m), "unit": m.unit}
+            for m in metrics
+        ],
+        "methods": {m.label: _method(m) for m in entry.methods},
+        "pair_sets": {
+            name: {
+                "key": f"errors/{id_of(dataset)}/{links.pair_set_id(name)}",
+                "answers": answers_key(dataset, name),
+                "reference": record.reference_condition,
+                "query": record.query_condition,
+                "same_drive": record.reference == record.query,
+                "finest_m": _finest(record.median_sigma_translation_m),
+                "finest_deg": _finest(record.median_sigma_rotation_deg),
+            }
+            for name, record in entry.pair_sets.items()
+        },
+        "tables": [_table(dataset, table, [m.name for m in metrics]) for table in dataset.tables],
+    }
+
+
+def errors_payload(dataset: DatasetBoard, pair_set: str) -> dict[str, Any] | None:
+    """The errors of all methods on the pairs of one place of a pair set; None where no method has any."""
+    known = {m.label: m.errors[pair_set] for m in dataset.entry.methods if pair_set in m.errors}
+    if not known:
+        return None
+    first = next(iter(known.values()))
+    return {
+        "pairs": len(first),
+        "reference": integers(first.keys[:, 0]),
+        "query": integers(first.keys[:, 1]),
+        "groups": list(first.group_names),
+        "group": floats(first.group_index),
+        "distance_m": floats(first.column("distance_m")),
+        "angle_deg": floats(first.column("angle_deg")),
+        "methods": {
+            label: {
+                "translation_error_m": floats(_single(rows.errors.translation_error_m)),
+                "rotation_error_deg": floats(_single(rows.errors.rotation_error_deg)),
+                "confidence": floats(rows.column("confidence")),
+                "seconds": floats(rows.column("seconds")),
+                "status": bytes_of(rows.status_index),
+            }
+            for label, rows in known.items()
+        },
+    }
+
+
+def _single(values: Any) -> Any:
+    """As float32; what is too large for it is infinite."""
+    with np.errstate(over="ignore"):
+        return np.asarray(values, dtype=np.float32)
+
+
+def _method(method: Method) -> dict[str, Any]:
+    marks = [mark.name for mark in MARKS if mark.applies(method)]
+    if method.is_floor:
+        marks.insert(0, "floor")
+    elif method.is_clock:
+        marks.insert(0, "floor of times")
+    elif method.run.uses_times:
+        marks.insert(0, "uses times")
+    return {"floor": is_floor(method), "marks": marks, "missing": dict(method.missing)}
+
+
+def _finest(sigma: float | None) -> float | None:
+    return None if sigma is None else SIGMA_FACTOR * sigma
+
+
+def table_title(table: Table) -> str:
+    """The name of a table in a choice of tables."""
+    if not table.is_total:
+        return table.pair_set
+    kind = "total of one drive" if table.pair_set == SAME_DRIVE_TOTAL else "total of two drives"
+    return f"{kind}, split {table.split}" if table.split else kind
+
+
+def _table(dataset: DatasetBoard, table: Table, metrics: list[str]) -> dict[str, Any]:
+    return {
+        "title": table_title(table),
+        "total": table.is_total,
+        "pair_sets": list(table.pair_sets),
+        "group": table.group,
+        "pairs": table.pairs,
+        "rejected": table.rejected,
+        "finer": sorted(table.finer),
+        "level_with_floor": level_with_floor(dataset, table),
+        "rows": [_row(row, metrics) for row in table.rows],
+    }
+
+
+def _row(row: Row, metrics: list[str]) -> dict[str, Any]:
+    intervals: Mapping[str, Interval | None] = row.intervals
+    return {
+        "method": row.method.label,
+        "rank": row.rank,
+        "values": [row.values[name] for name in metrics],
+        "intervals": {n: [i.low, i.high] for n in metrics if (i := intervals.get(n)) is not None},
+        "failed": row.failed,
+        "broke": row.broke,
+        "missing": list(row.missing),
+    }

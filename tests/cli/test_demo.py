@@ -1,0 +1,102 @@
+"""The demo on a tiny street: what it prints is what its leaderboard says, and its picture and page are there."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import Outcome, relocbench
+
+from relocbench.cli import demo
+
+pytestmark = pytest.mark.slow
+
+METHODS = ("identity", "orb-pnp")
+TINY = {"conditions": ("Sunny", "Night"), "size": "96x72", "steps": 3, "extent": 190.0}
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+    out = tmp_path_factory.mktemp("demo") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo, "_STREET", {**demo._STREET, **TINY})
+        patch.setattr(demo, "_METHODS", METHODS)
+        patch.setenv("TORCH_HOME", str(out.parent / "no-weights"))
+        return relocbench("demo", "--out", out, "--workers", 1), out
+
+
+def board_of(out: Path) -> list[dict[str, str]]:
+    with (out / "leaderboard" / "leaderboard.csv").open(newline="") as stream:
+        return [
+            row for row in csv.DictReader(stream) if row["group"] == "all" and not row["pair_set"].startswith("tot")
+        ]
+
+
+def test_the_summary_has_the_shares_of_the_leaderboard(ran: tuple[Outcome, Path]) -> None:
+    ended, out = ran
+    assert ended.status == 0, ended.err
+    shares = {
+        (row["method"], row["pair_set"].split("__")[1]): f"{100 * float(row['recall@(0.25m,2deg)']):.1f}"
+        for row in board_of(out)
+    }
+    assert len(shares) == 4
+    lines = [[cell.strip() for cell in line.split("│")[1:-1]] for line in ended.out.splitlines() if line[:1] == "│"]
+    printed = {cells[0]: cells[1:] for cells in lines}
+    assert printed == {m: [shares[m, "test-Sunny-0"], shares[m, "test-Night-0"]] for m in METHODS}
+    assert list(printed) == ["orb-pnp", "identity"]  # the floor last
+    assert "Map: sunny, summer, morning." in ended.out.splitlines()[0]
+
+
+def test_the_picture_is_written(ran: tuple[Outcome, Path]) -> None:
+    ended, out = ran
+    picture = out / "demo.png"
+    assert f"picture: {picture}" in ended.out.splitlines()
+    image = cv2.imread(str(picture))
+    assert image is not None
+    assert image.shape[1] == 1760
+    assert image.std() > 20
+
+
+def test_the_last_line_names_the_page(ran: tuple[Outcome, Path]) -> None:
+    ended, out = ran
+    word, page = ended.out.splitlines()[-1].split(": ")
+    assert word == "page"
+    assert Path(page) == out / "leaderboard" / "html" / "index.html"
+    assert "orb-pnp" in Path(page).read_text()
+
+
+def test_weights_that_are_not_installed_are_one_note_which_says_how_to_get_them(ran: tuple[Outcome, Path]) -> None:
+    notes = [line for line in ran[0].err.splitlines() if "aliked-pnp" in line]
+    assert len(notes) == 1
+    assert notes[0].endswith("relocbench fetch-weights aliked-pnp")
+
+
+class Notes:
+    """A reporter that keeps its notes."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def stage(self, description: str, total: int) -> object:
+        raise AssertionError(f"nothing is to be done, not {description}, {total}")
+
+    def note(self, message: str) -> None:
+        self.said.append(message)
+
+
+def test_methods_run_where_what_they_need_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from relocbench.methods import parse_method
+    from relocbench.methods.fetching import published_files
+
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setattr(demo, "_METHODS", ("identity", "absent"))
+    for path in published_files(parse_method("aliked-pnp")):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(np.zeros(1).tobytes())
+    notes = Notes()
+    assert demo._able(notes) == ("identity", "aliked-pnp")  # type: ignore[arg-type]
+    assert len(notes.said) == 1
+    assert notes.said[0].startswith("absent is left out: ")

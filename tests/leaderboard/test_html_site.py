@@ -1,0 +1,173 @@
+"""The site of results: harmless, repeatable, and working from the disk."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_leaderboard import NIGHT, WINTER, MadeResults, made
+
+from relocbench.leaderboard import load_results, make_board
+from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.data import floats, script_json
+from relocbench.leaderboard.html.looks import looks
+from relocbench.leaderboard.html.site import Boards, write_site
+from relocbench.metrics import CORRECT
+
+HOSTILE = "<script>alert(1)</script>"
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+
+
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Boards:
+    """One set with a floor, a good method, and one with a hostile name that misses a pair set."""
+    results = MadeResults(tmp_path_factory.mktemp("made") / "results", {WINTER: 60, NIGHT: 40})
+    results.write_dataset()
+    results.add("identity", {WINTER: made(1, 60, 0.8), NIGHT: made(2, 40, 0.8)})
+    results.add("good", {WINTER: made(3, 60, 0.05), NIGHT: made(4, 40, 0.1)})
+    results.add("other", {WINTER: made(5, 60, 0.3)})
+    (entry,) = load_results(results.root)
+    methods = tuple(replace(m, label=HOSTILE) if m.label == "other" else m for m in entry.methods)
+    return Boards(make_board([replace(entry, methods=methods)]))
+
+
+@pytest.fixture(scope="module")
+def site(boards: Boards, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_site(boards, tmp_path_factory.mktemp("site") / "html").parent
+
+
+def test_twenty_methods_are_told_apart_and_keep_their_looks() -> None:
+    labels = [f"method-{i:02d}" for i in range(20)]
+    found = looks(labels[::-1], ())
+    assert len({(look["light"], look["dash"]) for look in found.values()}) == 20
+    assert len({(look["dark"], look["dash"]) for look in found.values()}) == 20
+    assert looks(labels, ()) == found
+
+
+def test_a_payload_cannot_end_its_script() -> None:
+    text = script_json({HOSTILE: ["\u2028", float("inf"), float("nan")]})
+    assert not set("<>&\u2028") & set(text)
+    assert json.loads(text) == {HOSTILE: ["\u2028", "Infinity", None]}
+
+
+def test_floats_are_little_endian_float32() -> None:
+    assert floats(np.array([1.0])) == "AACAPw=="
+
+
+def test_links_hold_what_names_must_not() -> None:
+    link = links.pair_link(links.set_id("town", "ab" * 32), "a__b__c", 1, 2, "x&y=<")
+    assert link == "pair.html#set=town-abababababab&pairset=a__b__c&pair=1-2&method=x%26y%3D%3C"
+
+
+def test_ids_are_names_of_files_and_do_not_collide() -> None:
+    names = [HOSTILE, "<script>alert(2)</script>", "../up", "a/b", "a-b", "", "x" * 400]
+    ids = [links.method_id(name) for name in names]
+    assert len(set(ids)) == len(names)
+    assert all(name and "/" not in name and "<" not in name and len(name) <= 120 for name in ids)
+
+
+def test_the_same_boards_give_the_same_bytes(boards: Boards, site: Path, tmp_path: Path) -> None:
+    again = write_site(boards, tmp_path / "again").parent
+    files = sorted(path.relative_to(site) for path in site.rglob("*") if path.is_file())
+    assert files == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
+    assert [p for p in files if (site / p).read_bytes() != (again / p).read_bytes()] == []
+
+
+def test_no_page_has_a_foreign_name_as_markup(site: Path) -> None:
+    for path in [*site.glob("*.html"), *site.glob("data/**/*.js")]:
+        assert HOSTILE not in path.read_text(encoding="utf-8"), path.name
+
+
+def test_a_method_without_a_pair_set_has_no_total_and_no_rank_on_the_start_page(site: Path) -> None:
+    rows = (site / "index.html").read_text(encoding="utf-8").split("<tr")
+    (row,) = [row for row in rows if "&lt;script&gt;" in row]
+    assert '<td data-order="1000000"></td><td data-order="-1"><span class="missing">' in row
+    assert NIGHT in row
+
+
+def test_pages_of_methods_that_left_are_removed(boards: Boards, tmp_path: Path) -> None:
+    write_site(boards, tmp_path)
+    assert (tmp_path / "method-good.html").exists()
+    write_site(Boards(None), tmp_path)
+    assert not list(tmp_path.glob("method-*.html"))
+
+
+@pytest.fixture(params=["light", "dark"])
+def page(request: pytest.FixtureRequest) -> Iterator[Any]:
+    """A page of a browser, which must report no error and ask for nothing beyond the disk."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    told: list[str] = []
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        found = browser.new_page(color_scheme=request.param)
+        found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
+        found.on("pageerror", lambda error: told.append(str(error)))
+        found.on("dialog", lambda dialog: told.append(f"a dialog opened: {dialog.message}"))
+        allowed = ("file:", "data:", "blob:")
+        found.on("request", lambda asked: told.extend([] if asked.url.startswith(allowed) else [asked.url]))
+        found.told = told
+        yield found
+        browser.close()
+
+
+def _faults(page: Any) -> list[str]:
+    """Serious and critical findings; what the checker itself cannot load from a disk is no error of the page."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    assert page.told == []
+    found = axe.Axe().run(page, options={"preload": False}).response["violations"]
+    return [f"{v['id']}: {v['nodes'][0]['html']}" for v in found if v["impact"] in ("serious", "critical")]
+
+
+@needs_browser
+@pytest.mark.slow
+def test_every_kind_of_page_opens_from_the_disk_and_is_accessible(page: Any, site: Path) -> None:
+    kinds = ["index.html", "reading.html", "method-good.html", next(site.glob("set-*.html")).name]
+    for name in kinds:
+        page.goto((site / name).as_uri())
+        page.wait_for_load_state()
+        if name.startswith("set-"):
+            for chart in ("curves", "heat", "route", "distance", "angle", "risk", "cost"):
+                page.locator(f"#{chart}").scroll_into_view_if_needed()
+                page.wait_for_selector(f"#{chart} .main-svg")
+        assert _faults(page) == [], name
+
+
+@needs_browser
+@pytest.mark.slow
+def test_the_start_page_sorts_and_searches_and_keeps_both_in_its_address(page: Any, site: Path) -> None:
+    page.goto((site / "index.html").as_uri())
+    methods = page.locator("#table-1 tbody tr td:nth-child(4)")
+    page.locator("#table-1 thead th").nth(3).click()
+    shown = methods.all_inner_texts()
+    assert shown == sorted(shown)
+    page.locator("input[type=search]").fill("good")
+    assert {text.split()[0] for text in methods.all_inner_texts()} == {"good"}
+    page.goto("about:blank#" + page.url.partition("#")[2])
+    page.goto((site / "index.html").as_uri() + "#" + page.url.partition("#")[2])
+    assert {text.split()[0] for text in methods.all_inner_texts()} == {"good"}
+    assert page.told == []
+
+
+@needs_browser
+@pytest.mark.slow
+def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boards) -> None:
+    assert boards.tracking is not None
+    (good,) = [m for m in boards.tracking.datasets[0].entry.methods if m.label == "good"]
+    joint = np.concatenate([rows.errors.joint_error(*CORRECT) for rows in good.errors.values()])
+    metres = np.concatenate([rows.errors.translation_error_m for rows in good.errors.values()])
+    page.goto(next(site.glob("set-*.html")).as_uri())
+    row = page.locator("#methods tbody tr", has_text="good")
+    row.locator("button.cell").first.click()
+    page.wait_for_selector("#pairs[open]")
+    errors = page.locator("#pair-list tbody tr")
+    assert errors.count() == 50
+    assert errors.first.locator("td").nth(3).inner_text() == f"{metres[np.argmax(joint)]:.3f}"
+    assert "100 entries" in page.locator("#pairs .dt-info").inner_text()
+    assert _faults(page) == []
