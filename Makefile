@@ -59,7 +59,7 @@ prove: setup     ## the long proofs: truth of ground truth and of rendering, kil
 
 docs: setup      ## check links and commands of docs/ and README.md, build the pages into site/
 	$(RUN)/python tools/check_docs.py
-	$(RUN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(RUN)/mkdocs build --quiet --strict
 
 leaderboard: setup ## make the published results again (RECORDINGS=folder of kitti_odometry/ and tum_rgbd/)
 	tools/publish_leaderboard.sh $(RECORDINGS)

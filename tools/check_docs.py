@@ -7,6 +7,7 @@ import shlex
 import sys
 import unicodedata
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -22,7 +23,7 @@ _ID = re.compile(r"<[a-z0-9]+ [^>]*\b(?:id|name)=[\"']([^\"']+)[\"']")
 _BLOCK = re.compile(r"^(```+|~~~+).*?^\1[`~]* *$", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"(`+)(?!`).+?(?<!`)\1(?!`)", re.DOTALL)
 _TEST = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
-_FENCE = re.compile(r"^```(\w*)\s*$")
+_FENCE = re.compile(r"^```(\w*)(?: +title=\"([^\"]+)\")?\s*$")
 
 
 def pages() -> list[Path]:
@@ -54,7 +55,7 @@ def shown(page: Path) -> Path:
 
 def on_site(page: Path) -> bool:
     """Whether a page is part of the site that mkdocs makes; GitHub shows all pages."""
-    return page.resolve().is_relative_to(ROOT / "docs")
+    return any(page.resolve().is_relative_to(ROOT / folder) for folder in ("docs", "leaderboard"))
 
 
 def anchors(page: Path, *, on_site: bool) -> set[str]:
@@ -99,15 +100,41 @@ def _without_code(text: str, *, blocks_only: bool = False) -> str:
     return blank if blocks_only else _CODE.sub(lambda found: "\n" * found.group().count("\n"), blank)
 
 
-def commands(page: Path) -> Iterator[tuple[int, str]]:
-    """The line number and text of relocbench commands in shell blocks, with continued lines joined."""
-    language, start, pending = None, 0, ""
+@dataclass(frozen=True)
+class CodeBlock:
+    """A fenced block of a page."""
+
+    language: str
+    title: str
+    """the name of the file that it shows, or nothing"""
+    line: int
+    """of its first line of text, from 1"""
+    lines: tuple[str, ...]
+
+
+def code_blocks(page: Path) -> Iterator[CodeBlock]:
+    """The fenced blocks of a page that begin at the margin, in their order."""
+    opened: re.Match[str] | None = None
+    start = 0
+    lines: list[str] = []
     for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
         fence = _FENCE.match(line)
-        if fence:
-            language = fence.group(1) if language is None else None
-            pending = ""
-        elif language in ("bash", "sh", "console"):
+        if opened is None and fence:
+            opened, start, lines = fence, number + 1, []
+        elif opened is not None and line.rstrip() == "```":
+            yield CodeBlock(opened[1], opened[2] or "", start, tuple(lines))
+            opened = None
+        else:
+            lines.append(line)
+
+
+def commands(page: Path) -> Iterator[tuple[int, str]]:
+    """The line number and text of relocbench commands in shell blocks, with continued lines joined."""
+    for block in code_blocks(page):
+        if block.language not in ("bash", "sh", "console"):
+            continue
+        start, pending = 0, ""
+        for number, line in enumerate(block.lines, start=block.line):
             start = start if pending else number
             pending += " " + line.strip().removesuffix("\\") if pending else line.strip().removesuffix("\\")
             if not line.rstrip().endswith("\\"):

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
+import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from repository import ROOT
 
-
-def load_tool() -> Any:
-    spec = importlib.util.spec_from_file_location("check_docs", ROOT / "tools" / "check_docs.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-tool = load_tool()
+sys.path.insert(0, str(ROOT / "tools"))
+import check_docs as tool
 
 
 @pytest.mark.parametrize(
@@ -61,3 +51,14 @@ def test_a_page_of_the_site_needs_anchors_that_hold_there_and_on_github(tmp_path
     page.write_text("# Rain → sun\n\n# Plain\n\n# Plain\n")
     assert tool.anchors(page, on_site=False) == {"rain--sun", "plain", "plain-1"}
     assert tool.anchors(page, on_site=True) == {"plain"}
+
+
+def test_blocks_come_with_their_language_their_file_and_their_line(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        '# T\n\n```python title="a.py"\nx = 1\n```\n\n```bash\nrelocbench methods \\\n  --json\n# ```\n```\n'
+    )
+    one, other = tool.code_blocks(page)
+    assert (one.language, one.title, one.line, one.lines) == ("python", "a.py", 4, ("x = 1",))
+    assert (other.language, other.title, other.line) == ("bash", "", 8)
+    assert [line for line, _ in tool.commands(page)] == [8]

@@ -28,6 +28,7 @@ from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions,
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise, estimate
 from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
+from relocbench.datasets.groundtruth.registration.submap_pair import unregistered
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.synthetic.drives.odometry import OdometryErrors
@@ -157,6 +158,16 @@ def test_gross_errors_are_left_out_and_named_and_covariances_are_calibrated() ->
     errors = translation_errors(solution, reference, query)
     assert np.median(errors) < 0.012
     assert errors.max() < 0.06
+
+
+def test_a_node_that_was_found_nowhere_changes_nothing() -> None:
+    reference, query, found = two_drives(60.0, 4)
+    last = found[-1]
+    nowhere = unregistered((-1, last.query), np.full((4, 4), np.nan), "not found: nothing looks alike")
+    without = optimise(reference.nodes, query.nodes, found[:-1])
+    solution = optimise(reference.nodes, query.nodes, [*found[:-1], nowhere])
+    assert solution.verdicts == (*without.verdicts, "not found: nothing looks alike")
+    np.testing.assert_array_equal(solution.T_world_node, without.T_world_node)
 
 
 def test_the_same_registrations_give_the_same_bytes() -> None:

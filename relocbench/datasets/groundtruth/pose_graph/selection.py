@@ -144,9 +144,12 @@ def _robust(
 
 
 def _test_registrations(covariances: Covariances, T: Array, cross: Edges, used: Mask, edges: Edges) -> OutlierTest:
-    """Test every registration whose nodes are connected; those of the others have no redundancy."""
+    """Test every registration whose nodes are connected; those of the others have no redundancy.
+
+    A query node that was found nowhere has no node of the reference where GNSS does not name the nearest one.
+    """
     part = components(len(T), edges.first, edges.second)
-    connected = np.flatnonzero(part[cross.first] == part[cross.second])
+    connected = np.flatnonzero((cross.first >= 0) & (part[cross.first] == part[cross.second]))
     squares, redundancy_numbers = np.zeros((len(cross), 6)), np.zeros((len(cross), 6))
     residuals, posterior = cross.residuals(T), np.zeros((len(cross), 6, 6))
     posterior[connected] = covariances.relative(cross.first[connected], cross.second[connected])
