@@ -183,9 +183,11 @@ def report(
     from relocbench.cli.console import reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.files import alone_writing_to
+    from relocbench.leaderboard.html.manifest import earlier_files
     from relocbench.leaderboard.html.site import Boards, write_site
 
     told = reporter(quiet)
+    earlier_files(out)  # a folder that is not for pages is refused before the work
     at_hand = DatasetsAtHand(results, dataset or (), told)
     with alone_writing_to(out):
         boards = Boards(*_load(results, at_hand, _USUAL, split, seed, told))

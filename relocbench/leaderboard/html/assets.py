@@ -25,6 +25,12 @@ Apache-2.0.
 """
 
 
+def asset_files(site: Path) -> set[Path]:
+    """The files of :func:`write_assets`."""
+    shipped = ("plotly.min.js", "datatables.js", "datatables.css")
+    return {site / "notices.txt", *(site / "assets" / name for name in (*_OWN, *shipped))}
+
+
 def write_assets(site: Path) -> None:
     """Write ``assets/`` and ``notices.txt`` below the folder of the site.
 

@@ -80,9 +80,12 @@ def data_file(key: str) -> str:
 
 
 def _safe(name: str) -> str:
-    """The name where it is one of plain ASCII; otherwise what is left of it, with a hash of the whole name."""
+    """The name where it is one of plain ASCII in lower case; otherwise what is left of it, with a hash of all of it.
+
+    Names that differ in case alone would be one file on some systems.
+    """
     short = fitting_name(name, _LONGEST)
-    if _PLAIN.fullmatch(short):
+    if _PLAIN.fullmatch(short) and short == short.lower():
         return short
     digest = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:SHORT]
     try:

@@ -111,6 +111,11 @@ def _single(values: Any) -> Any:
 
 
 def _method(method: Method) -> dict[str, Any]:
+    return {"floor": is_floor(method), "marks": marks_of(method), "missing": dict(method.missing)}
+
+
+def marks_of(method: Method) -> list[str]:
+    """What stands behind the name of a method in every table."""
     marks = [mark.name for mark in MARKS if mark.applies(method)]
     if method.is_floor:
         marks.insert(0, "floor")
@@ -118,7 +123,7 @@ def _method(method: Method) -> dict[str, Any]:
         marks.insert(0, "floor of times")
     elif method.run.uses_times:
         marks.insert(0, "uses times")
-    return {"floor": is_floor(method), "marks": marks, "missing": dict(method.missing)}
+    return marks
 
 
 def _finest(sigma: float | None) -> float | None:

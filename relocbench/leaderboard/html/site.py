@@ -2,26 +2,43 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup, escape
 
 from relocbench import version
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.text import json_text, number
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.assets import write_assets
+from relocbench.leaderboard.html.assets import asset_files, write_assets
 from relocbench.leaderboard.html.data import write_data
+from relocbench.leaderboard.html.manifest import earlier_files, write_manifest
 from relocbench.leaderboard.html.pair_page.write import USUAL_PAIRS, write_pair_pages
-from relocbench.leaderboard.html.payloads import errors_payload, id_of, is_floor, set_payload, site_payload, table_title
+from relocbench.leaderboard.html.payloads import (
+    errors_payload,
+    id_of,
+    is_floor,
+    marks_of,
+    set_payload,
+    site_payload,
+    table_title,
+)
 from relocbench.leaderboard.relocalization.board import ChainBoard
+from relocbench.leaderboard.relocalization.page import marks_of_chain
 from relocbench.leaderboard.retrieval.board import RetrievalBoard
+from relocbench.leaderboard.tracking.cells import level_with_floor, share_a_rank, without_intervals
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
+from relocbench.leaderboard.tracking.marks import MARKS
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import LEVEL, Interval
 from relocbench.pages import render
 from relocbench.progress import Reporter, Silent
+
+READING = "reading.html"
 
 
 @dataclass(frozen=True)
@@ -38,7 +55,8 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
 
     Args:
         boards: of one results folder.
-        site: its folder. Pages and payloads of sets and methods that are no longer there are removed.
+        site: its folder, which is empty or holds an earlier site. Pages and payloads of that one that are no longer
+            needed are removed, and no other file.
         pairs: in each pair set, so many worst pairs of each method, and so many drawn at random, have pictures where
             the dataset is at hand.
         reporter: receives the number of sets and of pictures that are done.
@@ -46,12 +64,16 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
     Raises:
         PredictionError: a file of predictions is bad.
         DatasetError: an image of a dataset cannot be read.
-        ConfigError: an installed package does not ship the scripts that the pages need.
+        ConfigError: the folder holds files and no site, or an installed package does not ship the scripts that the
+            pages need.
     """
     board = boards.tracking
+    earlier = earlier_files(site)
     remove_parts(site)
+    fixed = {*asset_files(site), *(site / name for name in (links.PAIR_PAGE, links.START, READING))}
+    write_manifest(site, earlier | fixed)  # a run that is killed leaves a site
     write_assets(site)
-    written = {write_data(site, "site", site_payload(board))}
+    written = {write_data(site, "site", site_payload(board)), *fixed}
     datasets = board.datasets if board else ()
     with (reporter or Silent()).stage("site", len(datasets)) as advance:
         for dataset in datasets:
@@ -62,9 +84,13 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
         written |= _write_methods(board, site)
         written |= write_pair_pages(board, site, pairs=pairs, reporter=reporter)
     _page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
+    marks = [(mark.name, code_spans(mark.words)) for mark in MARKS]
+    _page(site / READING, "reading.html.j2", page="reading", metric=board.metric if board else None, marks=marks)
     _page(site / links.START, "start.html.j2", page="start", level=f"{LEVEL:.0%}", sections=_sections(boards))
-    _page(site / "reading.html", "reading.html.j2", page="reading", metric=board.metric if board else None)
-    _remove_old(site, written)
+    write_manifest(site, earlier | written)
+    for path in earlier - written:
+        path.unlink(missing_ok=True)
+    write_manifest(site, written)
     return site / links.START
 
 
@@ -94,7 +120,9 @@ def _write_methods(board: Board, site: Path) -> set[Path]:
         page = site / links.method_page(label)
         numbers = [n for dataset, method in own for n in _numbers(board, dataset, method)]
         runs = [_run(dataset, method) for dataset, method in own]
-        _page(page, "method.html.j2", page="method", label=label, numbers=numbers, runs=runs, metric=board.metric.name)
+        marks = list(dict.fromkeys(mark for _, method in own for mark in marks_of(method)))
+        shown = {"label": label, "marks": marks, "numbers": numbers, "runs": runs, "metric": board.metric.name}
+        _page(page, "method.html.j2", page="method", **shown)
         written.add(page)
     return written
 
@@ -132,20 +160,25 @@ def _sections(boards: Boards) -> list[dict[str, Any]]:
     board = boards.tracking
     if board is not None:
         rows = [_line(board, d, table, row) for d in board.datasets for table in d.totals for row in table.rows]
-        sections.append({"title": "Trackers", "metric": board.metric.name, "what": "pairs", "rows": rows})
+        notes = [note for d in board.datasets for table in d.totals for note in _notes(board, d, table)]
+        section = {"title": "Trackers", "metric": board.metric.name, "what": "pairs", "rows": rows, "notes": notes}
+        sections.append(section)
     if boards.retrieval is not None:
         found, metric = [], boards.retrieval.metric
         for asked in boards.retrieval.sets:
             for table in asked.tables:
                 for row in table.rows:
                     found.append(_other(asked.title, table, row.method.label, row, metric))
+                found.append(_chance(asked.title, table, metric))
         sections.append({"title": "Retrievers", "metric": metric, "what": "queries", "rows": found})
     if boards.relocalization is not None:
         found, metric = [], boards.relocalization.metric
         for chains in boards.relocalization.sets:
             for chained in chains.tables:
                 for link in chained.rows:
-                    found.append(_other(chains.title, chained, link.chain.label, link, metric))
+                    found.append(
+                        {**_other(chains.title, chained, link.chain.label, link, metric), "marks": marks_of_chain(link)}
+                    )
         sections.append({"title": "Retrieval, then tracking", "metric": metric, "what": "queries", "rows": found})
     return sections
 
@@ -161,7 +194,7 @@ def _line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[s
         "method": row.method.label,
         "method_page": links.method_page(row.method.label),
         "floor": is_floor(row.method),
-        "marks": ["floor"] if is_floor(row.method) else (["uses times"] if row.method.run.uses_times else []),
+        "marks": marks_of(row.method),
         "rank": row.rank,
         "value": number(value, metric.unit),
         "sort": "" if value is None else repr(float(value)),
@@ -197,6 +230,41 @@ def _other(title: str, table: Any, label: str, row: Any, metric: str) -> dict[st
     }
 
 
+def _chance(title: str, table: Any, metric: str) -> dict[str, Any]:
+    """What a random order of the gallery scores."""
+    value = float(table.chance[metric])
+    same = dict.fromkeys(("page", "method_page", "link", "bounds"), "")
+    return same | {
+        "set": title,
+        "table": table.name,
+        "count": table.queries,
+        "method": "(chance)",
+        "floor": True,
+        "marks": [],
+        "rank": None,
+        "value": number(value, "share"),
+        "sort": repr(value),
+        "finer": False,
+        "missing": [],
+        "failed": None,
+        "broke": None,
+    }
+
+
+def _notes(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
+    """What a reader of a total must know besides its numbers."""
+    where = f"{dataset.entry.title}, {table_title(table)}"
+    told = []
+    if without_intervals(board, table):
+        told.append(f"{where}: too few pairs for intervals, so that all methods share a rank")
+    elif share_a_rank(table.rows):
+        told.append(f"{where}: no method is shown to be better than another, and all share a rank")
+    level = level_with_floor(dataset, table)
+    if level:
+        told.append(f"{where}: not shown to be better than the floor: {', '.join(level)}")
+    return told
+
+
 def _bounds(interval: Interval | None, unit: str) -> str:
     return "" if interval is None else f"[{number(interval.low, unit)}, {number(interval.high, unit)}]"
 
@@ -205,9 +273,6 @@ def _page(path: Path, template: str, **values: object) -> None:
     write_text(path, render(__name__, template, version=version.__version__, **values))
 
 
-def _remove_old(site: Path, written: set[Path]) -> None:
-    """Remove pages and payloads of sets and methods that have left the results."""
-    payloads = ("sets/*", "errors/*/*", "pairs/*/*", "images/*/*/*", "depths/*/*/*")
-    for pattern in ("set-*.html", "method-*.html", *(f"data/{each}.js" for each in payloads)):
-        for path in set(site.glob(pattern)) - written:
-            path.unlink()
+def code_spans(words: str) -> Markup:
+    """Markdown of our own, in which nothing but code is marked, as HTML."""
+    return Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(words))))

@@ -182,7 +182,12 @@ def _head(row: ChainRow) -> list[str]:
 
 
 def _signs(row: ChainRow) -> list[str]:
-    """The signs of the marks that apply to a row."""
+    names = marks_of_chain(row)
+    return [mark.sign for mark in MARKS if mark.name in names]
+
+
+def marks_of_chain(row: ChainRow) -> list[str]:
+    """The names of the marks that apply to a row."""
     halves = [half for half in (row.chain.run.retriever_run, row.chain.run.tracker_run) if half is not None]
     tracker = row.chain.run.tracker_run
     signs = {
@@ -190,7 +195,7 @@ def _signs(row: ChainRow) -> list[str]:
         "made elsewhere": any(map(made_elsewhere, halves)),
         "not rescored": not row.missing and not row.rescored,
     }
-    return [mark.sign for mark in MARKS if signs[mark.name]]
+    return [mark.name for mark in MARKS if signs[mark.name]]
 
 
 def _cell(row: ChainRow, metric: str) -> str:

@@ -238,7 +238,7 @@
     }
     const warped = relocbench.warp.warp(pictures.images[0], pictures.inverse, pictures.from, pictures.to, poses[asked]);
     const found = relocbench.warp.compare(warped, pictures.images[1]);
-    put("warp", warped);
+    put("warp", relocbench.warp.hatched(warped));
     put("difference", found.picture);
     out.classList.remove("failed");
     out.dataset.correlation = String(found.correlation);

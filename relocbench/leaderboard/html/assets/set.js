@@ -100,7 +100,7 @@
     const value = (metric, index) => (row, type) => {
       const known = row.values[index];
       if (type !== "display") return known === null ? -1 : Number(known);
-      if (known === null) return '<span class="missing">missing</span>';
+      if (known === null) return row.missing.length ? '<span class="missing">missing</span>' : "";
       const bounds = row.intervals[metric.name];
       const below = bounds ? `<span class="bounds">[${number(bounds[0], metric.unit)}, ${number(bounds[1], metric.unit)}]</span>` : "";
       const finer = table.finer.includes(metric.name) ? "†" : "";
@@ -121,6 +121,8 @@
         });
       },
     }, "methods");
+    const missing = table.rows.flatMap((row) => row.missing.map((name) => `${row.method} on ${name} (${set.methods[row.method].missing[name] ?? "no result"})`));
+    $("about").textContent = `${table.pairs} pairs` + (table.rejected ? `; ${table.rejected} more have no accepted truth` : "") + (missing.length ? `. Missing: ${missing.join("; ")}` : "") + ".";
     const level = table.level_with_floor;
     $("level").hidden = !level.length;
     $("level").textContent = `Not shown to be better than the floor: ${level.join(", ")}.`;
@@ -137,7 +139,8 @@
   async function drawCharts() {
     const table = current(), sets = await dataOf(table);
     if (table !== current()) return;
-    const own = labels.filter((label) => !hidden.has(label));
+    const incomplete = new Set(table.rows.filter((row) => row.missing.length).map((row) => row.method));
+    const own = labels.filter((label) => !hidden.has(label) && !incomplete.has(label));
     shown = Object.fromEntries(own.map((label) => [label, pairsOf(sets, table, label)]));
     const click = (event) => { const label = event.points[0].data.meta; openPairs(label, shown[label], table.title); };
     const what = $("choose-error").value, field = { both: "both", translation: "t", rotation: "r" }[what];
@@ -164,6 +167,8 @@
       const every = Math.max(1, Math.floor(pairs.length / 300)), kept = pairs.filter((_, i) => i % every === 0);
       return line(label, { x: kept.map(x), y: kept.map((p) => Math.max(p.t, 1e-4)), mode: "markers", type: "scattergl", hovertemplate: `${escape(label)}<br>%{y:.3f} m at %{x:.2f}<extra></extra>` });
     });
+    const unanswered = own.map((label) => [label, shown[label].filter((p) => !Number.isFinite(p.t)).length, shown[label].length]).filter(([, n]) => n);
+    $("undrawn").textContent = "Below, at most 300 points of a method are drawn." + (unanswered.length ? ` Pairs without an answer have no point: ${unanswered.map(([label, n, all]) => `${label} ${n} of ${all}`).join(", ")}.` : "");
     const error = { title: { text: "translation error, m" }, type: "log" };
     let start = null;
     for (const of of sets) for (const time of of.query) if (start === null || time < start) start = time;
@@ -190,7 +195,8 @@
 
   function drawHeat() {
     const a = $("heat-a").value, b = $("heat-b").value;
-    const tables = set.tables.filter((t) => !t.total && t.group === "all");
+    const inTable = current().pair_sets;
+    const tables = set.tables.filter((t) => !t.total && t.group === "all" && inTable.includes(t.pair_sets[0]));
     const facts = set.pair_sets, names = (key) => [...new Set(tables.map((t) => facts[t.pair_sets[0]][key]))].sort();
     const references = names("reference"), queries = names("query");
     const valueOf = (t, label) => t.rows.find((row) => row.method === label)?.values[ranking] ?? null;
@@ -243,6 +249,7 @@
   $("choose-group").addEventListener("change", () => { state.set({ group: $("choose-group").value }); drawTable(current()); drawCharts(); });
   $("choose-error").addEventListener("change", () => { state.set({ error: $("choose-error").value }); drawCharts(); });
   for (const [id, key] of [["heat-a", "method"], ["heat-b", "less"]]) $(id).addEventListener("change", () => { state.set({ [key]: $(id).value }); drawHeat(); });
+  addEventListener("hashchange", () => location.reload());
   $("close").addEventListener("click", () => $("pairs").close());
   document.addEventListener("relocbench-theme", () => { drawLegend(); drawCharts(); });
   drawTable(current());

@@ -113,6 +113,7 @@ relocbench.warp = (() => {
     return out;
   }
 
+  const hatch = (i, width) => ((Math.floor(i / width) + (i % width)) % 8 < 2 ? 110 : 80);
   const grey = (data, at) => 0.299 * data[at] + 0.587 * data[at + 1] + 0.114 * data[at + 2];
 
   /** The difference as a picture, the correlation of grey values where both show something, and the share that do. */
@@ -130,8 +131,7 @@ relocbench.warp = (() => {
     const picture = new ImageData(warped.width, warped.height), c = picture.data;
     for (let i = 0; i < pixels; i++) {
       const shown = a[4 * i + 3] > 0;
-      const hatch = (Math.floor(i / warped.width) + (i % warped.width)) % 8 < 2 ? 110 : 80;
-      const value = shown ? scale * Math.abs(gain * (grey(a, 4 * i) - sa / n) - (grey(b, 4 * i) - sb / n)) : hatch;
+      const value = shown ? scale * Math.abs(gain * (grey(a, 4 * i) - sa / n) - (grey(b, 4 * i) - sb / n)) : hatch(i, warped.width);
       c[4 * i] = c[4 * i + 1] = value;
       c[4 * i + 2] = shown ? value : value + 25;
       c[4 * i + 3] = 255;
@@ -139,5 +139,16 @@ relocbench.warp = (() => {
     return { picture, correlation, share: n / pixels };
   }
 
-  return { dense, warp, compare };
+  /** The warped keyframe with hatching where it shows nothing, so that the query below does not pass for it. */
+  function hatched(warped) {
+    const out = new ImageData(new Uint8ClampedArray(warped.data), warped.width, warped.height);
+    for (let i = 0; i < out.data.length / 4; i++) {
+      if (out.data[4 * i + 3]) continue;
+      const value = hatch(i, warped.width);
+      out.data.set([value, value, value + 25, 255], 4 * i);
+    }
+    return out;
+  }
+
+  return { dense, warp, compare, hatched };
 })();
