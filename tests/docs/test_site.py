@@ -99,7 +99,7 @@ def test_the_search_works_in_a_page_that_is_a_file(site: Path, browser: Any) -> 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", PAGES[:4])
 def test_a_page_has_no_serious_barrier(site: Path, browser: Any, name: str, scheme: str) -> None:
-    from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
+    from axe_playwright_python.sync_playwright import Axe
 
     page, _ = visit(browser, f"file://{site}/{name}", viewport={"width": 1400, "height": 900}, color_scheme=scheme)
     found = Axe().run(page).response["violations"]
