@@ -51,7 +51,8 @@ def demo(
     from relocbench.execution import Run, default_workers
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard import write_leaderboard
-    from relocbench.leaderboard.html.site import Boards, write_site
+    from relocbench.leaderboard.html.rows import Boards
+    from relocbench.leaderboard.html.site import write_site
     from relocbench.leaderboard.tracking.by_condition import by_condition
     from relocbench.leaderboard.tracking.condition_picture import write_condition_picture
 

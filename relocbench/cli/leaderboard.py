@@ -26,22 +26,28 @@ _USUAL = {
 """metric that ranks, unless the option names another"""
 
 
+Results = Annotated[
+    Path, typer.Argument(metavar="RESULTS", help="Results folder of the evaluate commands.", show_default=False)
+]
+Datasets = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--dataset",
+        "-d",
+        metavar="FOLDER",
+        help="Dataset of the results, or a folder with datasets in it: all errors and ranks are computed anew from "
+        "predictions and truth. Repeatable; datasets beside RESULTS need not be named.",
+        show_default=False,
+    ),
+]
+Split = Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")]
+Seed = Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the draws that decide ranks.")]
+
+
 def leaderboard(
-    results: Annotated[
-        Path, typer.Argument(metavar="RESULTS", help="Results folder of the evaluate commands.", show_default=False)
-    ],
+    results: Results,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write.")],
-    dataset: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--dataset",
-            "-d",
-            metavar="FOLDER",
-            help="Dataset of the results, or a folder with datasets in it: all errors and ranks are computed anew from "
-            "predictions and truth. Repeatable; datasets beside RESULTS need not be named.",
-            show_default=False,
-        ),
-    ] = None,
+    dataset: Datasets = None,
     metric: Annotated[
         str | None,
         typer.Option(
@@ -66,8 +72,8 @@ def leaderboard(
             f"mean over queries [default: {_USUAL['--relocalization-metric']}].",
         ),
     ] = None,
-    split: Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the draws that decide ranks.")] = 0,
+    split: Split = None,
+    seed: Seed = 0,
     plots: Annotated[
         bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves of trackers are drawn.")
     ] = True,
@@ -119,7 +125,8 @@ def leaderboard(
         if board is not None:
             write_board(board, out, plots=plots, reporter=told)
         if html:
-            from relocbench.leaderboard.html.site import Boards, write_site
+            from relocbench.leaderboard.html.rows import Boards
+            from relocbench.leaderboard.html.site import write_site
 
             write_site(Boards(board, found, chains), out / "html", pairs=pairs, reporter=told)
     if html and not quiet:
@@ -146,23 +153,11 @@ def leaderboard(
 
 
 def report(
-    results: Annotated[
-        Path, typer.Argument(metavar="RESULTS", help="Results folder of the evaluate commands.", show_default=False)
-    ],
+    results: Results,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write; index.html is in it.")],
-    dataset: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--dataset",
-            "-d",
-            metavar="FOLDER",
-            help="Dataset of the results, or a folder with datasets in it, by which errors and ranks are computed "
-            "anew. Repeatable; datasets beside RESULTS need not be named.",
-            show_default=False,
-        ),
-    ] = None,
-    split: Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the draws that decide ranks.")] = 0,
+    dataset: Datasets = None,
+    split: Split = None,
+    seed: Seed = 0,
     pairs: Annotated[
         int,
         typer.Option(
@@ -184,7 +179,8 @@ def report(
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard.html.manifest import earlier_files
-    from relocbench.leaderboard.html.site import Boards, write_site
+    from relocbench.leaderboard.html.rows import Boards
+    from relocbench.leaderboard.html.site import write_site
 
     told = reporter(quiet)
     earlier_files(out)  # a folder that is not for pages is refused before the work

@@ -9,7 +9,8 @@ import pytest
 from relocbench.errors import ConfigError
 from relocbench.leaderboard.html.links import method_page
 from relocbench.leaderboard.html.manifest import MANIFEST, earlier_files
-from relocbench.leaderboard.html.site import Boards, write_site
+from relocbench.leaderboard.html.rows import Boards
+from relocbench.leaderboard.html.site import write_site
 
 EMPTY = Boards()
 

@@ -31,7 +31,8 @@ from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.html.pair_page import write as pair_page
 from relocbench.leaderboard.html.pair_page.write import chosen_pairs
-from relocbench.leaderboard.html.site import Boards, write_site
+from relocbench.leaderboard.html.rows import Boards
+from relocbench.leaderboard.html.site import write_site
 
 HOSTILE = "<script>document.title = 'taken over'</script><img src=x onerror=alert(1)>"
 FAULT = make_transform(so3_exp([0.0, np.radians(4.0), 0.0]), [0.25, 0.0, 0.0])
@@ -261,6 +262,11 @@ def test_a_list_opens_a_pair_whose_warp_at_the_truth_agrees_best(page: Any, site
 def test_the_slider_wipes_and_b_blinks(page: Any, site: Path) -> None:
     _open_list(page, site, "right")
     page.wait_for_selector("#agreement[data-correlation]")
+    # Holes are hatched: the query below must not pass for the keyframe.
+    alpha = (
+        "node => node.getContext('2d').getImageData(0, 0, node.width, node.height).data.filter((_, i) => i % 4 === 3)"
+    )
+    assert page.locator("#warp").evaluate(f"node => ({alpha})(node).every((value) => value === 255)")
     page.locator("#wipe").fill("20")
     assert "80%" in page.locator("#warp").evaluate("node => node.style.clipPath")
     page.locator("#wipe").press("ArrowRight")  # moves the slider, not to the next pair
@@ -310,7 +316,7 @@ def test_a_message_is_shown_as_text_and_the_page_is_accessible(page: Any, site: 
     for width in (1280, 390):
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), width
-        page.wait_for_timeout(300)  # colours of buttons fade in
+        page.evaluate("Promise.all(document.getAnimations().map((each) => each.finished))")  # colours fade in
         found = axe.Axe().run(page, options={"preload": False}).response["violations"]
         serious = [v for v in found if v["impact"] in ("serious", "critical")]
         assert [f"{v['id']}: {v['nodes'][0]['html']}" for v in serious] == []

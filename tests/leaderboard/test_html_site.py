@@ -7,7 +7,8 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import floats, script_json
 from relocbench.leaderboard.html.looks import looks
-from relocbench.leaderboard.html.site import Boards, write_site
+from relocbench.leaderboard.html.rows import Boards, sections
+from relocbench.leaderboard.html.site import write_site
+from relocbench.leaderboard.retrieval.board import RetrievalBoard
 from relocbench.metrics import CORRECT
 
 HOSTILE = "<script>alert(1)</script>"
@@ -90,6 +93,30 @@ def test_a_method_without_a_pair_set_has_no_total_and_no_rank_on_the_start_page(
     (row,) = [row for row in rows if "&lt;script&gt;" in row]
     assert '<td data-order="1000000"></td><td data-order="-1"><span class="missing">' in row
     assert NIGHT in row
+
+
+def test_words_behind_names_stand_on_every_page_and_are_explained(boards: Boards, tmp_path: Path) -> None:
+    assert boards.tracking is not None
+    dataset = boards.tracking.datasets[0]
+    elsewhere = [
+        replace(m, run=m.run.model_copy(update={"made_elsewhere": True})) if m.label == "good" else m
+        for m in dataset.entry.methods
+    ]
+    board = make_board([replace(dataset.entry, methods=tuple(elsewhere))])
+    write_site(Boards(board), tmp_path)
+    mark = '<span class="tag">made elsewhere</span>'
+    assert all(mark in (tmp_path / name).read_text() for name in ("index.html", "method-good.html", "reading.html"))
+    (payload,) = (tmp_path / "data" / "sets").glob("*.js")
+    assert '"made elsewhere"' in payload.read_text()
+
+
+def test_chance_stands_below_retrievers(boards: Boards) -> None:
+    table = SimpleNamespace(name="a task", queries=8, rows=(), chance={"R@1": 0.125})
+    asked = SimpleNamespace(title="places", tables=(table,))
+    board = cast(RetrievalBoard, SimpleNamespace(metric="R@1", sets=(asked,)))
+    (section,) = sections(Boards(None, board, None))
+    (row,) = section["rows"]
+    assert (row["method"], row["value"], row["rank"], row["floor"]) == ("(chance)", "12.5", None, True)
 
 
 def test_pages_of_methods_that_left_are_removed(boards: Boards, tmp_path: Path) -> None:
@@ -171,3 +198,20 @@ def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boa
     assert errors.first.locator("td").nth(3).inner_text() == f"{metres[np.argmax(joint)]:.3f}"
     assert "100 entries" in page.locator("#pairs .dt-info").inner_text()
     assert _faults(page) == []
+
+
+@needs_browser
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["light"], indirect=True)
+def test_a_method_that_misses_a_pair_set_has_no_curve_of_the_total(page: Any, site: Path) -> None:
+    address = next(site.glob("set-*.html")).as_uri()
+    drawn = "[...document.getElementById('curves').data].map((each) => each.meta)"
+    page.goto(address)
+    page.wait_for_selector("#curves .main-svg")
+    assert sorted(page.evaluate(drawn)) == ["good", "identity"]
+    assert f"{HOSTILE} on {NIGHT}" in page.locator("#about").inner_text()
+    page.goto("about:blank")
+    page.goto(f"{address}#table={WINTER}")
+    page.wait_for_selector("#curves .main-svg")
+    assert sorted(page.evaluate(drawn)) == [HOSTILE, "good", "identity"]
+    assert page.told == []

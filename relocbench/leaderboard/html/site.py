@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup, escape
 
 from relocbench import version
-from relocbench.evaluation.common.matching_table import ALL
 from relocbench.files import remove_parts, write_text
-from relocbench.leaderboard.common.text import json_text, number
+from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.assets import asset_files, write_assets
 from relocbench.leaderboard.html.data import write_data
@@ -21,33 +19,19 @@ from relocbench.leaderboard.html.pair_page.write import USUAL_PAIRS, write_pair_
 from relocbench.leaderboard.html.payloads import (
     errors_payload,
     id_of,
-    is_floor,
     marks_of,
     set_payload,
     site_payload,
-    table_title,
 )
-from relocbench.leaderboard.relocalization.board import ChainBoard
-from relocbench.leaderboard.relocalization.page import marks_of_chain
-from relocbench.leaderboard.retrieval.board import RetrievalBoard
-from relocbench.leaderboard.tracking.cells import level_with_floor, share_a_rank, without_intervals
+from relocbench.leaderboard.html.rows import Boards, line, sections
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS
-from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
-from relocbench.metrics import LEVEL, Interval
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard
+from relocbench.metrics import LEVEL
 from relocbench.pages import render
 from relocbench.progress import Reporter, Silent
 
 READING = "reading.html"
-
-
-@dataclass(frozen=True)
-class Boards:
-    """What results hold, one board a task; None where there is nothing of it."""
-
-    tracking: Board | None = None
-    retrieval: RetrievalBoard | None = None
-    relocalization: ChainBoard | None = None
 
 
 def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter: Reporter | None = None) -> Path:
@@ -84,9 +68,9 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
         written |= _write_methods(board, site)
         written |= write_pair_pages(board, site, pairs=pairs, reporter=reporter)
     _page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
-    marks = [(mark.name, code_spans(mark.words)) for mark in MARKS]
+    marks = [(mark.name, _code_spans(mark.words)) for mark in MARKS]
     _page(site / READING, "reading.html.j2", page="reading", metric=board.metric if board else None, marks=marks)
-    _page(site / links.START, "start.html.j2", page="start", level=f"{LEVEL:.0%}", sections=_sections(boards))
+    _page(site / links.START, "start.html.j2", page="start", level=f"{LEVEL:.0%}", sections=sections(boards))
     write_manifest(site, earlier | written)
     for path in earlier - written:
         path.unlink(missing_ok=True)
@@ -133,7 +117,7 @@ def _numbers(board: Board, dataset: DatasetBoard, method: Method) -> list[dict[s
     for table in [*dataset.totals, *dataset.pair_sets]:
         row = next((row for row in table.rows if row.method is method), None)
         if row is not None:
-            found.append(_line(board, dataset, table, row))
+            found.append(line(board, dataset, table, row))
     return found
 
 
@@ -154,125 +138,10 @@ def _run(dataset: DatasetBoard, method: Method) -> dict[str, Any]:
     }
 
 
-def _sections(boards: Boards) -> list[dict[str, Any]]:
-    """The tables of the start page: one for each task."""
-    sections = []
-    board = boards.tracking
-    if board is not None:
-        rows = [_line(board, d, table, row) for d in board.datasets for table in d.totals for row in table.rows]
-        notes = [note for d in board.datasets for table in d.totals for note in _notes(board, d, table)]
-        section = {"title": "Trackers", "metric": board.metric.name, "what": "pairs", "rows": rows, "notes": notes}
-        sections.append(section)
-    if boards.retrieval is not None:
-        found, metric = [], boards.retrieval.metric
-        for asked in boards.retrieval.sets:
-            for table in asked.tables:
-                for row in table.rows:
-                    found.append(_other(asked.title, table, row.method.label, row, metric))
-                found.append(_chance(asked.title, table, metric))
-        sections.append({"title": "Retrievers", "metric": metric, "what": "queries", "rows": found})
-    if boards.relocalization is not None:
-        found, metric = [], boards.relocalization.metric
-        for chains in boards.relocalization.sets:
-            for chained in chains.tables:
-                for link in chained.rows:
-                    found.append(
-                        {**_other(chains.title, chained, link.chain.label, link, metric), "marks": marks_of_chain(link)}
-                    )
-        sections.append({"title": "Retrieval, then tracking", "metric": metric, "what": "queries", "rows": found})
-    return sections
-
-
-def _line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[str, Any]:
-    metric, value = board.metric, row.values[board.metric.name]
-    state = {"table": table_title(table), "method": row.method.label}
-    return {
-        "set": dataset.entry.title,
-        "page": links.set_page(id_of(dataset)),
-        "table": table_title(table),
-        "count": table.pairs,
-        "method": row.method.label,
-        "method_page": links.method_page(row.method.label),
-        "floor": is_floor(row.method),
-        "marks": marks_of(row.method),
-        "rank": row.rank,
-        "value": number(value, metric.unit),
-        "sort": "" if value is None else repr(float(value)),
-        "bounds": _bounds(row.intervals.get(metric.name), metric.unit),
-        "finer": metric.name in table.finer,
-        "missing": list(row.missing),
-        "failed": row.failed,
-        "broke": row.broke,
-        "link": f"{links.set_page(id_of(dataset))}#{links.hash_of(state)}" if table.group == ALL else "",
-    }
-
-
-def _other(title: str, table: Any, label: str, row: Any, metric: str) -> dict[str, Any]:
-    value = row.values.get(metric)
-    return {
-        "set": title,
-        "page": "",
-        "table": table.name,
-        "count": table.queries,
-        "method": label,
-        "method_page": "",
-        "floor": False,
-        "marks": [],
-        "rank": row.rank,
-        "value": number(value, "share"),
-        "sort": "" if value is None else repr(float(value)),
-        "bounds": _bounds(row.intervals.get(metric), "share"),
-        "finer": False,
-        "missing": list(row.missing),
-        "failed": row.failed,
-        "broke": row.broke,
-        "link": "",
-    }
-
-
-def _chance(title: str, table: Any, metric: str) -> dict[str, Any]:
-    """What a random order of the gallery scores."""
-    value = float(table.chance[metric])
-    same = dict.fromkeys(("page", "method_page", "link", "bounds"), "")
-    return same | {
-        "set": title,
-        "table": table.name,
-        "count": table.queries,
-        "method": "(chance)",
-        "floor": True,
-        "marks": [],
-        "rank": None,
-        "value": number(value, "share"),
-        "sort": repr(value),
-        "finer": False,
-        "missing": [],
-        "failed": None,
-        "broke": None,
-    }
-
-
-def _notes(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
-    """What a reader of a total must know besides its numbers."""
-    where = f"{dataset.entry.title}, {table_title(table)}"
-    told = []
-    if without_intervals(board, table):
-        told.append(f"{where}: too few pairs for intervals, so that all methods share a rank")
-    elif share_a_rank(table.rows):
-        told.append(f"{where}: no method is shown to be better than another, and all share a rank")
-    level = level_with_floor(dataset, table)
-    if level:
-        told.append(f"{where}: not shown to be better than the floor: {', '.join(level)}")
-    return told
-
-
-def _bounds(interval: Interval | None, unit: str) -> str:
-    return "" if interval is None else f"[{number(interval.low, unit)}, {number(interval.high, unit)}]"
-
-
 def _page(path: Path, template: str, **values: object) -> None:
     write_text(path, render(__name__, template, version=version.__version__, **values))
 
 
-def code_spans(words: str) -> Markup:
+def _code_spans(words: str) -> Markup:
     """Markdown of our own, in which nothing but code is marked, as HTML."""
     return Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(words))))
