@@ -20,11 +20,13 @@ _SURROUNDINGS = {
 _PACKAGES = {
     "cv2": "opencv-python-headless",
     "gtsam": "gtsam",
+    "itables": "itables",
     "kiss_icp": "kiss-icp",
     "matplotlib": "matplotlib",
     "numba": "numba",
     "open3d": "open3d",
     "pandas": "pandas",
+    "plotly": "plotly",
     "pyarrow": "pyarrow",
     "safetensors": "safetensors",
     "scipy": "scipy",

@@ -82,3 +82,12 @@ def test_what_needs_one_says_which(
     assert done.returncode == 2, done.stderr
     assert re.search(words, done.stderr.strip().splitlines()[-1])
     assert "Traceback" not in done.stderr
+
+
+def test_pages_for_a_browser_need_one_and_say_which(absent: Path, dataset: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    assert run(absent, "evaluate", "-d", dataset, "-m", "identity", "-o", results, "-q").returncode == 0
+    done = run(absent, "report", results, "--out", tmp_path / "report")
+    assert done.returncode == 2, done.stderr
+    assert re.search(r"needs the package '(plotly|itables)', which is not installed here", done.stderr)
+    assert "Traceback" not in done.stderr
