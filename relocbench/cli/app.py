@@ -25,6 +25,7 @@ from relocbench.cli.probe import probe
 from relocbench.cli.train import train
 from relocbench.cli.usage import usage_fault
 from relocbench.cli.validate import validate
+from relocbench.cli.view import view
 from relocbench.errors import USER_ERROR
 
 app = typer.Typer(
@@ -63,6 +64,7 @@ app.command(cls=Command)(probe)
 app.command(cls=Command)(leaderboard)
 app.command(cls=Command)(train)
 app.command(cls=Command)(inspect)
+app.command(cls=Command)(view)
 app.command(cls=Command)(validate)
 app.command(cls=Command)(methods)
 app.command("check-method", cls=Command)(check_method)
