@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,13 +28,16 @@ from relocbench.viewer.pictures import keyframe_points
 
 _TRUE, _ANSWER, _KEYFRAME = "#009E73", "#D55E00", "#444444"
 """colours of Okabe and Ito, "Color Universal Design" (2008)"""
-_LARGEST_RESIDUAL = 80
-"""grey levels at which the colours of residuals end"""
+_LARGEST_RESIDUAL = 3.0
+"""standard deviations at which the colours of residuals end"""
+_AROUND = 1 / 40
+"""standard deviation of the neighbourhood in which brightness and contrast are taken out, as a share of the width"""
+_LEAST_CONTRAST = 4.0
+"""grey levels that are added to the local contrast, so that noise on a plain wall does not count like an edge"""
 _POINTS = 3000
+"""points of the keyframe in the plans"""
 _LONGEST = 60
 """characters of a line of text"""
-START = "keyframe's pose"
-"""what is shown beside the truth where no method is: the pose before any method"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +49,8 @@ class Warp:
     known: Mask
     """(H, W)"""
     residual: Floats
-    """(H, W) absolute difference to the query in grey levels, NaN where not known"""
+    """(H, W) absolute difference to the query after local brightness and contrast were taken out of both, in standard
+    deviations of the neighbourhood; NaN where not known"""
 
     @property
     def mean_residual(self) -> float | None:
@@ -56,11 +62,24 @@ def warp_at(reference: Reference, query: Query, T_query_ref: Array) -> Warp:
     """The keyframe warped into the query by its depth and a pose (4, 4)."""
     warped, known = warp_image(reference, query.camera, T_query_ref)
     image = match_brightness(as_rgb(warped), as_rgb(query.image), known)
-    residual = np.abs(as_grey(image).astype(np.float32) - as_grey(query.image).astype(np.float32))
+    residual = np.abs(_without_light(image, known) - _without_light(query.image, known))
     residual[~known] = np.nan
     image = image.copy()
     image[~known] = 0
     return Warp(image, known, residual)
+
+
+def _without_light(image: Image, known: Mask) -> Floats:
+    """(H, W) grey levels less their local mean, over their local standard deviation: about the same in any light."""
+    grey, weight = as_grey(image).astype(np.float32), known.astype(np.float32)
+    sigma = max(1.0, _AROUND * image.shape[1])
+
+    def mean(values: Floats) -> Floats:
+        total = cv2.GaussianBlur(values * weight, (0, 0), sigma)
+        return np.asarray(total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-6), dtype=np.float32)
+
+    less = grey - mean(grey)
+    return np.asarray(less / (np.sqrt(mean(less * less)) + _LEAST_CONTRAST), dtype=np.float32)
 
 
 def numbers(
@@ -96,7 +115,7 @@ def draw_pair(
     """
     reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
     T_answer = np.eye(4) if answer is None else answer.T_query_ref
-    title = START if method is None else _short(method)
+    title = "" if method is None else _short(method)
     none = "" if answer is None else answer.words
     with mpl.rc_context():
         mpl.rcdefaults()
@@ -108,8 +127,8 @@ def draw_pair(
         _show(panels[0, 1], query.image, f"query, {_short(str(dataset.traversal(pair_set.query).condition))}")
         truth = None if pair.T_query_ref is None else warp_at(reference, query, pair.T_query_ref)
         found = None if T_answer is None else warp_at(reference, query, T_answer)
-        _show_warp(panels[1, 0], panels[2, 0], truth, "the truth", "the truth is withheld")
-        _show_warp(panels[1, 1], panels[2, 1], found, title, none)
+        _show_warp(panels[1, 0], panels[2, 0], truth, "the true pose", "the truth is withheld")
+        _show_warp(panels[1, 1], panels[2, 1], found, "its own pose" if method is None else title, none)
         _draw_plan(panels[0, 2], reference, pair.T_query_ref, T_answer if answer is not None else None, title)
         _draw_from_side(panels[1, 2], reference, pair.T_query_ref, T_answer if answer is not None else None)
         _write_numbers(panels[2, 2], pair_set, pair, method, answer, truth, found)
@@ -129,16 +148,16 @@ def _show_warp(above: Axes, below: Axes, warp: Warp | None, title: str, why_not:
     if warp is None:
         for axes in (above, below):
             axes.set_axis_off()
-        above.set_title(f"keyframe warped at {title}")
+        above.set_title(f"keyframe warped by {title}")
         above.text(0.5, 0.5, _wrapped(why_not), ha="center", va="center", transform=above.transAxes)
         return
-    _show(above, warp.image, f"keyframe warped at {title}")
+    _show(above, warp.image, f"keyframe warped by {title}")
     drawn = below.imshow(warp.residual, cmap="magma", vmin=0, vmax=_LARGEST_RESIDUAL, interpolation="nearest")
     below.set_facecolor("#d0d0d0")
     below.set_xticks([])
     below.set_yticks([])
     mean = warp.mean_residual
-    below.set_title(f"|warped − query|, mean {'none' if mean is None else f'{mean:.1f}'} grey levels")
+    below.set_title(f"difference to the query without light, mean {'none' if mean is None else f'{mean:.2f}'}")
     assert below.figure is not None
     below.figure.colorbar(drawn, ax=below, shrink=0.8, extend="max")
 
@@ -149,7 +168,7 @@ def _draw_plan(axes: Axes, reference: Reference, T_true: Array | None, T_answer:
     axes.set_title("from above, in the keyframe's frame")
     axes.set_xlabel("right, m")
     axes.set_ylabel("ahead, m")
-    axes.legend(loc="upper right", fontsize=8, framealpha=0.9)
+    axes.legend(loc="best", fontsize=8, framealpha=0.9)
 
 
 def _draw_from_side(axes: Axes, reference: Reference, T_true: Array | None, T_answer: Array | None) -> None:
@@ -200,7 +219,7 @@ def _write_numbers(
     ]
     if pair.distance_m is not None:
         lines.append(f"keyframe off by    {pair.distance_m:.3f} m, {pair.angle_deg:.3f}°")
-    if pair.sigma_translation_m is not None:
+    if pair.sigma_translation_m:
         lines.append(f"sigma of the truth {pair.sigma_translation_m:.3g} m")
     if pair.is_elsewhere:
         lines.append("a pair of different places")
@@ -217,7 +236,7 @@ def _write_numbers(
 
 def _levels(warp: Warp | None) -> str:
     mean = None if warp is None else warp.mean_residual
-    return "none" if mean is None else f"{mean:.1f} grey levels"
+    return "none" if mean is None else f"{mean:.3f}"
 
 
 def _short(text: str) -> str:
@@ -225,6 +244,4 @@ def _short(text: str) -> str:
 
 
 def _wrapped(text: str) -> str:
-    import textwrap
-
     return "\n".join(textwrap.wrap(text, 46))

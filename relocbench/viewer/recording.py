@@ -236,7 +236,7 @@ class _Work:
         self.drawn_points += len(found.positions)
         points = rr.Points3D(found.positions, colors=found.colours, radii=rr.Radius.ui_points(1.5))
         if T_world_ref is not None:
-            # Beside the camera, not within it: what lies within a pinhole is projected into its image.
+            # Beside the camera for the same reason as the labels of methods.
             self.rec.log(f"{root}/points", _transform(T_world_ref), points)
 
     def _add_answer(
@@ -251,12 +251,16 @@ class _Work:
         """A method's camera, and its errors where they are finite; nothing where it did not answer."""
         placed = None if answer is None else _placed(T_world_ref, answer.T_query_ref)
         entity = f"{root}/answers{paths.path(method)}"
+        # Beside the cameras, not within one: what lies within a pinhole is projected into its image.
+        label_entity = f"{root}/labels{paths.path(method)}"
         self._add_camera(entity, camera, placed, self.colours[method], None)
         if answer is None:
             return
         if placed is not None:
-            label = rr.Points3D([[0, 0, 0]], labels=[f"{method}: {answer.words}"], colors=[self.colours[method]])
-            self.rec.log(f"{entity}/error", _transform(placed), label)
+            label = rr.Points3D([placed[:3, 3]], labels=[f"{method}: {answer.words}"], colors=[self.colours[method]])
+            self.rec.log(label_entity, label)
+        else:
+            self.rec.log(label_entity, rr.Clear(recursive=False))
         for what, value in ((paths.METRES, answer.translation_error_m), (paths.DEGREES, answer.rotation_error_deg)):
             entity = paths.error(what, one.pair_set.name, method)
             if value is not None and isfinite(value):
