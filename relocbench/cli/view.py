@@ -46,7 +46,11 @@ def view(
     methods: Annotated[
         list[str],
         typer.Option(
-            "--methods", "--method", "-m", metavar="NAME", help="Show only this method of --results. Repeat for several."
+            "--methods",
+            "--method",
+            "-m",
+            metavar="NAME",
+            help="Show only this method of --results. Repeat for several.",
         ),
     ] = [],  # noqa: B006
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Show only every N-th pair of a set.")] = 1,
@@ -60,9 +64,13 @@ def view(
     ] = None,
     pair_index: Annotated[
         int | None,
-        typer.Option(min=0, metavar="N", help="Draw the pair at this place of --pair-set, from 0, as a picture instead."),
+        typer.Option(
+            min=0, metavar="N", help="Draw the pair at this place of --pair-set, from 0, as a picture instead."
+        ),
     ] = None,
-    open_: Annotated[bool, typer.Option("--open", help="Open what was written in rerun, until its window is closed.")] = False,
+    open_: Annotated[
+        bool, typer.Option("--open", help="Open what was written in rerun, until its window is closed.")
+    ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -72,7 +80,7 @@ def view(
 
     Example: relocbench view D --results results --out D.rrd --open
 
-    Example: relocbench view D --pair-set summer__winter__cam0 --pair-index 3 --results results --method dso --out pair.png
+    Example: relocbench view D --pair 1600000000 1600000100 --results results --method dso --out pair.png
     """
     from relocbench.cli.console import reporter
     from relocbench.errors import ConfigError
@@ -171,7 +179,9 @@ def _draw_pair(
 
     sets = chosen_sets(dataset, pair_set)
     of_set, chosen = nth_pair(sets, pair_index) if pair is None else one_pair(sets, pair)  # type: ignore[arg-type]
-    target = _target(out or Path(f"{of_set.name}_{chosen.ref_timestamp_ns}_{chosen.query_timestamp_ns}.png"), ".png", dataset)
+    target = _target(
+        out or Path(f"{of_set.name}_{chosen.ref_timestamp_ns}_{chosen.query_timestamp_ns}.png"), ".png", dataset
+    )
     found = _methods(results, dataset, methods)
     if len(found) > 1:
         there = ", ".join(method.label for method in found)
@@ -185,7 +195,9 @@ def _draw_pair(
     name = found[0].label if found else None
     write_bytes(target, draw_pair(dataset, of_set, chosen, name, answer))
     if json:
-        print_json({"file": str(target), "files_written": 1, "pairs": 1, **numbers(dataset, of_set, chosen, name, answer)})
+        print_json(
+            {"file": str(target), "files_written": 1, "pairs": 1, **numbers(dataset, of_set, chosen, name, answer)}
+        )
     elif not quiet:
         typer.echo(f"written: {target}", err=True)
 

@@ -56,7 +56,9 @@ def results_of(results: Path, dataset: Dataset) -> DatasetResults:
         if folder.record.fingerprint == dataset.fingerprint:
             return folder
     there = ", ".join(quoted(folder.root.name) for folder in found)
-    raise PredictionError(f"holds no results of {dataset.name}@{dataset.fingerprint[:SHORT]}; there is {there}", results)
+    raise PredictionError(
+        f"holds no results of {dataset.name}@{dataset.fingerprint[:SHORT]}; there is {there}", results
+    )
 
 
 def chosen_methods(folder: DatasetResults, names: Sequence[str]) -> list[MethodResults]:

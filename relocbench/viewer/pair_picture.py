@@ -105,9 +105,7 @@ def numbers(
     }
 
 
-def draw_pair(
-    dataset: Dataset, pair_set: PairSet, pair: Pair, method: str | None, answer: ShownAnswer | None
-) -> bytes:
+def draw_pair(dataset: Dataset, pair_set: PairSet, pair: Pair, method: str | None, answer: ShownAnswer | None) -> bytes:
     """The picture as PNG. Without a method, the keyframe's own pose stands in the place of its answer.
 
     Args:
@@ -120,10 +118,14 @@ def draw_pair(
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update({"font.size": 9, "text.parse_math": False, "axes.titlesize": 10})
-        figure = Figure(figsize=(15, 3.2 + 9.6 * query.camera.height / query.camera.width), dpi=100, layout="constrained")
+        figure = Figure(
+            figsize=(15, 3.2 + 9.6 * query.camera.height / query.camera.width), dpi=100, layout="constrained"
+        )
         FigureCanvasAgg(figure)
         panels = figure.subplots(3, 3)
-        _show(panels[0, 0], reference.image, f"keyframe, {_short(str(dataset.traversal(pair_set.reference).condition))}")
+        _show(
+            panels[0, 0], reference.image, f"keyframe, {_short(str(dataset.traversal(pair_set.reference).condition))}"
+        )
         _show(panels[0, 1], query.image, f"query, {_short(str(dataset.traversal(pair_set.query).condition))}")
         truth = None if pair.T_query_ref is None else warp_at(reference, query, pair.T_query_ref)
         found = None if T_answer is None else warp_at(reference, query, T_answer)
@@ -190,7 +192,7 @@ def _draw_poses(
     middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
     reach = max(1.0, 0.8 * float(np.max(np.ptp(centres, axis=0))))
     cloud = keyframe_points(reference, _POINTS).positions[:, plane]
-    axes.scatter(*cloud.T, s=2, color="#bbbbbb", linewidths=0, zorder=1)
+    axes.scatter(cloud[:, 0], cloud[:, 1], s=2, color="#bbbbbb", linewidths=0, zorder=1)
     for name, T_ref_cam, colour, marker in poses:
         at, ahead = T_ref_cam[:3, 3][list(plane)], T_ref_cam[:3, 2][list(plane)]
         axes.plot(*at, marker, color=colour, label=name, markersize=7, markeredgecolor="white", zorder=3)

@@ -166,7 +166,9 @@ class _Work:
         )
 
     def _first_poses(self, world: str) -> list[Array]:
-        return [T for name, of in self.worlds.items() if of == world for T in self.dataset.traversal(name).poses.values()]
+        return [
+            T for name, of in self.worlds.items() if of == world for T in self.dataset.traversal(name).poses.values()
+        ]
 
     def _pose(self, pair_set: PairSet, time: int) -> Array | None:
         """``T_world_ref`` less the origin; None where the traversal has no pose at that time."""
@@ -198,7 +200,9 @@ class _Work:
         )
         for name in traversal.cameras:
             entity = f"{root}/rig{paths.path(name)}"
-            self.rec.log(entity, _transform(traversal.T_rig_cam(name)), _pinhole(traversal.camera(name), _RIG), static=True)
+            self.rec.log(
+                entity, _transform(traversal.T_rig_cam(name)), _pinhole(traversal.camera(name), _RIG), static=True
+            )
 
     def _add_rig(self, one: ShownPair) -> None:
         """The query's rig at its own pose, on the timeline of pairs, which the poses over time do not fill."""
@@ -209,9 +213,7 @@ class _Work:
             self._on_pairs(one.index)
             rig = f"{paths.traversal(world, traversal.name)}/rig"
             self.rec.log(rig, _transform(self._moved(T_world_rig, world)))
-            self.rec.set_time(
-                paths.QUERY_TIMELINE, timestamp=np.datetime64(one.pair.query_timestamp_ns, "ns")
-            )
+            self.rec.set_time(paths.QUERY_TIMELINE, timestamp=np.datetime64(one.pair.query_timestamp_ns, "ns"))
 
     def _on_pairs(self, index: int) -> None:
         self.rec.reset_time()
@@ -304,7 +306,10 @@ class _Work:
         facts = [
             ("pair set", pair_set.name),
             ("pair", f"{one.index} (keyframe {pair.ref_timestamp_ns}, query {pair.query_timestamp_ns})"),
-            ("conditions", " → ".join(str(self.dataset.traversal(t).condition) for t in (pair_set.reference, pair_set.query))),
+            (
+                "conditions",
+                " → ".join(str(self.dataset.traversal(t).condition) for t in (pair_set.reference, pair_set.query)),
+            ),
             ("world", f"of {world}, less {', '.join(f'{x:.0f}' for x in self.origins[world])} m"),
         ]
         if pair.distance_m is not None:
@@ -335,7 +340,7 @@ def _placed(T_world_ref: Array | None, T_query_ref: Array | None) -> Array | Non
 
 def _transform(T_parent_child: Array) -> rr.Transform3D:
     translation, quaternion = transform_to_tq(T_parent_child)
-    return rr.Transform3D(translation=translation, quaternion=quaternion)
+    return rr.Transform3D(translation=translation, quaternion=rr.Quaternion(xyzw=quaternion))
 
 
 def _pinhole(camera: Camera, colour: Colour) -> rr.Pinhole:

@@ -42,6 +42,7 @@ def test_help_and_version_import_nothing_heavy() -> None:
     "command",
     [
         *("demo", "evaluate", "leaderboard", "inspect", "validate", "methods", "check-method", "export"),
+        "view",
         *("build-dataset", "fetch-weights"),
     ],
 )

@@ -41,7 +41,8 @@ def results(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
         answers = folder / "made" / name
         answers.mkdir(parents=True)
         for pair_set in dataset.pair_sets():
-            lines = [PoseLine(*p.key, error @ p.T_query_ref) for p in _in_order(pair_set.asked)[first:]]
+            known = [(p.key, p.T_query_ref) for p in _in_order(pair_set.asked)[first:] if p.T_query_ref is not None]
+            lines = [PoseLine(*key, error @ T_query_ref) for key, T_query_ref in known]
             write_pose_lines(answers / f"{pair_set.name}.txt", lines)
         out = ["--out", folder / "results", "--quiet"]
         done = relocbench("evaluate", "-d", dataset.root, "-m", name, "--predictions", answers, *out)
