@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from relocbench.leaderboard.relocalization.board import ChainBoard
     from relocbench.leaderboard.retrieval.board import RetrievalBoard
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
-    from relocbench.metrics import Metric
 
 _USUAL = {
     "--metric": "recall@(0.25m,2deg)",
@@ -159,6 +158,7 @@ def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None
 
 def _print_retrieval(board: RetrievalBoard) -> None:
     from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.headings import METHOD, RANK, heading
     from relocbench.leaderboard.common.text import number
 
     for asked in board.sets:
@@ -170,30 +170,33 @@ def _print_retrieval(board: RetrievalBoard) -> None:
             ]
             names = [row.method.label for row in table.rows]
             chance = ["(chance)", "", *(number(table.chance[m], "share") for m in board.shown)]
-            columns = ["method", "rank", *(f"{m} %" for m in board.shown)]
+            columns = [METHOD, RANK, *map(heading, board.shown)]
             print_table(title, columns, [*([name, *row] for name, row in zip(names, rows, strict=True)), chance])
 
 
 def _print_chains(board: ChainBoard) -> None:
     from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.headings import RANK, RETRIEVER, TOP, TRACKER, heading
     from relocbench.leaderboard.common.text import number
 
-    shares = ("recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit")
+    median = "median_translation_error_m"
+    metrics = (board.metric, "recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit")
     for asked in board.sets:
         for table in asked.tables:
             title = f"{asked.title}: {table.name} ({table.queries} queries)"
             rows = [
                 [
-                    f"{row.chain.run.retriever} + {row.chain.run.tracker}",
+                    row.chain.run.retriever,
+                    row.chain.run.tracker,
                     str(row.chain.run.top),
                     "" if row.rank is None else str(row.rank),
-                    *(number(row.values.get(m), "share") for m in (board.metric, *shares)),
-                    number(row.values.get("median_translation_error_m"), "m"),
+                    *(number(row.values.get(m), "share") for m in dict.fromkeys(metrics)),
+                    number(row.values.get(median), "m"),
                 ]
                 for row in table.rows
             ]
-            columns = ["chain", "K", "rank", f"{board.metric} %", f"{shares[0]} %", "basin@1 %", "basin@K %"]
-            print_table(title, [*columns, "right in basin %", "median m"], rows)
+            shares = map(heading, dict.fromkeys(metrics))
+            print_table(title, [RETRIEVER, TRACKER, TOP, RANK, *shares, median], rows)
 
 
 def print_leaderboard(board: Board) -> None:
@@ -205,14 +208,15 @@ def print_leaderboard(board: Board) -> None:
 
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.headings import METHOD, RANK, SECONDS
     from relocbench.leaderboard.common.text import number
-    from relocbench.leaderboard.tracking.cells import shown_metrics
+    from relocbench.leaderboard.tracking.cells import plain_heading, shown_metrics
 
     metrics = [m for m in shown_metrics(board) if m in (*board.with_interval, *shown_metrics(board)[:3])]
     of_split = f" {table.split}" if table.is_total and table.split else ""
     rejected = f", {table.rejected} rejected" if table.rejected else ""
     title = f"{dataset.entry.title}: {table.pair_set}{of_split} ({table.pairs} pairs{rejected})"
-    columns = ["method", "rank", *(_short(m) for m in metrics), "s a pair"]
+    columns = [METHOD, RANK, *map(plain_heading, metrics), SECONDS]
     rows = [
         [
             row.method.label,
@@ -223,10 +227,3 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
         for row in table.rows
     ]
     print_table(title, columns, rows)
-
-
-def _short(metric: Metric) -> str:
-    """A heading that leaves room for the others on a narrow terminal."""
-    if metric.name.startswith("median_"):
-        return "median °" if metric.unit == "deg" else "median m"
-    return f"{metric.name} %"

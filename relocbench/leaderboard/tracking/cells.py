@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from relocbench.leaderboard.common import headings
 from relocbench.leaderboard.common.text import number, with_bounds
 from relocbench.leaderboard.tracking.marks import signs
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
@@ -23,11 +24,6 @@ SHOWN = (
     "recall@(5m,10deg)",
 )
 DAGGER = "†"
-_HEADINGS = {
-    "median_translation_error_m": "median, m",
-    "median_rotation_error_deg": "median, °",
-    "coverage": "coverage, %",
-}
 
 
 def shown_metrics(board: Board) -> list[Metric]:
@@ -38,7 +34,7 @@ def shown_metrics(board: Board) -> list[Metric]:
 
 def plain_heading(metric: Metric) -> str:
     """The heading of a metric's column, with its unit."""
-    return _HEADINGS.get(metric.name, f"{metric.name}, {'%' if metric.unit == 'share' else metric.unit}")
+    return headings.heading(metric.name, metric.unit)
 
 
 def heading(metric: Metric, table: Table) -> str:
