@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -68,6 +68,14 @@ def leaderboard(
     plots: Annotated[
         bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves of trackers are drawn.")
     ] = True,
+    formats: Annotated[
+        list[str],
+        typer.Option(
+            "--format",
+            metavar="csv|markdown|latex",
+            help="Format to write; repeat for several [default: csv and markdown]. latex has tables for papers.",
+        ),
+    ] = [],  # noqa: B006
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -77,24 +85,28 @@ def leaderboard(
     The same results give the same bytes.
 
     Example: relocbench leaderboard results --out leaderboard
+
+    Example: relocbench leaderboard results --out tables --format latex
     """
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.files import alone_writing_to
+    from relocbench.leaderboard.formats import Boards, check_formats, write_formats
     from relocbench.leaderboard.relocalization.board import load_chains
-    from relocbench.leaderboard.relocalization.write import chain_rows, write_chain_board
+    from relocbench.leaderboard.relocalization.write import chain_rows
+    from relocbench.leaderboard.relocalization.write import note_missing as note_missing_chains
     from relocbench.leaderboard.retrieval.board import holds_tracking, load_retrieval
-    from relocbench.leaderboard.retrieval.write import retrieval_rows, write_retrieval_board
+    from relocbench.leaderboard.retrieval.write import note_missing, retrieval_rows
     from relocbench.leaderboard.tracking.load import load_results
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
     from relocbench.leaderboard.tracking.tables import ranking_metric
-    from relocbench.leaderboard.tracking.write import compare, write_board
+    from relocbench.leaderboard.tracking.write import compare
 
     given = {"--metric": metric, "--retrieval-metric": retrieval_metric}
     given["--relocalization-metric"] = relocalization_metric
     _check_metrics_apply(results, given)
     ranked_by = {option: name or _USUAL[option] for option, name in given.items()}
-    told = reporter(quiet)
+    told, chosen = reporter(quiet), check_formats(formats)
     at_hand = DatasetsAtHand(results, dataset or (), told)
     asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": at_hand}
     with alone_writing_to(out):
@@ -109,30 +121,38 @@ def leaderboard(
         if entries is not None:
             board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=told)
         if found is not None:
-            write_retrieval_board(found, out, told)
+            note_missing(found, told)
         if chains is not None:
-            write_chain_board(chains, out, told)
-        if board is not None:
-            write_board(board, out, plots=plots, reporter=told)
+            note_missing_chains(chains, told)
+        files = write_formats(Boards(board, found, chains), out, chosen, plots=plots, reporter=told)
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if chains is not None:
             retrieval |= {"relocalization_metric": chains.metric, "relocalization": chain_rows(chains)}
         rows = [] if board is None else leaderboard_rows(board)
-        print_json({"metric": ranked_by["--metric"], "seed": seed, "split": split, "rows": rows, **retrieval})
+        counts = {
+            "row_count": len(rows) + sum(len(v) for v in retrieval.values() if isinstance(v, list)),
+            "set_count": sum(len(b.entry.pair_sets) for b in board.datasets) if board else 0,
+            "files_written": len(files),
+        }
+        head = {"metric": ranked_by["--metric"], "seed": seed, "split": split, "formats": chosen}
+        print_json({**head, **counts, "files": [str(path) for path in files], "rows": rows, **retrieval})
     else:
         if board is not None:
             print_leaderboard(board)
-            if not quiet:
-                typer.echo(f"written: {out / 'leaderboard.md'}", err=True)
         if found is not None:
             _print_retrieval(found)
-            if not quiet:
-                typer.echo(f"written: {out / 'retrieval.md'}", err=True)
         if chains is not None:
             _print_chains(chains)
-            if not quiet:
-                typer.echo(f"written: {out / 'relocalization.md'}", err=True)
+        if not quiet:
+            for path in _first_pages(files):
+                typer.echo(f"written: {path}", err=True)
+
+
+def _first_pages(files: Sequence[Path]) -> list[Path]:
+    """The files to look at first: of each format the page of each task, without what lies beside it."""
+    pages = [path for path in files if path.stem in ("leaderboard", "retrieval", "relocalization")]
+    return [path for path in pages if path.suffix != ".csv"] or pages
 
 
 def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None:

@@ -1,8 +1,8 @@
 """The headings of numbers: one name for a number wherever it is printed.
 
 The name is that of the column in CSV, which says the unit (``median_translation_error_m``). In CSV shares are 0 to 1;
-on pages and on the terminal they are in percent, and their heading says so: ``coverage, %``. Two numbers in one cell have
-both names: ``failed / broke``.
+on pages and on the terminal they are in percent, and their heading says so: ``coverage, %``. Two numbers in one cell
+have both names: ``failed / broke``.
 """
 
 from __future__ import annotations

@@ -46,15 +46,33 @@ def write_retrieval_leaderboard(
 
 
 def write_retrieval_board(board: RetrievalBoard, out: Path, reporter: Reporter) -> None:
-    """Write ``retrieval.csv`` and ``retrieval.md``."""
+    """Write ``retrieval.csv`` and ``retrieval.md``, and note which results are missing."""
+    note_missing(board, reporter)
+    write_retrieval_table(board, out)
+    write_retrieval_page(board, out)
+
+
+def note_missing(board: RetrievalBoard, reporter: Reporter) -> None:
+    """Tell which methods have no result on a task."""
     for asked in board.sets:
         for method in asked.methods:
             missing = [t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in method.answers]
             for name in missing:
                 reporter.note(f"{asked.title}: {method.label} has no result on {name}")
+
+
+def write_retrieval_table(board: RetrievalBoard, out: Path) -> list[Path]:
+    """Write ``retrieval.csv``; returns the files."""
     remove_parts(out, deep=False)
     write_records(out / "retrieval.csv", retrieval_rows(board))
+    return [out / "retrieval.csv"]
+
+
+def write_retrieval_page(board: RetrievalBoard, out: Path) -> list[Path]:
+    """Write ``retrieval.md``; returns the files."""
+    remove_parts(out, deep=False)
     write_text(out / "retrieval.md", retrieval_page(board))
+    return [out / "retrieval.md"]
 
 
 def retrieval_rows(board: RetrievalBoard) -> list[dict[str, Value]]:

@@ -76,9 +76,17 @@ def marked(text: str, metric: Metric, table: Table) -> str:
 
 
 def total_name(table: Table) -> str:
-    """What a total is over: pair sets of two drives or of one, and of which split."""
-    kind = "one drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
-    return f"{kind}, split {code(table.split)}" if table.split else kind
+    """What a total is over: pair sets of two drives or of one, and of which split, in Markdown."""
+    return f"{_drives(table)}, split {code(table.split)}" if table.split else _drives(table)
+
+
+def total_words(table: Table) -> str:
+    """The same as plain text."""
+    return f"{_drives(table)}, split {table.split}" if table.split else _drives(table)
+
+
+def _drives(table: Table) -> str:
+    return "one drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
 
 
 def group_heading(group: Table) -> str:
