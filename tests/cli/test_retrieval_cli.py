@@ -36,7 +36,7 @@ def test_from_images_to_scores_and_a_page(views: Path, tmp_path: Path) -> None:
     assert shown.status == 0, shown.err
     assert "\x1b" not in shown.out + shown.err
     assert "t on town: " in shown.err
-    assert all(words in shown.out for words in ("R@1 %", "(chance)", f"{D2S} (12 queries, 7 images)"))
+    assert all(words in shown.out for words in ("R@1, %", "(chance)", f"{D2S} (12 queries, 7 images)"))
     folder = next((tmp_path / "r").glob("town@*"))
     assert sorted(p.name for p in (folder / "t").iterdir()) == [
         f"{D2S}.csv",
