@@ -131,12 +131,12 @@ def leaderboard(
             retrieval |= {"relocalization_metric": chains.metric, "relocalization": chain_rows(chains)}
         rows = [] if board is None else leaderboard_rows(board)
         counts = {
-            "row_count": len(rows) + sum(len(v) for v in retrieval.values() if isinstance(v, list)),
-            "set_count": sum(len(b.entry.pair_sets) for b in board.datasets) if board else 0,
+            "rows": len(rows) + sum(len(v) for v in retrieval.values() if isinstance(v, list)),
+            "pair_sets": sum(len(b.entry.pair_sets) for b in board.datasets) if board else 0,
             "files_written": len(files),
         }
         head = {"metric": ranked_by["--metric"], "seed": seed, "split": split, "formats": chosen}
-        print_json({**head, **counts, "files": [str(path) for path in files], "rows": rows, **retrieval})
+        print_json({**head, "files": [str(path) for path in files], "rows": rows, **retrieval}, counts)
     else:
         if board is not None:
             print_leaderboard(board)
