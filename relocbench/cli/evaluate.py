@@ -59,6 +59,7 @@ def evaluate(
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_evaluation
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 
     chosen = common.given(
@@ -80,7 +81,7 @@ def evaluate(
     options = merged(EvaluateOptions, config, chosen)
     report = evaluate_methods(options, reporter(quiet))
     if json:
-        print_json(report.to_dict())
+        print_json(report.to_dict(), of_evaluation(report))
     else:
         _print_report(report.dataset, report.pair_sets, report.folders, matching=options.matching)
         for label, message in report.broken:

@@ -83,6 +83,7 @@ def evaluate_relocalization(
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_chains
     from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 
     chosen = common.given(
@@ -107,7 +108,7 @@ def evaluate_relocalization(
     options = merged(RelocalizationOptions, config, chosen)
     report = evaluate_chains(options, reporter(quiet))
     if json:
-        print_json(report.to_dict())
+        print_json(report.to_dict(), of_chains(report))
     else:
         _print_report(report)
         for label, message in report.broken:

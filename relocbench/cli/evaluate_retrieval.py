@@ -118,6 +118,7 @@ def evaluate_retrieval(
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_retrieval
     from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 
     chosen = common.given(
@@ -142,7 +143,7 @@ def evaluate_retrieval(
     options = merged(RetrievalOptions, config, chosen)
     report = evaluate_retrievers(options, reporter(quiet))
     if json:
-        print_json(report.to_dict())
+        print_json(report.to_dict(), of_retrieval(report))
     else:
         _print_report(report)
         for label, message in [*report.broken, *report.suspicions]:

@@ -135,12 +135,12 @@ def leaderboard(
             retrieval |= {"relocalization_metric": chains.metric, "relocalization": chain_rows(chains)}
         rows = [] if board is None else leaderboard_rows(board)
         counts = {
-            "row_count": len(rows) + sum(len(v) for v in retrieval.values() if isinstance(v, list)),
-            "set_count": sum(len(b.entry.pair_sets) for b in board.datasets) if board else 0,
+            "rows": len(rows) + sum(len(v) for v in retrieval.values() if isinstance(v, list)),
+            "pair_sets": sum(len(b.entry.pair_sets) for b in board.datasets) if board else 0,
             "files_written": len(files),
         }
         head = {"metric": ranked_by["--metric"], "seed": seed, "split": split, "formats": chosen}
-        print_json({**head, **counts, "files": [str(path) for path in files], "rows": rows, **retrieval})
+        print_json({**head, "files": [str(path) for path in files], "rows": rows, **retrieval}, counts)
     else:
         if board is not None:
             print_leaderboard(board)
@@ -187,6 +187,7 @@ def report(
         ),
     ] = 6,
     quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Write results as pages that sort, filter and zoom, opened from the disk without a server or the network.
 
@@ -194,7 +195,7 @@ def report(
 
     Example: relocbench report results --out report --pairs 20
     """
-    from relocbench.cli.console import reporter
+    from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard.html.manifest import earlier_files
@@ -206,7 +207,15 @@ def report(
     with alone_writing_to(out):
         boards = Boards(*_load(results, at_hand, _USUAL, split, seed, told))
         start = write_site(boards, out, pairs=pairs, reporter=told)
-    if not quiet:
+    if json:
+        board = boards.tracking
+        counts = {
+            "sets": len(board.datasets) if board else 0,
+            "methods": len({m.label for d in board.datasets for m in d.entry.methods}) if board else 0,
+            "files_written": len(earlier_files(out)),
+        }
+        print_json({"page": start}, counts)
+    elif not quiet:
         typer.echo(f"written: {start}", err=True)
 
 

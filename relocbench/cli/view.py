@@ -6,7 +6,7 @@ import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -149,12 +149,13 @@ def _write(
     if written.without_pose:
         reporter.note(f"{written.without_pose} pairs have no place in 3-D: their traversal has no pose of the keyframe")
     if json:
-        told: dict[str, Any] = {"file": str(target), **asdict(written)}
-        print_json({**told, "pairs_left_out": of - len(shown), "files_written": 1})
+        counts = {name: value for name, value in asdict(written).items() if isinstance(value, int)}
+        counts |= {"pairs_left_out": of - len(shown), "files_written": 1}
+        print_json({"file": str(target), "undistorted": written.undistorted}, counts)
     elif not quiet:
         size = f"{written.bytes / 1e6:.1f} MB"
-        counts = f"{written.pairs} pairs, {written.images} images, {written.methods} methods"
-        typer.echo(f"written: {target} ({size}: {counts}); look at it: rerun {target}", err=True)
+        shown_there = f"{written.pairs} pairs, {written.images} images, {written.methods} methods"
+        typer.echo(f"written: {target} ({size}: {shown_there}); look at it: rerun {target}", err=True)
 
 
 def _draw_pair(
@@ -195,9 +196,8 @@ def _draw_pair(
     name = found[0].label if found else None
     write_bytes(target, draw_pair(dataset, of_set, chosen, name, answer))
     if json:
-        print_json(
-            {"file": str(target), "files_written": 1, "pairs": 1, **numbers(dataset, of_set, chosen, name, answer)}
-        )
+        told = numbers(dataset, of_set, chosen, name, answer)
+        print_json({"file": str(target), **told}, {"files_written": 1, "pairs": 1})
     elif not quiet:
         typer.echo(f"written: {target}", err=True)
 

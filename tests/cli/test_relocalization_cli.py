@@ -78,7 +78,7 @@ def test_both_tasks_are_tables_for_papers_too(results: Path, tmp_path: Path) -> 
     shown = relocbench("leaderboard", results, "--out", tmp_path / "t", "--format", "latex", "--json", "-q")
     assert shown.status == 0, shown.err
     assert sorted(p.name for p in (tmp_path / "t").iterdir()) == ["relocalization.tex", "retrieval.tex"]
-    assert json.loads(shown.out)["files_written"] == 2
+    assert json.loads(shown.out)["counts"]["files_written"] == 2
     chains = check_latex((tmp_path / "t" / "relocalization.tex").read_text())
     assert [len(table) for table in chains] == [10]
     assert chains[0][0][:5] == ["retriever", "tracker", "top", "rank", r"recall@(0.25m,2deg), \% $\uparrow$"]

@@ -61,7 +61,7 @@ def test_an_unknown_format_is_refused_before_anything_is_written(results: Path, 
 def test_json_counts_rows_sets_and_files(results: Path, tmp_path: Path) -> None:
     done = relocbench("leaderboard", results, "--out", tmp_path / "b", "--format", "csv", "--json", "-q")
     told = json.loads(done.out)
-    assert (told["files_written"], told["set_count"], told["row_count"]) == (2, 2, len(told["rows"]))
+    assert told["counts"] == {"files_written": 2, "pair_sets": 2, "rows": len(told["rows"])}
     assert [Path(name).name for name in told["files"]] == ["leaderboard.csv", "errors.csv"]
     assert told["formats"] == ["csv"]
 

@@ -181,7 +181,7 @@ def test_every_and_limit_thin_pairs_out_along_the_drive(dataset: Dataset) -> Non
 def test_json_counts_what_was_written_and_what_was_left_out(dataset: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "a.rrd"
     done = relocbench("view", dataset.root, "--out", out, "--limit", 2, "--json", "--quiet")
-    told = json.loads(done.out)
+    told = json.loads(done.out)["counts"]
     of = sum(len(s.asked) for s in dataset.pair_sets())
     assert (told["pairs"], told["pair_sets"], told["methods"], told["pairs_left_out"]) == (4, 2, 0, of - 4)
     assert told["bytes"] == out.stat().st_size
@@ -261,7 +261,7 @@ def test_the_picture_of_a_pair_tells_its_numbers_and_is_the_same_each_time(
     ]
     assert [d.status for d in done] == [0, 0, 0], done[0].err
     off, _, exact = (json.loads(d.out) for d in done)
-    assert (off["pair_set"], off["answered"], off["files_written"]) == (ACROSS, True, 1)
+    assert (off["pair_set"], off["answered"], off["counts"]["files_written"]) == (ACROSS, True, 1)
     assert off["translation_error_m"] == pytest.approx(np.linalg.norm(invert(OFF)[:3, 3]), abs=1e-6)
     assert off["residual_at_answer"] > 1.2 * off["residual_at_truth"]
     assert exact["residual_at_answer"] == pytest.approx(off["residual_at_truth"], rel=1e-3)
