@@ -89,7 +89,7 @@ def test_a_page_opened_as_a_file_asks_nothing_of_the_network(site: Path, browser
 
 def test_the_search_works_in_a_page_that_is_a_file(site: Path, browser: Any) -> None:
     page, faults = visit(browser, f"file://{site}/index.html", viewport={"width": 1400, "height": 900})
-    page.locator("input.md-search__input").fill("fingerprint")
+    page.locator("input.md-search__input").press_sequentially("fingerprint")
     page.locator(".md-search-result__item").first.wait_for(timeout=60_000)
     assert page.locator(".md-search-result__item").count() > 3
     assert faults == []
