@@ -26,6 +26,7 @@ from relocbench.cli.submit import leaderboard_add, submit_check
 from relocbench.cli.train import train
 from relocbench.cli.usage import usage_fault
 from relocbench.cli.validate import validate
+from relocbench.cli.view import view
 from relocbench.errors import USER_ERROR
 
 app = typer.Typer(
@@ -67,6 +68,7 @@ app.command("leaderboard add", cls=Command)(leaderboard_add)
 app.command("submit-check", cls=Command)(submit_check)
 app.command(cls=Command)(train)
 app.command(cls=Command)(inspect)
+app.command(cls=Command)(view)
 app.command(cls=Command)(validate)
 app.command(cls=Command)(methods)
 app.command("check-method", cls=Command)(check_method)

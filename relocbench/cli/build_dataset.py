@@ -247,6 +247,7 @@ def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
 
 def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Run, quiet: bool, as_json: bool) -> None:
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_dataset, of_places, of_recording
     from relocbench.cli.summaries import print_places, print_recording, print_summary
     from relocbench.datasets.core.build_options import ImportOptions
     from relocbench.datasets.importers import importer, place_importer, recorder
@@ -257,7 +258,7 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
     if places is not None:
         made = places.build_places(list(sources), chosen, out, reporter(quiet), run)
         if as_json:
-            print_json({"dataset": str(out), "name": made.name, "fingerprint": made.fingerprint})
+            print_json({"dataset": str(out), "name": made.name, "fingerprint": made.fingerprint}, of_places(made))
         else:
             print_places(made)
         return
@@ -266,12 +267,13 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
     recorded = records.record(list(sources), chosen, out, reporter(quiet), run) if records else None
     if recorded is not None:
         if as_json:
-            print_json(recorded.to_dict())
+            print_json(recorded.to_dict(), of_recording(recorded))
         else:
             print_recording(recorded)
         return
     dataset = importer(kind).build(list(sources), chosen, out, reporter(quiet), run)
     if as_json:
-        print_json({"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint})
+        told = {"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint}
+        print_json(told, of_dataset(dataset))
     else:
         print_summary(dataset)

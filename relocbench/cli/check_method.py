@@ -47,7 +47,10 @@ def check_method(
     asked = [(spec, dataset)]
     findings = next(f for _, f in run_limited(_checked, asked, Run(), on_loss=_lost))
     if json:
-        print_json([{"check": f.check, "passed": f.passed, "detail": f.detail} for f in findings])
+        told = [{"check": f.check, "passed": f.passed, "detail": f.detail} for f in findings]
+        passed = sum(f.passed for f in findings)
+        counts = {"checks": len(findings), "passed": passed, "failed": len(findings) - passed}
+        print_json({"method": method, "task": spec.kind.task, "checks": told}, counts)
     else:
         rows = [[f.check, "ok" if f.passed else "BROKEN", f.detail] for f in findings]
         print_table("", ["check", "", "detail"], rows)

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -127,9 +127,9 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     console.print(table)
 
 
-def print_json(values: Any) -> None:
-    """Strict JSON: a number that is not finite becomes null."""
-    print(json.dumps(_strict(values), ensure_ascii=False, default=str))
+def print_json(values: Mapping[str, Any], counts: Mapping[str, int]) -> None:
+    """One strict JSON object with its counts: a number that is not finite becomes null."""
+    print(json.dumps(_strict({**values, "counts": counts}), ensure_ascii=False, default=str))
 
 
 def _strict(values: Any) -> Any:

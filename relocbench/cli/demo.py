@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from relocbench.cli.options import Quiet, Workers
+from relocbench.cli.options import Json, Quiet, Workers
 
 if TYPE_CHECKING:
     from relocbench.leaderboard.tracking.by_condition import ByCondition
@@ -37,6 +37,7 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the town.")] = 0,
     workers: Workers = None,
     quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Render a street in four conditions, run trackers on it and show which finds the camera in which, in two minutes.
 
@@ -45,7 +46,8 @@ def demo(
 
     Example: relocbench demo --out demo
     """
-    from relocbench.cli.console import reporter
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_evaluation
     from relocbench.datasets.importers import importer
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
     from relocbench.execution import Run, default_workers
@@ -61,7 +63,7 @@ def demo(
         town = importer("synthetic")
         options = town.Options.model_validate({**_STREET, "seed": seed})
         dataset = town.build([], options, out / "dataset", report, Run(workers or default_workers()))
-        evaluate_methods(
+        evaluated = evaluate_methods(
             EvaluateOptions(dataset=dataset.root, methods=_able(report), out=out / "results", workers=workers), report
         )
         board = write_leaderboard(out / "results", out / "leaderboard", reporter=report)
@@ -69,6 +71,10 @@ def demo(
         found = by_condition(of_street)
         write_condition_picture(found, dataset, out / PICTURE)
         page = write_site(Boards(board, None, None), out / "leaderboard" / "html", reporter=report)
+    if json:
+        places = {"dataset": dataset.root, "results": out / "results", "leaderboard": out / "leaderboard"}
+        print_json({**places, "picture": out / PICTURE, "page": page}, of_evaluation(evaluated))
+        return
     _print_summary(found)
     typer.echo(f"picture: {out / PICTURE}")
     typer.echo(f"page: {page}")

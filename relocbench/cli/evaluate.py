@@ -59,6 +59,7 @@ def evaluate(
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_evaluation
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 
     chosen = common.given(
@@ -80,7 +81,7 @@ def evaluate(
     options = merged(EvaluateOptions, config, chosen)
     report = evaluate_methods(options, reporter(quiet))
     if json:
-        print_json(report.to_dict())
+        print_json(report.to_dict(), of_evaluation(report))
     else:
         _print_report(report.dataset, report.pair_sets, report.folders, matching=options.matching)
         for label, message in report.broken:
@@ -89,21 +90,23 @@ def evaluate(
             typer.echo(f"results: {report.results}", err=True)
 
 
-COLUMNS = {
-    "recall@(0.25m,2deg)": "recall 0.25 m, 2°",
-    "t_auc@0.5m": "t_auc 0.5 m",
-    "r_auc@0.5deg": "r_auc 0.5°",
-    "median_translation_error_m": "median m",
-    "median_rotation_error_deg": "median °",
-    "coverage": "coverage",
-    "median_seconds": "s a pair",
-}
+COLUMNS = (
+    "recall@(0.25m,2deg)",
+    "t_auc@0.5m",
+    "r_auc@0.5deg",
+    "median_translation_error_m",
+    "median_rotation_error_deg",
+    "coverage",
+    "median_seconds",
+)
 ELSEWHERE_COLUMNS = ("answered_share", "confident_share", "confident_high")
 """of the numbers about pairs of different places, in ``scores.yaml``"""
 
 
 def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[MethodResults], *, matching: bool) -> None:
     from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.headings import METHOD, heading
+    from relocbench.metrics import metric_named
 
     for pair_set in pair_sets:
         rejected = f", {len(pair_set.rejected)} rejected" if pair_set.rejected else ""
@@ -114,7 +117,7 @@ def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[Meth
             groups = folder.score_record().pair_sets.get(pair_set.name, {})
             rows += [[folder.label, group, *_cells(values)] for group, values in groups.items()]
         if rows:
-            print_table(title, ["method", "pairs of", *COLUMNS.values()], rows)
+            print_table(title, [METHOD, "group", *(heading(m, metric_named(m).unit) for m in COLUMNS)], rows)
         elif not pair_set.has_truth:
             typer.echo(f"{pair_set.name}: ground truth is withheld; predictions are kept, not scored", err=True)
         if pair_set.elsewhere:
@@ -125,6 +128,7 @@ def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[Meth
 
 def _print_elsewhere(title: str, pair_set: str, folders: list[MethodResults]) -> None:
     from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.headings import ELSEWHERE, METHOD
     from relocbench.metrics import CONFIDENT
 
     scores = {f.label: f.score_record().elsewhere.get(pair_set) for f in folders}
@@ -134,13 +138,14 @@ def _print_elsewhere(title: str, pair_set: str, folders: list[MethodResults]) ->
         if of
     ]
     if rows:
-        columns = ["method", "pairs", "answered", f"wrong, confidence {CONFIDENT:g} or more", "at most"]
-        print_table(f"{title}, pairs of different places", columns, rows)
+        wrong = f"elsewhere_confident: answered with a confidence of {CONFIDENT:g} or more"
+        print_table(f"{title}, pairs of different places ({wrong})", [METHOD, *ELSEWHERE], rows)
 
 
 def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> None:
     from relocbench.cli.console import print_table
     from relocbench.evaluation.common.matching_table import ALL
+    from relocbench.leaderboard.common.headings import METHOD, heading
 
     scores = {f.label: f.score_record().matching.get(pair_set, {}).get(ALL) for f in folders}
     known = {label: summary for label, summary in scores.items() if summary}
@@ -152,8 +157,8 @@ def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> 
         for label, summary in known.items()
         for within in ("1 px", "3 px")
     ]
-    columns = [offset.replace("px", " px") for offset in offsets]
-    print_table(f"{title}, pixels found again by the start's offset", ["method", "within", *columns], rows)
+    columns = [heading(offset.replace("px", " px")) for offset in offsets]
+    print_table(f"{title}, pixels found again by the start's offset", [METHOD, "within", *columns], rows)
 
 
 def _cells(values: dict[str, Any]) -> list[str]:
@@ -167,5 +172,5 @@ def cell(value: float | None, unit: str) -> str:
     if value is None:
         return ""
     if unit == "share":
-        return f"{100 * value:.1f} %"
+        return f"{100 * value:.1f}"
     return "inf" if value == float("inf") else f"{value:.4f}"

@@ -83,6 +83,7 @@ def evaluate_relocalization(
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_chains
     from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 
     chosen = common.given(
@@ -107,7 +108,7 @@ def evaluate_relocalization(
     options = merged(RelocalizationOptions, config, chosen)
     report = evaluate_chains(options, reporter(quiet))
     if json:
-        print_json(report.to_dict())
+        print_json(report.to_dict(), of_chains(report))
     else:
         _print_report(report)
         for label, message in report.broken:
@@ -119,6 +120,7 @@ def evaluate_relocalization(
 def _print_report(report: RelocalizationReport) -> None:
     from relocbench.cli.console import print_table
     from relocbench.evaluation.relocalization.score import FAILURES, RANKING
+    from relocbench.leaderboard.common.headings import RETRIEVER, TOP, TRACKER, heading
     from relocbench.leaderboard.common.text import number
 
     for name, record in report.tasks.record.tasks.items():
@@ -127,34 +129,21 @@ def _print_report(report: RelocalizationReport) -> None:
             f"{record.reach_m:.3g} m, {record.reach_deg:.3g}°)"
         )
         found = [(folder.run_record(), report.scores(folder)[name]) for folder in report.folders]
+        medians = {"median_translation_error_m": "m", "median_rotation_error_deg": "deg"}
         lost = [share for share in FAILURES if share != "failed_unreachable" or any(v[share] for _, v in found)]
+        shares = ("recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit", "right_without_hit", *lost)
         rows = []
         for run, values in found:
             low, high = values[f"{RANKING}_low"], values[f"{RANKING}_high"]
             bounds = "" if low is None else f" [{number(low, 'share')}, {number(high, 'share')}]"
-            shares = (_COARSE, "basin_recall@1", "hit", "right_given_hit", "right_without_hit", *lost)
             rows.append(
                 [
-                    f"{run.retriever} + {run.tracker}",
+                    run.retriever,
+                    run.tracker,
                     str(run.top),
                     number(values[RANKING], "share") + bounds,
                     *(number(values[share], "share") for share in shares),
-                    number(values["median_translation_error_m"], "m"),
-                    number(values["median_rotation_error_deg"], "deg"),
+                    *(number(values[name], unit) for name, unit in medians.items()),
                 ]
             )
-        columns = [*_COLUMNS, *(f"lost: {share.removeprefix('failed_')}" for share in lost), "median m", "median °"]
-        print_table(title, columns, rows)
-
-
-_COARSE = "recall@(1m,5deg)"
-_COLUMNS = (
-    "chain",
-    "K",
-    "0.25 m, 2° %",
-    "1 m, 5° %",
-    "basin@1 %",
-    "basin@K %",
-    "right in basin %",
-    "right else %",
-)
+        print_table(title, [RETRIEVER, TRACKER, TOP, *map(heading, (RANKING, *shares)), *medians], rows)

@@ -118,6 +118,7 @@ def evaluate_retrieval(
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_retrieval
     from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 
     chosen = common.given(
@@ -142,7 +143,7 @@ def evaluate_retrieval(
     options = merged(RetrievalOptions, config, chosen)
     report = evaluate_retrievers(options, reporter(quiet))
     if json:
-        print_json(report.to_dict())
+        print_json(report.to_dict(), of_retrieval(report))
     else:
         _print_report(report)
         for label, message in [*report.broken, *report.suspicions]:
@@ -154,6 +155,7 @@ def evaluate_retrieval(
 def _print_report(report: RetrievalReport) -> None:
     from relocbench.cli.console import print_table
     from relocbench.evaluation.retrieval.records import METRICS
+    from relocbench.leaderboard.common.headings import COUNTS, METHOD, SECONDS, heading
 
     for task in report.asked.chosen:
         record = report.record.tasks[task.name]
@@ -169,7 +171,7 @@ def _print_report(report: RetrievalReport) -> None:
                 rows.append([folder.label, *cells, broke, "" if seconds is None else f"{seconds:.3g}"])
         if rows:
             rows.append(["(chance)", *(f"{100 * record.chance[metric]:.1f}" for metric in METRICS), "", ""])
-            print_table(title, ["method", *(f"{m} %" for m in METRICS), "failed / broke", "s a query"], rows)
+            print_table(title, [METHOD, *map(heading, METRICS), COUNTS, SECONDS], rows)
 
 
 def _percent(values: dict[str, float | int | None], metric: str) -> str:

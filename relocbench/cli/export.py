@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from relocbench.cli.options import DatasetPath, Quiet
+from relocbench.cli.options import DatasetPath, Json, Quiet
 
 _TOP = 20
 
@@ -69,12 +69,13 @@ def export(
         ),
     ] = None,
     quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Write predictions, the ground truth, or rankings, as other tools read them; or the dataset, blind.
 
     Example: relocbench export -d D --method dso --format mlad --out submission.zip
     """
-    from relocbench.cli.console import reporter
+    from relocbench.cli.console import print_json, reporter
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.errors import ConfigError
     from relocbench.evaluation.common.opening import check_outside
@@ -101,6 +102,11 @@ def export(
         asked = [opened.pair_set(name).name for name in pair_set]
         with alone_writing_to(out):
             lists = export_lists(opened, asked, out, results, retriever, _TOP if top is None else top)
+        if json:
+            counts = {"files_written": len(lists), "queries": sum(one.queries for one in lists)}
+            files = [str(one.path) for one in lists]
+            print_json({"files": files}, {**counts, "unanswered": sum(one.unanswered for one in lists)})
+            return
         for one in lists:
             typer.echo(str(one.path))
             if one.unanswered:
@@ -110,5 +116,8 @@ def export(
     # The zip appears whole in one step: nothing is shared with whoever writes beside it.
     with nullcontext() if format == "mlad" else alone_writing_to(out):
         written = export_poses(opened, names, format, out, results, method, relocalization_file, reporter(quiet))
+    if json:
+        print_json({"files": [str(path) for path in written]}, {"files_written": len(written), "pair_sets": len(names)})
+        return
     for path in written:
         typer.echo(str(path))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from relocbench.cli.options import Quiet, Settings
+from relocbench.cli.options import Json, Quiet, Settings
 
 if TYPE_CHECKING:
     from relocbench.weights import PublishedFile
@@ -20,6 +20,7 @@ def fetch_weights(
     settings: Settings = [],  # noqa: B006
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Fetch without asking.")] = False,
     quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Fetch the weights that a method needs, from those who publish them, to where the method looks for them.
 
@@ -28,7 +29,7 @@ def fetch_weights(
 
     Example: relocbench fetch-weights disk-lightglue-pnp
     """
-    from relocbench.cli.console import reporter
+    from relocbench.cli.console import print_json, reporter
     from relocbench.errors import MethodError
     from relocbench.methods import kind_of, parse_method
     from relocbench.methods.fetching import check_fetched, fetch, published_files
@@ -38,19 +39,21 @@ def fetch_weights(
     for path, file in files.items():
         if path.exists() or path.is_symlink():
             check_fetched(path, file)
-            typer.echo(f"{path}: is there already")
+            typer.echo(f"{path}: is there already", err=json)
         else:
             missing[path] = file
-    if not missing:
-        return
     for path, file in missing.items():
-        typer.echo(_shown(path, file))
-    if not yes and not _confirmed(len(missing)):
+        typer.echo(_shown(path, file), err=json)
+    if missing and not yes and not _confirmed(len(missing), err=json):
         raise MethodError("nothing was fetched: it was not confirmed (--yes fetches without asking)")
+    fetched = {}
     for path, file in missing.items():
-        digest = fetch(file, path, reporter(quiet))
+        fetched[str(path)] = digest = fetch(file, path, reporter(quiet))
         standing = "as published" if file.sha256 else "nobody states the one to expect"
-        typer.echo(f"{path}: fetched; its SHA-256 is {digest} ({standing})")
+        typer.echo(f"{path}: fetched; its SHA-256 is {digest} ({standing})", err=json)
+    if json:
+        counts = {"files_written": len(fetched), "skipped": len(files) - len(fetched)}
+        print_json({"files": [str(path) for path in files], "fetched": fetched}, counts)
 
 
 def _shown(path: Path, file: PublishedFile) -> str:
@@ -67,11 +70,11 @@ def _shown(path: Path, file: PublishedFile) -> str:
     )
 
 
-def _confirmed(count: int) -> bool:
+def _confirmed(count: int, *, err: bool) -> bool:
     """Whether the user agrees; no answer, as at the end of the input, is none."""
-    typer.echo(f"Fetch {'it' if count == 1 else f'these {count} files'}? [y/N] ", nl=False)
+    typer.echo(f"Fetch {'it' if count == 1 else f'these {count} files'}? [y/N] ", nl=False, err=err)
     try:
         return input().strip().lower() in ("y", "yes")
     except EOFError:
-        typer.echo()
+        typer.echo(err=err)
         return False

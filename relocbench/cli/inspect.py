@@ -47,6 +47,7 @@ def inspect(
     Example: relocbench inspect D --ground-truth check
     """
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_dataset
     from relocbench.cli.summaries import print_summary
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.cross_view import is_cross_view
@@ -77,7 +78,9 @@ def inspect(
         with alone_writing_to(ground_truth):
             page = write_ground_truth(opened, chosen, ground_truth, pairs, seed, reporter(quiet))
     if json:
-        print_json({**take_inventory(opened).to_dict(), "pictures": [p.to_dict() for p in drawn]})
+        told = {**take_inventory(opened).to_dict(), "pictures": [p.to_dict() for p in drawn]}
+        counts = {**of_dataset(opened), "pictures": len(drawn), "pages": int(page is not None)}
+        print_json({**told, "ground_truth": page}, counts)
     elif pictures is not None:
         _print_pictures(drawn, pictures)
     if page is not None and not json:
@@ -87,6 +90,7 @@ def inspect(
 def _inspect_places(folder: Path, options: list[object], json: bool) -> None:
     """What is in a cross-view set, which has no pairs to draw."""
     from relocbench.cli.console import print_json
+    from relocbench.cli.counts import of_places
     from relocbench.cli.summaries import print_places
     from relocbench.datasets.cross_view import open_cross_view
     from relocbench.errors import ConfigError
@@ -98,9 +102,8 @@ def _inspect_places(folder: Path, options: list[object], json: bool) -> None:
         print_places(opened)
         return
     folders = [asdict(one) for one in opened.inventory()]
-    print_json(
-        {"name": opened.name, "fingerprint": opened.fingerprint, "folders": folders, "notes": list(opened.notes)}
-    )
+    told = {"name": opened.name, "fingerprint": opened.fingerprint, "folders": folders, "notes": list(opened.notes)}
+    print_json(told, of_places(opened))
 
 
 def _print_pictures(pictures: list[Picture], folder: Path) -> None:

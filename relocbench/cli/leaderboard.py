@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from relocbench.leaderboard.relocalization.board import ChainBoard
     from relocbench.leaderboard.retrieval.board import RetrievalBoard
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
-    from relocbench.metrics import Metric
     from relocbench.progress import Reporter
 
 _USUAL = {
@@ -92,6 +91,15 @@ def leaderboard(
             "drawn at random, in each pair set, show their images; about 0.1 MB a pair.",
         ),
     ] = 6,
+    formats: Annotated[
+        list[str],
+        typer.Option(
+            "--format",
+            metavar="csv|markdown|latex|html",
+            help="Format to write; repeat for several [default: csv and markdown]. latex has tables "
+            "for papers, html is --html.",
+        ),
+    ] = [],  # noqa: B006
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -101,55 +109,60 @@ def leaderboard(
     The same results give the same bytes.
 
     Example: relocbench leaderboard results --out leaderboard
+
+    Example: relocbench leaderboard results --out tables --format latex
     """
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.files import alone_writing_to
-    from relocbench.leaderboard.relocalization.write import chain_rows, write_chain_board
-    from relocbench.leaderboard.retrieval.write import retrieval_rows, write_retrieval_board
+    from relocbench.leaderboard.formats import How, check_formats, write_formats
+    from relocbench.leaderboard.html.rows import Boards
+    from relocbench.leaderboard.relocalization.write import chain_rows
+    from relocbench.leaderboard.relocalization.write import note_missing as note_missing_chains
+    from relocbench.leaderboard.retrieval.write import note_missing, retrieval_rows
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
-    from relocbench.leaderboard.tracking.write import write_board
 
     given = {"--metric": metric, "--retrieval-metric": retrieval_metric}
     given["--relocalization-metric"] = relocalization_metric
     _check_metrics_apply(results, given)
     ranked_by = {option: name or _USUAL[option] for option, name in given.items()}
-    told = reporter(quiet)
+    told, chosen = reporter(quiet), check_formats(formats, html)
     at_hand = DatasetsAtHand(results, dataset or (), told)
     with alone_writing_to(out):
         board, found, chains = _load(results, at_hand, ranked_by, split, seed, told)
         if found is not None:
-            write_retrieval_board(found, out, told)
+            note_missing(found, told)
         if chains is not None:
-            write_chain_board(chains, out, told)
-        if board is not None:
-            write_board(board, out, plots=plots, reporter=told)
-        if html:
-            from relocbench.leaderboard.html.rows import Boards
-            from relocbench.leaderboard.html.site import write_site
-
-            write_site(Boards(board, found, chains), out / "html", pairs=pairs, reporter=told)
-    if html and not quiet:
-        typer.echo(f"written: {out / 'html' / 'index.html'}", err=True)
+            note_missing_chains(chains, told)
+        files = write_formats(Boards(board, found, chains), out, chosen, How(plots, pairs, told))
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if chains is not None:
             retrieval |= {"relocalization_metric": chains.metric, "relocalization": chain_rows(chains)}
         rows = [] if board is None else leaderboard_rows(board)
-        print_json({"metric": ranked_by["--metric"], "seed": seed, "split": split, "rows": rows, **retrieval})
+        counts = {
+            "rows": len(rows) + sum(len(v) for v in retrieval.values() if isinstance(v, list)),
+            "pair_sets": sum(len(b.entry.pair_sets) for b in board.datasets) if board else 0,
+            "files_written": len(files),
+        }
+        head = {"metric": ranked_by["--metric"], "seed": seed, "split": split, "formats": chosen}
+        print_json({**head, "files": [str(path) for path in files], "rows": rows, **retrieval}, counts)
     else:
         if board is not None:
             print_leaderboard(board)
-            if not quiet:
-                typer.echo(f"written: {out / 'leaderboard.md'}", err=True)
         if found is not None:
             _print_retrieval(found)
-            if not quiet:
-                typer.echo(f"written: {out / 'retrieval.md'}", err=True)
         if chains is not None:
             _print_chains(chains)
-            if not quiet:
-                typer.echo(f"written: {out / 'relocalization.md'}", err=True)
+        if not quiet:
+            for path in _first_pages(files):
+                typer.echo(f"written: {path}", err=True)
+
+
+def _first_pages(files: Sequence[Path]) -> list[Path]:
+    """The files to look at first: of each format the page of each task, without what lies beside it."""
+    pages = [path for path in files if path.stem in ("leaderboard", "retrieval", "relocalization", "index")]
+    return [path for path in pages if path.suffix != ".csv"] or pages
 
 
 def report(
@@ -168,6 +181,7 @@ def report(
         ),
     ] = 6,
     quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Write results as pages that sort, filter and zoom, opened from the disk without a server or the network.
 
@@ -175,7 +189,7 @@ def report(
 
     Example: relocbench report results --out report --pairs 20
     """
-    from relocbench.cli.console import reporter
+    from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard.html.manifest import earlier_files
@@ -188,7 +202,15 @@ def report(
     with alone_writing_to(out):
         boards = Boards(*_load(results, at_hand, _USUAL, split, seed, told))
         start = write_site(boards, out, pairs=pairs, reporter=told)
-    if not quiet:
+    if json:
+        board = boards.tracking
+        counts = {
+            "sets": len(board.datasets) if board else 0,
+            "methods": len({m.label for d in board.datasets for m in d.entry.methods}) if board else 0,
+            "files_written": len(earlier_files(out)),
+        }
+        print_json({"page": start}, counts)
+    elif not quiet:
         typer.echo(f"written: {start}", err=True)
 
 
@@ -244,6 +266,7 @@ def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None
 
 def _print_retrieval(board: RetrievalBoard) -> None:
     from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.headings import METHOD, RANK, heading
     from relocbench.leaderboard.common.text import number
 
     for asked in board.sets:
@@ -255,30 +278,33 @@ def _print_retrieval(board: RetrievalBoard) -> None:
             ]
             names = [row.method.label for row in table.rows]
             chance = ["(chance)", "", *(number(table.chance[m], "share") for m in board.shown)]
-            columns = ["method", "rank", *(f"{m} %" for m in board.shown)]
+            columns = [METHOD, RANK, *map(heading, board.shown)]
             print_table(title, columns, [*([name, *row] for name, row in zip(names, rows, strict=True)), chance])
 
 
 def _print_chains(board: ChainBoard) -> None:
     from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.headings import RANK, RETRIEVER, TOP, TRACKER, heading
     from relocbench.leaderboard.common.text import number
 
-    shares = ("recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit")
+    median = "median_translation_error_m"
+    metrics = (board.metric, "recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit")
     for asked in board.sets:
         for table in asked.tables:
             title = f"{asked.title}: {table.name} ({table.queries} queries)"
             rows = [
                 [
-                    f"{row.chain.run.retriever} + {row.chain.run.tracker}",
+                    row.chain.run.retriever,
+                    row.chain.run.tracker,
                     str(row.chain.run.top),
                     "" if row.rank is None else str(row.rank),
-                    *(number(row.values.get(m), "share") for m in (board.metric, *shares)),
-                    number(row.values.get("median_translation_error_m"), "m"),
+                    *(number(row.values.get(m), "share") for m in dict.fromkeys(metrics)),
+                    number(row.values.get(median), "m"),
                 ]
                 for row in table.rows
             ]
-            columns = ["chain", "K", "rank", f"{board.metric} %", f"{shares[0]} %", "basin@1 %", "basin@K %"]
-            print_table(title, [*columns, "right in basin %", "median m"], rows)
+            shares = map(heading, dict.fromkeys(metrics))
+            print_table(title, [RETRIEVER, TRACKER, TOP, RANK, *shares, median], rows)
 
 
 def print_leaderboard(board: Board) -> None:
@@ -290,14 +316,15 @@ def print_leaderboard(board: Board) -> None:
 
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.headings import METHOD, RANK, SECONDS
     from relocbench.leaderboard.common.text import number
-    from relocbench.leaderboard.tracking.cells import shown_metrics
+    from relocbench.leaderboard.tracking.cells import plain_heading, shown_metrics
 
     metrics = [m for m in shown_metrics(board) if m in (*board.with_interval, *shown_metrics(board)[:3])]
     of_split = f" {table.split}" if table.is_total and table.split else ""
     rejected = f", {table.rejected} rejected" if table.rejected else ""
     title = f"{dataset.entry.title}: {table.pair_set}{of_split} ({table.pairs} pairs{rejected})"
-    columns = ["method", "rank", *(_short(m) for m in metrics), "s a pair"]
+    columns = [METHOD, RANK, *map(plain_heading, metrics), SECONDS]
     rows = [
         [
             row.method.label,
@@ -308,10 +335,3 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
         for row in table.rows
     ]
     print_table(title, columns, rows)
-
-
-def _short(metric: Metric) -> str:
-    """A heading that leaves room for the others on a narrow terminal."""
-    if metric.name.startswith("median_"):
-        return "median °" if metric.unit == "deg" else "median m"
-    return f"{metric.name} %"

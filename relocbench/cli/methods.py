@@ -24,7 +24,8 @@ def methods(
     if name is None:
         found = {kind: installed_methods(kind) for kind in KINDS}
         if json:
-            print_json({kind.task: {n: p.value for n, p in points.items()} for kind, points in found.items()})
+            listed = {kind.task: {n: p.value for n, p in points.items()} for kind, points in found.items()}
+            print_json(listed, {task: len(names) for task, names in listed.items()})
         else:
             rows = [[n, kind.task, p.value, _package(p)] for kind, points in found.items() for n, p in points.items()]
             rows.append([CLOCK, TRACKERS.task, "a floor: what times alone tell, without an image", "relocbench"])
@@ -33,7 +34,8 @@ def methods(
     kind = kind_of(name)
     parameters = parameters_of(name, kind)
     if json:
-        print_json({p.name: {"type": p.type_name, "default": None if p.required else p.default} for p in parameters})
+        told = {p.name: {"type": p.type_name, "default": None if p.required else p.default} for p in parameters}
+        print_json({"method": name, "task": kind.task, "parameters": told}, {"parameters": len(told)})
         return
     rows = [[p.name, p.type_name, "(must be given)" if p.required else str(p.default)] for p in parameters]
     print_table(f"{name} ({kind.task}): set with --set key=value", ["parameter", "type", "default"], rows)

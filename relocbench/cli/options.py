@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _RUN = "Where and how work runs"
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress bars and no notes, the results alone.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, with counts, instead of tables.")]
 ConfigFile = Annotated[Path | None, typer.Option(metavar="FILE", help="YAML file that sets any of these options.")]
 Workers = Annotated[
     int | None,

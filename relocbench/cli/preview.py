@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from relocbench.cli.options import Quiet, split_commas
+from relocbench.cli.options import Json, Quiet, split_commas
 
 
 def preview(
@@ -41,12 +41,13 @@ def preview(
     at: Annotated[float, typer.Option(min=0, max=200, metavar="METRES", help="Distance along the drive.")] = 20.0,
     size: Annotated[int, typer.Option(min=64, max=2048, metavar="PIXELS", help="Width of each picture.")] = 400,
     quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Draw one place of the procedural town in several conditions: does the rain look like rain?
 
     Example: relocbench preview --all --out conditions.png
     """
-    from relocbench.cli.console import reporter
+    from relocbench.cli.console import print_json, reporter
     from relocbench.datasets.core.images import jpeg_bytes, png_bytes
     from relocbench.datasets.synthetic.conditions.presets import SPLITS, previewed
     from relocbench.datasets.synthetic.jobs.contact_sheet import contact_sheet
@@ -59,3 +60,5 @@ def preview(
     with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
         sheet = contact_sheet(shown, seed=seed, split=split, at_m=at, width=size, reporter=reporter(quiet))
         stream.write(jpeg_bytes(sheet) if out.suffix.lower() in (".jpg", ".jpeg") else png_bytes(sheet))
+    if json:
+        print_json({"file": out}, {"pictures": len(shown), "files_written": 1})

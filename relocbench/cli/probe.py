@@ -113,7 +113,9 @@ def probe(
     with alone_writing_to(options.out):
         report = probe_methods(options, reporter(quiet))
     if json:
-        print_json(report.to_dict())
+        told = report.to_dict()
+        counts = {"radii": len(told["radii"]), "starts": len(told["starts"]), "files_written": len(report.files)}
+        print_json(told, {**counts, "broke": len(report.broken)})
     else:
         _print_radii(report)
         _print_starts(report)

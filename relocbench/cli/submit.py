@@ -73,7 +73,7 @@ def submit_check(
         raise ConfigError("nothing to check: give the folder of a submission, or --new FOLDER for a card to fill in")
     checked = check_submission(submission, _options(dataset, radius, blind_only=blind_only), reporter(quiet))
     if json:
-        print_json(checked.to_dict())
+        print_json(checked.to_dict(), _counts(checked))
     else:
         _print_checked(checked, quiet=quiet)
     if not checked.sound:
@@ -109,14 +109,14 @@ def leaderboard_add(
     checked = check_submission(submission, options, told)
     if not checked.sound:
         if json:
-            print_json({**checked.to_dict(), "rows": []})
+            print_json({**checked.to_dict(), "rows": []}, {**_counts(checked), "rows": 0})
         else:
             _print_checked(checked, quiet=quiet)
         raise typer.Exit(FAULTY)
     added = add_submission(checked, to, options, told, replace=replace)
     if json:
         rows = [{"folder": str(one.folder), "state": one.state, "remarks": one.remarks} for one in added]
-        print_json({**checked.to_dict(), "rows": rows})
+        print_json({**checked.to_dict(), "rows": rows}, {**_counts(checked), "rows": len(rows)})
         return
     print_table("", ["row", ""], [[str(one.folder), one.state] for one in added])
     for one in added:
@@ -124,6 +124,16 @@ def leaderboard_add(
             print(f"odd: {one.folder.parent.name}: {remark}")
     if not quiet:
         typer.echo(f"to compare: relocbench leaderboard {to} --out FOLDER", err=True)
+
+
+def _counts(checked: Checked) -> dict[str, int]:
+    """Faults, notes and suspicions, and answers by what became of them."""
+    found = {"faults": len(checked.found.faults), "notes": len(checked.found.notes)}
+    answers = {
+        name: sum(getattr(row, name) for row in checked.rows)
+        for name in ("pairs", "answered", "missing", "unknown", "duplicate", "invalid")
+    }
+    return {**found, "suspicions": len(checked.suspicions), **answers}
 
 
 def _options(dataset: list[Path], radius: float | None, *, blind_only: bool) -> SubmissionOptions:

@@ -117,6 +117,8 @@ def train(
 
     Example: relocbench train lpn -d university --config lpn-rpp --backbone-weights resnet50.pth -o trained
     """
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import leaves
     from relocbench.errors import ConfigError, DatasetError, MethodError
 
     for root in dataset or ():
@@ -140,12 +142,14 @@ def train(
         settings = [*settings, f"backbone_weights={backbone_weights}"]
     options = chosen_options(trainer, config, settings)
     if show_options:
-        print(dump_yaml(options), end="")
+        if json:
+            print_json({"trainer": name, "options": options}, {"options": leaves(options)})
+        else:
+            print(dump_yaml(options), end="")
         return
     if not dataset or out is None:
         raise ConfigError(f"train needs {'--dataset DIR' if not dataset else '--out DIR'}")
 
-    from relocbench.cli.console import print_json, reporter
     from relocbench.training import TrainingRun
 
     for root in dataset:
@@ -169,10 +173,13 @@ def train(
             matched = getattr(trainer, "needs_correspondences", True)
             tried = 0 if no_validation else validation_pairs
             report = trainer.train(*_pairs(dataset, split, tried, matched), options, run)
+    counted = "queries" if of_places else "pairs"
     if json:
-        print_json(_plain(report))
+        tried = 0 if report.scores is None else sum(report.scores.pairs.values())
+        counts = {"steps": report.steps, "best_step": report.best_step, f"validation_{counted}": tried}
+        print_json(_plain(report), counts)
     else:
-        _print(report, "query-gallery" if of_places else "conditions", "queries" if of_places else "pairs")
+        _print(report, "query-gallery" if of_places else "conditions", counted)
 
 
 def _refuse_without_effect(

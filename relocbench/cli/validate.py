@@ -45,7 +45,8 @@ def validate(
             name: [{"path": str(f.path) if f.path else None, "line": f.line, "message": f.message} for f in findings]
             for name, findings in (("faults", found.faults), ("notes", found.notes))
         }
-        print_json({"path": str(path), "kind": kind, "valid": not found.faults, **plain})
+        counts = {"faults": len(found.faults), "notes": len(found.notes)}
+        print_json({"path": str(path), "kind": kind, "valid": not found.faults, **plain}, counts)
     else:
         for finding in found.faults:
             print(finding)

@@ -42,6 +42,7 @@ def test_help_and_version_import_nothing_heavy() -> None:
     "command",
     [
         *("demo", "evaluate", "leaderboard", "inspect", "validate", "methods", "check-method", "export"),
+        "view",
         *("build-dataset", "fetch-weights"),
     ],
 )
@@ -244,7 +245,7 @@ def test_output_without_a_terminal_is_plain(dataset: Dataset, tmp_path: Path) ->
     shown = relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path, "-j", "1")
     assert "\x1b" not in shown.out + shown.err
     assert "identity on small: " in shown.err
-    assert "t_auc 0.5 m" in shown.out
+    assert "t_auc@0.5m, %" in shown.out
 
 
 def test_a_bug_is_a_traceback(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:

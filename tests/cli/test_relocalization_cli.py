@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from chains_for_tests import lists
 from command_line import relocbench
+from latex_parser import check_latex
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -38,7 +39,9 @@ def results(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.status == 0, done.err
     assert "\x1b" not in done.out + done.err
     assert "12 queries, 12 keyframes, pairs reach 0.192 m, 2°" in done.out
-    assert all(f"{r} + {t}" in done.out for r in ("far", "near", "oracle") for t in ("good", "bad", "keyframe-pose"))
+    first = {tuple(line.strip("│ ").split("│")[:2]) for line in done.out.splitlines() if line.startswith("│")}
+    chains = {(retriever.strip(), tracker.strip()) for retriever, tracker in first}
+    assert chains == {(r, t) for r in ("far", "near", "oracle") for t in ("good", "bad", "keyframe-pose")}
     assert "good on small: 48/48" in done.err  # near, far and what the oracle asks beyond them
     return root / "r"
 
@@ -64,11 +67,23 @@ def test_a_page_says_who_is_ahead_and_where_it_is_lost(results: Path, tmp_path: 
     assert rows["near", "good"]["hit_low"] == ""  # eight queries are too few for an interval
     page = (tmp_path / "b" / "relocalization.md").read_text()
     best = "|  | near | good (uses times) ² ³ | 2 | 100.0 |"
-    for words in (best, "*oracle*", "*keyframe-pose*", "lost: retrieval", "--retriever"):
+    for words in (best, "*oracle*", "*keyframe-pose*", "failed_retrieval, %", "--retriever"):
         assert words in page, words
     again = relocbench("leaderboard", results, "--out", tmp_path / "c", "--relocalization-metric", "recall@(0.5m,5deg)")
     assert again.status == 0
     assert all((tmp_path / "c" / p.name).read_bytes() == p.read_bytes() for p in (tmp_path / "b").iterdir())
+
+
+def test_both_tasks_are_tables_for_papers_too(results: Path, tmp_path: Path) -> None:
+    shown = relocbench("leaderboard", results, "--out", tmp_path / "t", "--format", "latex", "--json", "-q")
+    assert shown.status == 0, shown.err
+    assert sorted(p.name for p in (tmp_path / "t").iterdir()) == ["relocalization.tex", "retrieval.tex"]
+    assert json.loads(shown.out)["counts"]["files_written"] == 2
+    chains = check_latex((tmp_path / "t" / "relocalization.tex").read_text())
+    assert [len(table) for table in chains] == [10]
+    assert chains[0][0][:5] == ["retriever", "tracker", "top", "rank", r"recall@(0.25m,2deg), \% $\uparrow$"]
+    rankings = check_latex((tmp_path / "t" / "retrieval.tex").read_text())
+    assert [row[0] for row in rankings[0]][-1] == r"\textit{(chance)}"
 
 
 def test_a_metric_of_a_task_without_results_is_refused(results: Path, tmp_path: Path) -> None:

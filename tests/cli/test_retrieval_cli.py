@@ -36,7 +36,7 @@ def test_from_images_to_scores_and_a_page(views: Path, tmp_path: Path) -> None:
     assert shown.status == 0, shown.err
     assert "\x1b" not in shown.out + shown.err
     assert "t on town: " in shown.err
-    assert all(words in shown.out for words in ("R@1 %", "(chance)", f"{D2S} (12 queries, 7 images)"))
+    assert all(words in shown.out for words in ("R@1, %", "(chance)", f"{D2S} (12 queries, 7 images)"))
     folder = next((tmp_path / "r").glob("town@*"))
     assert sorted(p.name for p in (folder / "t").iterdir()) == [
         f"{D2S}.csv",
@@ -201,10 +201,11 @@ def test_without_a_command_the_help_is_shown() -> None:
 def test_both_kinds_of_methods_are_listed_and_told_apart() -> None:
     listed = json.loads(relocbench("methods", "--json").out)
     assert "orb-pnp" in listed["tracking"]
-    assert set(listed) == {"tracking", "retrieval"}
+    assert set(listed) == {"tracking", "retrieval", "counts"}
+    assert listed["counts"]["tracking"] == len(listed["tracking"])
     assert "identity" in relocbench("methods").out
     shown = relocbench("methods", f"{HERE}:Thumbnail", "--json")
-    assert json.loads(shown.out)["side"] == {"type": "int", "default": 8}
+    assert json.loads(shown.out)["parameters"]["side"] == {"type": "int", "default": 8}
     assert (kind_of(f"{HERE}:Thumbnail"), kind_of(TRACKER)) == (RETRIEVERS, TRACKERS)
     assert (kind_of("identity"), kind_of("subprocess:true")) == (TRACKERS, TRACKERS)
 
@@ -245,7 +246,7 @@ def test_retrievers_are_configured_as_trackers_are() -> None:
 def test_a_retriever_can_be_checked() -> None:
     shown = relocbench("check-method", f"mine={HERE}:Thumbnail", "--set", "mine.side=4", "--json")
     assert shown.status == 0, shown.out
-    assert all(one["passed"] for one in json.loads(shown.out))
+    assert all(one["passed"] for one in json.loads(shown.out)["checks"])
     assert relocbench("check-method", f"{HERE}:Constant").status == 2
 
 

@@ -12,6 +12,7 @@ from relocbench.evaluation.relocalization.chain import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainRun
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, RANKING
 from relocbench.leaderboard.common.commands import labelled_target, settings_of
+from relocbench.leaderboard.common.headings import BASIN, COUNTS, RANK, RETRIEVER, SECONDS, TOP, TRACKER, heading
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
 from relocbench.leaderboard.tracking.load import machine_words
@@ -22,13 +23,7 @@ from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
 _POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)", "t_auc@0.5m", "r_auc@0.5deg")
-_LOST = {
-    "failed_retrieval": "retrieval",
-    "failed_tracking": "tracking",
-    "failed_choice": "choice",
-    "failed_unreachable": "cannot be judged",
-}
-assert set(_LOST) == set(FAILURES)
+MEDIANS = ("median_translation_error_m", "median_rotation_error_deg")
 
 
 def relocalization_page(board: ChainBoard) -> str:
@@ -145,22 +140,21 @@ def _section(board: ChainBoard, table: ChainTable) -> dict[str, object]:
 
 def _pose_table(board: ChainBoard, table: ChainTable) -> str:
     poses = list(dict.fromkeys((board.metric, *_POSES)))
-    columns = ["rank", "retriever", "tracker", "K", *(escaped(m) for m in poses), "median m", "median °", "s a query"]
+    columns = [RANK, RETRIEVER, TRACKER, TOP, *map(heading, poses), *MEDIANS, SECONDS]
     rows = []
     for row in table.rows:
         medians = [
-            number(row.values.get(f"median_{name}"), unit)
-            for name, unit in (("translation_error_m", "m"), ("rotation_error_deg", "deg"), ("seconds", "s"))
+            number(row.values.get(name), unit)
+            for name, unit in zip((*MEDIANS, SECONDS), ("m", "deg", "s"), strict=True)
         ]
         rows.append([*_head(row), *(_cell(row, m) for m in poses), *medians])
     return table_text(columns, rows, left=3)
 
 
 def _loss_table(table: ChainTable) -> str:
-    lost = {share: name for share, name in _LOST.items() if any(row.values[share] for row in table.rows)}
-    columns = ["retriever", "tracker", "K", "basin", "basin recall@1", "basin recall@K", "right, if one is in it"]
-    columns += ["right otherwise", "right among the K", *(f"lost: {name}" for name in lost.values()), "failed / broke"]
+    lost = [share for share in FAILURES if any(row.values[share] for row in table.rows)]
     shares = ("basin_recall@1", HIT, "right_given_hit", "right_without_hit", "right_among_K", *lost)
+    columns = [RETRIEVER, TRACKER, TOP, BASIN, *map(heading, shares), COUNTS]
     rows = [
         [
             *_head(row)[1:],

@@ -48,14 +48,32 @@ def write_relocalization_leaderboard(
 
 
 def write_chain_board(board: ChainBoard, out: Path, reporter: Reporter) -> None:
-    """Write ``relocalization.csv`` and ``relocalization.md``."""
+    """Write ``relocalization.csv`` and ``relocalization.md``, and note which results are missing."""
+    note_missing(board, reporter)
+    write_chain_table(board, out)
+    write_chain_page(board, out)
+
+
+def note_missing(board: ChainBoard, reporter: Reporter) -> None:
+    """Tell which chains have no result on a task."""
     for asked in board.sets:
         for chain in asked.chains:
             for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in chain.answers):
                 reporter.note(f"{asked.title}: {chain.label} has no result on {name}")
+
+
+def write_chain_table(board: ChainBoard, out: Path) -> list[Path]:
+    """Write ``relocalization.csv``; returns the files."""
     remove_parts(out, deep=False)
     write_records(out / "relocalization.csv", chain_rows(board))
+    return [out / "relocalization.csv"]
+
+
+def write_chain_page(board: ChainBoard, out: Path) -> list[Path]:
+    """Write ``relocalization.md``; returns the files."""
+    remove_parts(out, deep=False)
     write_text(out / "relocalization.md", relocalization_page(board))
+    return [out / "relocalization.md"]
 
 
 def chain_rows(board: ChainBoard) -> list[dict[str, Value]]:

@@ -10,6 +10,7 @@ from relocbench.evaluation.retrieval.records import RetrievalRun, SetRecord
 from relocbench.leaderboard.common.cards import add_command, shown_cards
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import answers_on_copies
+from relocbench.leaderboard.common.headings import COUNTS, METHOD, RANK, RESCORED, SECONDS, heading
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.tracking.load import machine_words
@@ -83,7 +84,7 @@ def _set(board: RetrievalBoard, asked: SetBoard) -> dict[str, object]:
 
 
 def _section(board: RetrievalBoard, table: RetrievalTable) -> dict[str, object]:
-    columns = ["rank", "method", *(f"{m}, %" for m in board.shown), "s a query", "failed / broke", "rescored"]
+    columns = [RANK, METHOD, *map(heading, board.shown), SECONDS, COUNTS, RESCORED]
     chance = ["", f"*{CHANCE}*", *(number(table.chance[m], "share") for m in board.shown), "", "", ""]
     return {
         "believed": _believed(board, table),

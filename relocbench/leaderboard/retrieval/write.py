@@ -47,17 +47,34 @@ def write_retrieval_leaderboard(
 
 
 def write_retrieval_board(board: RetrievalBoard, out: Path, reporter: Reporter) -> None:
-    """Write ``retrieval.csv`` and ``retrieval.md``."""
+    """Write ``retrieval.csv`` and ``retrieval.md``, and note which results are missing."""
+    note_missing(board, reporter)
+    write_retrieval_table(board, out)
+    write_retrieval_page(board, out)
+
+
+def note_missing(board: RetrievalBoard, reporter: Reporter) -> None:
+    """Tell which methods have no result on a task."""
     for asked in board.sets:
         for method in asked.methods:
             missing = [t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in method.answers]
             for name in missing:
                 reporter.note(f"{asked.title}: {method.label} has no result on {name}")
+
+
+def write_retrieval_table(board: RetrievalBoard, out: Path) -> list[Path]:
+    """Write ``retrieval.csv``; returns the files."""
     remove_parts(out, deep=False)
-    for asked in board.sets:
-        write_cards(out, asked.title, asked.methods)
     write_records(out / "retrieval.csv", retrieval_rows(board))
+    return [out / "retrieval.csv"]
+
+
+def write_retrieval_page(board: RetrievalBoard, out: Path) -> list[Path]:
+    """Write ``retrieval.md`` and the cards that it links; returns the files."""
+    remove_parts(out, deep=False)
+    cards = [path for asked in board.sets for path in write_cards(out, asked.title, asked.methods)]
     write_text(out / "retrieval.md", retrieval_page(board))
+    return [*cards, out / "retrieval.md"]
 
 
 def retrieval_rows(board: RetrievalBoard) -> list[dict[str, Value]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from relocbench.leaderboard.common import headings
 from relocbench.leaderboard.common.text import number, with_bounds
 from relocbench.leaderboard.tracking.marks import signs
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
@@ -23,11 +24,6 @@ SHOWN = (
     "recall@(5m,10deg)",
 )
 DAGGER = "†"
-_HEADINGS = {
-    "median_translation_error_m": "median, m",
-    "median_rotation_error_deg": "median, °",
-    "coverage": "coverage, %",
-}
 
 
 def shown_metrics(board: Board) -> list[Metric]:
@@ -38,7 +34,7 @@ def shown_metrics(board: Board) -> list[Metric]:
 
 def plain_heading(metric: Metric) -> str:
     """The heading of a metric's column, with its unit."""
-    return _HEADINGS.get(metric.name, f"{metric.name}, {'%' if metric.unit == 'share' else metric.unit}")
+    return headings.heading(metric.name, metric.unit)
 
 
 def heading(metric: Metric, table: Table) -> str:
@@ -80,9 +76,17 @@ def marked(text: str, metric: Metric, table: Table) -> str:
 
 
 def total_name(table: Table) -> str:
-    """What a total is over: pair sets of two drives or of one, and of which split."""
-    kind = "one drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
-    return f"{kind}, split {code(table.split)}" if table.split else kind
+    """What a total is over: pair sets of two drives or of one, and of which split, in Markdown."""
+    return f"{_drives(table)}, split {code(table.split)}" if table.split else _drives(table)
+
+
+def total_words(table: Table) -> str:
+    """The same as plain text."""
+    return f"{_drives(table)}, split {table.split}" if table.split else _drives(table)
+
+
+def _drives(table: Table) -> str:
+    return "one drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
 
 
 def group_heading(group: Table) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from urllib.parse import quote
 
 from relocbench.leaderboard.common.cards import shown_cards
+from relocbench.leaderboard.common.headings import METHOD, RANK, SECONDS
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.tracking.cells import (
     DAGGER,
@@ -97,12 +98,12 @@ def _total_table(board: Board, dataset: DatasetBoard, table: Table) -> str:
     groups = dataset.groups_of(table)
     beside = [metric_named(metric) for metric in _BESIDE if metric != board.metric.name]
     columns = [
-        "rank",
-        "method",
+        RANK,
+        METHOD,
         heading(board.metric, table),
         *map(group_heading, groups),
         *(heading(metric, table) for metric in beside),
-        "s a pair",
+        SECONDS,
     ]
     rows = [
         [
@@ -141,7 +142,7 @@ def _summary(board: Board) -> str:
     names = [_named(columns, label) for label in labels]
     titles = [column.title for column in columns]
     if len(columns) <= len(labels):
-        return table_text(["method", *titles], [[a, *row] for a, row in zip(names, cells, strict=True)], left=1)
+        return table_text([METHOD, *titles], [[a, *row] for a, row in zip(names, cells, strict=True)], left=1)
     across = [list(row) for row in zip(*cells, strict=True)]
     return table_text(["dataset", *names], [[a, *row] for a, row in zip(titles, across, strict=True)], left=1)
 

@@ -9,6 +9,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.copies import answers_on_copies
+from relocbench.leaderboard.common.headings import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95
 from relocbench.leaderboard.common.text import json_text, number
 from relocbench.leaderboard.tracking.cells import (
     DAGGER,
@@ -141,8 +142,8 @@ def _confidences(dataset: DatasetBoard, *, elsewhere: bool) -> str:
         for table in dataset.totals
         for row in table.rows
     ]
-    columns = ["total", "method", *map(plain_heading, metrics)]
-    columns += ["different places", "answered of these, %", "confidently wrong, %"] if elsewhere else []
+    columns = ["total", METHOD, *map(plain_heading, metrics)]
+    columns += [*ELSEWHERE] if elsewhere else []
     return table_text(columns, rows, left=2) if rows else ""
 
 
@@ -150,12 +151,12 @@ def _elsewhere_cells(row: Row) -> list[str]:
     """The number of pairs of different places, and the shares answered and confidently answered, with the bound."""
     found = row.elsewhere
     if found is None or found.answered_share is None:
-        return ["", "", ""]
-    high = number(found.confident_high, "share")
+        return [""] * len(ELSEWHERE)
     return [
         str(found.pairs),
         number(found.answered_share, "share"),
-        f"{number(found.confident_share, 'share')} (at most {high})",
+        number(found.confident_share, "share"),
+        number(found.confident_high, "share"),
     ]
 
 
@@ -220,11 +221,11 @@ def _differences(methods: Sequence[Method]) -> Iterator[tuple[str, str]]:
 def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
     metrics = shown_metrics(board)
     columns = [
-        *(["rank"] if ranks else []),
-        "method",
+        *([RANK] if ranks else []),
+        METHOD,
         *(heading(m, table) for m in metrics),
-        "s a pair, median / p95",
-        "failed / broke",
+        SECONDS_AND_P95,
+        COUNTS,
     ]
     rows = []
     for row in table.rows:
@@ -264,7 +265,7 @@ def _pivoted(board: Board) -> list[Metric]:
 def _pivot(table: Table, groups: Sequence[Table], metric: Metric) -> str:
     """A table of one metric: methods in the order of the whole set, and a column for each group."""
     columns = [
-        f"`{metric.name}`, %" if metric.unit == "share" else f"`{metric.name}`",
+        plain_heading(metric),
         f"all<br>{table.pairs} pairs",
         *map(group_heading, groups),
     ]

@@ -92,8 +92,12 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
     ``sets/`` has one for each dataset and of no other, and ``reading.md`` says how to read them. Each file appears
     whole or not at all, and none contains a date.
     """
-    for folder in (out, out / "curves", out / "sets"):
-        remove_parts(folder, deep=False)
+    return [*write_tables(board, out), *write_pages(board, out, plots=plots, reporter=reporter)]
+
+
+def write_tables(board: Board, out: Path) -> list[Path]:
+    """Write the tables in CSV; returns the files."""
+    remove_parts(out, deep=False)
     paths = [out / "leaderboard.csv", out / "errors.csv"]
     write_records(paths[0], leaderboard_rows(board))
     write_rows(paths[1], error_rows(board))
@@ -101,6 +105,14 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
         if records:
             paths.append(out / name)
             write_records(paths[-1], records)
+    return paths
+
+
+def write_pages(board: Board, out: Path, *, plots: bool, reporter: Reporter) -> list[Path]:
+    """Write the pages in Markdown, and the plots that they show; returns the files."""
+    for folder in (out, out / "curves", out / "sets"):
+        remove_parts(folder, deep=False)
+    paths: list[Path] = []
     if plots:
         paths += _write_plots(board, out, reporter)
     for dataset in board.datasets:

@@ -132,7 +132,7 @@ def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp
             assert float(mine["elsewhere_confident_high"]) > 3 / COUNT
             assert float(mine["coverage"]) == 1.0
         page = board_pages(tmp_path / name)
-        assert "| different places | answered of these, % | confidently wrong, % |" in page
+        assert "| elsewhere | elsewhere_answered, % | elsewhere_confident, % | elsewhere_confident_high, % |" in page
         with (tmp_path / name / "errors.csv").open(newline="", encoding="utf-8") as stream:
             groups = [row["group"] for row in csv.DictReader(stream) if row["method"] == "mine"]
         assert groups.count(ELSEWHERE) == COUNT

@@ -320,7 +320,7 @@ def test_checking_a_method_that_ends_its_process_says_so(tmp_path: Path) -> None
         "check-method", f"{HERE}:InConstructor", "--set", "deed=crash", "--set", f"mark={mark}", "--json"
     )
     assert checked.status == 2
-    (finding,) = json.loads(checked.out)
+    (finding,) = json.loads(checked.out)["checks"]
     assert finding["passed"] is False
     assert finding["detail"] == "it ended (signal SIGSEGV)"
 

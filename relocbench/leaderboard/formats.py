@@ -1,0 +1,89 @@
+"""In which formats a leaderboard is written. One more is one more line of :data:`FORMATS`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+from relocbench.errors import ConfigError, quoted
+from relocbench.files import write_text
+from relocbench.leaderboard.html.rows import Boards
+from relocbench.leaderboard.html.site import write_site
+from relocbench.leaderboard.relocalization import latex as chain_latex
+from relocbench.leaderboard.relocalization.write import write_chain_page, write_chain_table
+from relocbench.leaderboard.retrieval import latex as retrieval_latex
+from relocbench.leaderboard.retrieval.write import write_retrieval_page, write_retrieval_table
+from relocbench.leaderboard.tracking import latex as tracking_latex
+from relocbench.leaderboard.tracking.write import write_pages, write_tables
+from relocbench.progress import Reporter
+
+
+@dataclass(frozen=True)
+class How:
+    """What decides how boards are written, besides themselves."""
+
+    plots: bool
+    """whether pages in Markdown have error curves"""
+    pairs: int
+    """number of pairs with images, as :func:`write_site` takes it"""
+    reporter: Reporter
+
+
+Writer = Callable[[Boards, Path, How], list[Path]]
+"""writes boards into a folder and returns the files; of a site its first page"""
+
+
+def _csv(boards: Boards, out: Path, how: How) -> list[Path]:
+    files = [] if boards.tracking is None else write_tables(boards.tracking, out)
+    files += [] if boards.retrieval is None else write_retrieval_table(boards.retrieval, out)
+    return files + ([] if boards.relocalization is None else write_chain_table(boards.relocalization, out))
+
+
+def _markdown(boards: Boards, out: Path, how: How) -> list[Path]:
+    files = [] if boards.tracking is None else write_pages(boards.tracking, out, plots=how.plots, reporter=how.reporter)
+    files += [] if boards.retrieval is None else write_retrieval_page(boards.retrieval, out)
+    return files + ([] if boards.relocalization is None else write_chain_page(boards.relocalization, out))
+
+
+def _latex(boards: Boards, out: Path, how: How) -> list[Path]:
+    texts = {
+        "leaderboard.tex": None if boards.tracking is None else tracking_latex.latex_page(boards.tracking),
+        "retrieval.tex": None if boards.retrieval is None else retrieval_latex.latex_page(boards.retrieval),
+        "relocalization.tex": None if boards.relocalization is None else chain_latex.latex_page(boards.relocalization),
+    }
+    files = []
+    for name, text in texts.items():
+        if text is not None:
+            files.append(out / name)
+            write_text(files[-1], text)
+    return files
+
+
+def _html(boards: Boards, out: Path, how: How) -> list[Path]:
+    return [write_site(boards, out / "html", pairs=how.pairs, reporter=how.reporter)]
+
+
+FORMATS: Mapping[str, Writer] = MappingProxyType({"csv": _csv, "markdown": _markdown, "latex": _latex, "html": _html})
+"""name of a format -> what writes it"""
+USUAL = ("csv", "markdown")
+"""the formats that are written unless others are asked for"""
+
+
+def check_formats(names: Sequence[str], html: bool = False) -> tuple[str, ...]:
+    """The formats without repetition, or the usual ones where none is named; ``html`` besides, if asked for.
+
+    Raises:
+        ConfigError: an unknown format.
+    """
+    for name in names:
+        if name not in FORMATS:
+            raise ConfigError(f"--format is one of {', '.join(FORMATS)}, got {quoted(name)}")
+    chosen = [*(names or USUAL), *(["html"] if html else [])]
+    return tuple(dict.fromkeys(chosen))
+
+
+def write_formats(boards: Boards, out: Path, formats: Sequence[str], how: How) -> list[Path]:
+    """Write boards in these formats; returns the files. Each appears whole or not at all, and none holds a date."""
+    return [path for name in formats for path in FORMATS[name](boards, out, how)]

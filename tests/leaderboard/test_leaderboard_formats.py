@@ -1,0 +1,141 @@
+"""The formats of a leaderboard: which files each writes, tables for papers, and one name for a number in all."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import relocbench
+from hypothesis import given
+from hypothesis import strategies as st
+from latex_parser import check_latex
+from test_leaderboard import NIGHT, WINTER, MadeResults, made, read_csv
+
+from relocbench.leaderboard.common.latex import Column, LatexTable, Line, document, escaped
+from relocbench.metrics import Interval
+
+NASTY = r"a_b%c#d&e$f{g}h\i^j~k--l[m]n*o" + "'`" + '"<>|° → †'
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    made_results = MadeResults(tmp_path / "results", {WINTER: 60, NIGHT: 60})
+    made_results.write_dataset()
+    made_results.add("good", {WINTER: made(1, 60, 0.05), NIGHT: made(2, 60, 0.05)})
+    made_results.add("under_score", {WINTER: made(3, 60, 2.0), NIGHT: made(4, 60, 2.0)})
+    return made_results.root
+
+
+def written(results: Path, out: Path, *options: str) -> list[str]:
+    done = relocbench("leaderboard", results, "--out", out, "--no-plots", "-q", *options)
+    assert done.status == 0, done.err
+    return sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+
+
+def test_each_format_writes_its_files_and_no_others(results: Path, tmp_path: Path) -> None:
+    csv, markdown = ["errors.csv", "leaderboard.csv"], ["leaderboard.md", "reading.md"]
+    usual = written(results, tmp_path / "usual")
+    page = next(name for name in usual if name.startswith("sets/"))
+    assert usual == sorted([*csv, *markdown, page])
+    assert written(results, tmp_path / "csv", "--format", "csv") == csv
+    assert written(results, tmp_path / "md", "--format", "markdown") == sorted([*markdown, page])
+    assert written(results, tmp_path / "tex", "--format", "latex") == ["leaderboard.tex"]
+    both = written(results, tmp_path / "both", "--format", "latex", "--format", "csv", "--format", "csv")
+    assert both == sorted([*csv, "leaderboard.tex"])
+    for name in csv:
+        assert (tmp_path / "usual" / name).read_bytes() == (tmp_path / "csv" / name).read_bytes()
+
+
+def test_an_unknown_format_is_refused_before_anything_is_written(results: Path, tmp_path: Path) -> None:
+    done = relocbench("leaderboard", results, "--out", tmp_path / "b", "--format", "docx")
+    assert done.status == 2
+    assert "--format is one of csv, markdown, latex" in done.complaint
+    assert not (tmp_path / "b").exists()
+
+
+def test_json_counts_rows_sets_and_files(results: Path, tmp_path: Path) -> None:
+    done = relocbench("leaderboard", results, "--out", tmp_path / "b", "--format", "csv", "--json", "-q")
+    told = json.loads(done.out)
+    assert told["counts"] == {"files_written": 2, "pair_sets": 2, "rows": len(told["rows"])}
+    assert [Path(name).name for name in told["files"]] == ["leaderboard.csv", "errors.csv"]
+    assert told["formats"] == ["csv"]
+
+
+def test_a_number_has_one_name_on_the_terminal_in_markdown_in_latex_and_in_csv(results: Path, tmp_path: Path) -> None:
+    done = relocbench(
+        "leaderboard", results, "--out", tmp_path, "--no-plots", "--format", "csv", "--format", "markdown",
+        "--format", "latex",
+    )  # fmt: skip
+    names = set(read_csv(tmp_path / "leaderboard.csv")[0])
+    page = next((tmp_path / "sets").iterdir()).read_text(encoding="utf-8")
+    rows = re.findall(r"^\| rank \| method \|(.*)\|$", page + (tmp_path / "leaderboard.md").read_text(), re.MULTILINE)
+    in_markdown = {cell.strip(" †") for row in rows for cell in row.split("|")}
+    heading = next(line for line in done.out.splitlines() if "method" in line)
+    on_terminal = {cell.strip() for cell in heading.strip("┃").split("┃")}
+    (first, *_) = check_latex((tmp_path / "leaderboard.tex").read_text())
+    in_latex = {re.sub(r" \$.*", "", cell).replace("\\", "") for cell in first[0]}
+    for shown in (in_markdown, on_terminal, in_latex):
+        assert {"recall@(0.25m,2deg), %", "coverage, %", "median_translation_error_m"} <= shown
+        for text in shown:
+            assert set(text.removesuffix(", %").split(" / ")) <= names, text
+
+
+def test_latex_has_the_best_in_bold_ranks_and_intervals_in_small_print(results: Path, tmp_path: Path) -> None:
+    written(results, tmp_path / "tex", "--format", "latex")
+    text = (tmp_path / "tex" / "leaderboard.tex").read_text()
+    tables = check_latex(text)
+    assert len(tables) == 3
+    for table in tables:
+        heads, good, other = table
+        assert heads[:2] == ["method", "rank"]
+        assert (good[0], good[1], other[0], other[1]) == ("good", "1", r"under\_score", "2")
+        assert good[2].startswith(r"\textbf{100.0}")
+        assert r"\scriptsize" in other[2]
+        assert "textbf" not in other[2]
+    assert r"recall@(0.25m,2deg), \%: share of all pairs" in text
+    assert "Shares are in percent." in text
+
+
+def test_equal_numbers_are_bold_alike_and_floors_infinities_and_gaps_never() -> None:
+    columns = (Column("a, %", "share", higher_is_better=True), Column("b_m", "m", higher_is_better=False))
+    lines = (
+        Line(("one",), 1, (0.5001, np.inf), (Interval(0.4, 0.6, 0.95), None)),
+        Line(("two",), 1, (0.5002, np.inf), (None, None)),
+        Line(("none",), None, (None, None), (None, None)),
+        Line(("floor",), None, (0.9, 0.1), (None, None), competes=False),
+    )
+    ((_, one, two, none, floor),) = check_latex(document([LatexTable("t", "l", ("method",), columns, lines)]))
+    assert one[2:] == [r"\textbf{50.0} {\scriptsize {[}40.0, 60.0{]}}", r"$\infty$"]
+    assert two[2:] == [r"\textbf{50.0}", r"$\infty$"]
+    assert none[1:] == ["", "", ""]
+    assert floor == [r"\textit{floor}", "", "90.0", "0.100"]
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_shown_and_never_acts(text: str) -> None:
+    line = Line((text,), 1, (1.0,), (None,))
+    table = LatexTable(text, text, (text,), (Column(text, "share", True, text),), (line,), note=text)
+    ((heads, row),) = check_latex(document([table]))
+    assert row[0] == escaped(text)
+    assert len(heads) == 3
+
+
+def test_names_with_special_characters_compile(tmp_path: Path) -> None:
+    line = Line((NASTY,), 1, (1.0,), (Interval(0.9, 1.0, 0.95),))
+    text = document([LatexTable(NASTY, NASTY, (NASTY,), (Column(NASTY, "share", True, NASTY),), (line,), note=NASTY)])
+    check_latex(text)
+    compiler = shutil.which("pdflatex") or shutil.which("tectonic")
+    if compiler is None:
+        pytest.skip("no LaTeX is installed: the strict reader has read it")
+    (tmp_path / "t.tex").write_text(
+        "\\documentclass{article}\\usepackage{booktabs,graphicx,textcomp}\\usepackage[T1]{fontenc}\n"
+        f"\\begin{{document}}\n{text}\n\\end{{document}}\n"
+    )
+    options = ["-interaction=nonstopmode", "-halt-on-error"] if "pdflatex" in compiler else []
+    done = subprocess.run([compiler, *options, "t.tex"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
