@@ -39,6 +39,30 @@ Datasets = Annotated[
         show_default=False,
     ),
 ]
+RankingMetric = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"For results of evaluate: metric that ranks trackers; any that is a mean over pairs [default: "
+        f"{_USUAL['--metric']}].",
+    ),
+]
+RetrievalMetric = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"For results of evaluate-retrieval: metric that ranks retrievers, such as R@5 or AP [default: "
+        f"{_USUAL['--retrieval-metric']}].",
+    ),
+]
+RelocalizationMetric = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"For results of evaluate-relocalization: metric that ranks a retriever with a tracker; any that is a "
+        f"mean over queries [default: {_USUAL['--relocalization-metric']}].",
+    ),
+]
 Split = Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")]
 Seed = Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the draws that decide ranks.")]
 
@@ -47,30 +71,9 @@ def leaderboard(
     results: Results,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write.")],
     dataset: Datasets = None,
-    metric: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"For results of evaluate: metric that ranks trackers; any that is a mean over pairs [default: "
-            f"{_USUAL['--metric']}].",
-        ),
-    ] = None,
-    retrieval_metric: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"For results of evaluate-retrieval: metric that ranks retrievers, such as R@5 or AP [default: "
-            f"{_USUAL['--retrieval-metric']}].",
-        ),
-    ] = None,
-    relocalization_metric: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"For results of evaluate-relocalization: metric that ranks a retriever with a tracker; any that is a "
-            f"mean over queries [default: {_USUAL['--relocalization-metric']}].",
-        ),
-    ] = None,
+    metric: RankingMetric = None,
+    retrieval_metric: RetrievalMetric = None,
+    relocalization_metric: RelocalizationMetric = None,
     split: Split = None,
     seed: Seed = 0,
     plots: Annotated[
@@ -122,10 +125,7 @@ def leaderboard(
     from relocbench.leaderboard.retrieval.write import note_missing, retrieval_rows
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
-    given = {"--metric": metric, "--retrieval-metric": retrieval_metric}
-    given["--relocalization-metric"] = relocalization_metric
-    _check_metrics_apply(results, given)
-    ranked_by = {option: name or _USUAL[option] for option, name in given.items()}
+    ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
     told, chosen = reporter(quiet), check_formats(formats, html)
     at_hand = DatasetsAtHand(results, dataset or (), told)
     with alone_writing_to(out):
@@ -169,6 +169,9 @@ def report(
     results: Results,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write; index.html is in it.")],
     dataset: Datasets = None,
+    metric: RankingMetric = None,
+    retrieval_metric: RetrievalMetric = None,
+    relocalization_metric: RelocalizationMetric = None,
     split: Split = None,
     seed: Seed = 0,
     pairs: Annotated[
@@ -188,6 +191,8 @@ def report(
     The same pages as those of leaderboard --html, alone. The same results give the same bytes.
 
     Example: relocbench report results --out report --pairs 20
+
+    Example: relocbench report results --out report --metric "pose_auc@(0.5m,4deg)"
     """
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
@@ -196,11 +201,12 @@ def report(
     from relocbench.leaderboard.html.rows import Boards
     from relocbench.leaderboard.html.site import write_site
 
+    ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
     told = reporter(quiet)
     earlier_files(out)  # a folder that is not for pages is refused before the work
     at_hand = DatasetsAtHand(results, dataset or (), told)
     with alone_writing_to(out):
-        boards = Boards(*_load(results, at_hand, _USUAL, split, seed, told))
+        boards = Boards(*_load(results, at_hand, ranked_by, split, seed, told))
         start = write_site(boards, out, pairs=pairs, reporter=told)
     if json:
         board = boards.tracking
@@ -209,7 +215,7 @@ def report(
             "methods": len({m.label for d in board.datasets for m in d.entry.methods}) if board else 0,
             "files_written": len(earlier_files(out)),
         }
-        print_json({"page": start}, counts)
+        print_json({"page": start, "metric": ranked_by["--metric"]}, counts)
     elif not quiet:
         typer.echo(f"written: {start}", err=True)
 
@@ -241,6 +247,16 @@ def _load(
     if entries is not None:
         board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=told)
     return board, found, chains
+
+
+def _ranked_by(
+    results: Path, metric: str | None, retrieval_metric: str | None, relocalization_metric: str | None
+) -> dict[str, str]:
+    """The metric that ranks for each option. Raises ConfigError for one that does not apply to what is there."""
+    given = {"--metric": metric, "--retrieval-metric": retrieval_metric}
+    given["--relocalization-metric"] = relocalization_metric
+    _check_metrics_apply(results, given)
+    return {option: name or _USUAL[option] for option, name in given.items()}
 
 
 def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None:

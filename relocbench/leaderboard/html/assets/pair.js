@@ -176,7 +176,15 @@
     await image.decode();
     const canvas = element("canvas", { width: image.naturalWidth, height: image.naturalHeight }), context = canvas.getContext("2d");
     context.drawImage(image, 0, 0);
-    return context.getImageData(0, 0, canvas.width, canvas.height);
+    const data = context.getImageData(0, 0, canvas.width, canvas.height);
+    if (payload.shown) { // what lies outside the image is not black but nothing
+      const columns = new DataView(bytes(payload.shown).buffer);
+      for (let v = 0; v < data.height; v++) {
+        const first = columns.getUint16(4 * v, true), after = columns.getUint16(4 * v + 2, true);
+        for (let u = 0; u < data.width; u++) if (u < first || u >= after) data.data[4 * (v * data.width + u) + 3] = 0;
+      }
+    }
+    return data;
   };
 
   function put(id, data) {

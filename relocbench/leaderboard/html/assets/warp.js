@@ -102,6 +102,7 @@ relocbench.warp = (() => {
         const i = Math.min(Math.max(Math.floor(v), 0), Math.max(height - 2, 0)), j = Math.min(Math.max(Math.floor(u), 0), Math.max(width - 2, 0));
         const down = Math.min(Math.max(v - i, 0), 1), right = Math.min(Math.max(u - j, 0), 1);
         const first = 4 * (i * width + j), second = first + 4 * width;
+        if (!(source[first + 3] && source[first + 7] && source[second + 3] && source[second + 7])) continue;
         for (let c = 0; c < 3; c++) {
           const above = source[first + c] * (1 - right) + source[first + 4 + c] * right;
           const below = source[second + c] * (1 - right) + source[second + 4 + c] * right;
@@ -121,7 +122,7 @@ relocbench.warp = (() => {
     const a = warped.data, b = query.data, pixels = a.length / 4;
     let n = 0, sa = 0, sb = 0, saa = 0, sbb = 0, sab = 0;
     for (let i = 0; i < pixels; i++) {
-      if (!a[4 * i + 3]) continue;
+      if (!a[4 * i + 3] || !b[4 * i + 3]) continue;
       const p = grey(a, 4 * i), q = grey(b, 4 * i);
       n++; sa += p; sb += q; saa += p * p; sbb += q * q; sab += p * q;
     }
@@ -130,7 +131,7 @@ relocbench.warp = (() => {
     const gain = va > 1e-9 ? Math.sqrt(vb / va) : 1, scale = vb > 1e-9 ? 85 / Math.sqrt(vb) : 1;
     const picture = new ImageData(warped.width, warped.height), c = picture.data;
     for (let i = 0; i < pixels; i++) {
-      const shown = a[4 * i + 3] > 0;
+      const shown = a[4 * i + 3] > 0 && b[4 * i + 3] > 0;
       const value = shown ? scale * Math.abs(gain * (grey(a, 4 * i) - sa / n) - (grey(b, 4 * i) - sb / n)) : hatch(i, warped.width);
       c[4 * i] = c[4 * i + 1] = value;
       c[4 * i + 2] = shown ? value : value + 25;

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -49,19 +50,49 @@ def small_image(image: Image, camera: Camera) -> Image:
     small = np.asarray(cv2.resize(image, target.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     if camera.model == "pinhole":
         return small
-    still_distorted = replace(target, model=camera.model, distortion=camera.distortion)
-    u, v = still_distorted.undistortion_map(target)
+    u, v = _undistortion(camera)
     return np.asarray(cv2.remap(small, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
 
 
+def shown_columns(camera: Camera) -> Indices | None:
+    """(H, 2) for each row of the small picture the first column that shows something, and the one after the last.
+
+    What is outside is black in the picture, and must not be compared. None where nothing is outside.
+    """
+    if camera.model == "pinhole":
+        return None
+    u, v = _undistortion(camera)
+    target = small_camera(camera)
+    inside = (u >= 0) & (u <= target.width - 1) & (v >= 0) & (v <= target.height - 1)
+    if inside.all():
+        return None
+    any_inside = inside.any(axis=1)
+    first = np.where(any_inside, inside.argmax(axis=1), 0)
+    after = np.where(any_inside, target.width - inside[:, ::-1].argmax(axis=1), 0)
+    return np.stack([first, after], axis=1)
+
+
 def image_payload(image: Image, camera: Camera) -> dict[str, object]:
-    """The small picture as the page takes it: a JPEG as an address, and the pinhole camera that sees it."""
+    """The small picture as the page takes it: a JPEG as an address, and the pinhole camera that sees it.
+
+    Where parts of it lie outside the image, ``shown`` has :func:`shown_columns`, base64 of little-endian uint16.
+    """
     target = small_camera(camera)
     jpeg = base64.b64encode(jpeg_bytes(small_image(image, camera), 82)).decode()
+    columns = shown_columns(camera)
+    shown = {} if columns is None else {"shown": base64.b64encode(columns.astype("<u2").tobytes()).decode()}
     return {
         "src": f"data:image/jpeg;base64,{jpeg}",
         "camera": [target.width, target.height, target.fx, target.fy, target.cx, target.cy],
+        **shown,
     }
+
+
+@lru_cache(maxsize=8)
+def _undistortion(camera: Camera) -> tuple[Floats, Floats]:
+    """For each pixel of the small picture the pixel (u, v) of the distorted image of its size."""
+    target = small_camera(camera)
+    return replace(target, model=camera.model, distortion=camera.distortion).undistortion_map(target)
 
 
 def inverse_depth_grid(reference: Reference) -> tuple[Floats, int]:
