@@ -15,7 +15,7 @@ def blueprint(sets: Mapping[str, PairSet], worlds: Mapping[str, str], *, errors:
 
     Args:
         sets: name -> pair set, each of which becomes a tab.
-        worlds: traversal -> world, as :func:`relocbench.viewer.frames.world_of_traversals` gives them.
+        worlds: traversal -> world, as :func:`relocbench.datasets.core.worlds.world_of_traversals` gives them.
         errors: whether methods are shown, and with them their errors.
     """
     tabs = [_tab(name, pair_set, worlds[pair_set.reference], errors) for name, pair_set in sets.items()]

@@ -21,6 +21,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import jpeg_bytes
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.core.worlds import world_of_traversals
 from relocbench.files import atomic_write
 from relocbench.geometry import Camera, invert, transform_to_tq
 from relocbench.pages.markdown import escaped
@@ -29,7 +30,7 @@ from relocbench.viewer import paths
 from relocbench.viewer.answers import MethodAnswers, ShownAnswer
 from relocbench.viewer.blueprint import blueprint
 from relocbench.viewer.choice import ShownPair
-from relocbench.viewer.frames import origin_of, world_of_traversals
+from relocbench.viewer.frames import origin_of
 from relocbench.viewer.pictures import as_pinhole, keyframe_points, reduced
 
 Colour = tuple[int, int, int]

@@ -17,10 +17,10 @@ from small_dataset import ACROSS, WITHIN, make_small_dataset, photograph, render
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
+from relocbench.datasets.core.worlds import world_of_traversals
 from relocbench.geometry import Camera, invert, make_transform, so3_exp, transform_from_tq
 from relocbench.tracking import Query, Reference
 from relocbench.viewer.choice import chosen_pairs
-from relocbench.viewer.frames import world_of_traversals
 from relocbench.viewer.pair_picture import warp_at
 from relocbench.viewer.pictures import as_pinhole
 

@@ -60,6 +60,17 @@ def looks(labels: Collection[str], floors: Collection[str] = ()) -> dict[str, di
     return {label: asdict(out[label]) for label in sorted(out)}
 
 
+def further_looks(labels: Collection[str], known: Collection[str]) -> dict[str, dict[str, str]]:
+    """The looks of labels that are not among those of the site, which none of the site's methods has.
+
+    Args:
+        labels: of methods that have no results, such as those that were only probed.
+        known: the labels that :func:`looks` was given.
+    """
+    further = sorted(set(labels) - set(known))
+    return {label: asdict(_look(len(set(known)) + place)) for place, label in enumerate(further)}
+
+
 def _look(place: int) -> Look:
     colour, dash = place % len(LIGHT), place // len(LIGHT) % len(DASHES)
     return Look(LIGHT[colour], DARK[colour], DASHES[dash], MARKERS[place % len(MARKERS)])

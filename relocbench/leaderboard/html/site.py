@@ -24,6 +24,7 @@ from relocbench.leaderboard.html.payloads import (
     site_payload,
 )
 from relocbench.leaderboard.html.rows import Boards, line, sections
+from relocbench.leaderboard.html.set_page.write import write_charts
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
@@ -47,7 +48,7 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
 
     Raises:
         PredictionError: a file of predictions is bad.
-        DatasetError: an image of a dataset cannot be read.
+        DatasetError: a file of a dataset at hand cannot be read.
         ConfigError: the folder holds files and no site, or an installed package does not ship the scripts that the
             pages need.
     """
@@ -85,6 +86,7 @@ def _write_set(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
         payload = errors_payload(dataset, name)
         if payload is not None:
             written.add(write_data(site, f"errors/{of_set}/{links.pair_set_id(name)}", payload))
+    written |= write_charts(board, dataset, site)
     page = site / links.set_page(of_set)
     _page(page, "set.html.j2", page="set", entry=dataset.entry, of_set=of_set, pairs=_pairs(dataset))
     return written | {page}

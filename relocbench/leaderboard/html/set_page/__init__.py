@@ -1,0 +1,1 @@
+"""What the page of a set draws besides its tables: plan views, months apart, matching, basins and sweeps."""

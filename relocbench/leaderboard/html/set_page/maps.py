@@ -1,0 +1,113 @@
+"""Maps of a dataset that is at hand: its routes from above, and where the query of each pair stands.
+
+A map has one world. Queries stand where the truth puts them beside their keyframe, in the world of the keyframe, so
+that no fault between the frames of two drives is drawn as if somebody had made it. Where the drive of the queries has
+a world of its own, the same pairs are also drawn there, at the poses of that drive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.worlds import world_of_traversals
+from relocbench.geometry import invert
+from relocbench.leaderboard.html.data import floats
+from relocbench.leaderboard.html.set_page.plan import Plan, plan_of
+
+_MOST_OF_A_ROUTE = 1500
+"""poses of a traversal that are drawn at most"""
+_STEP_M = 25.0
+_LONGEST_STEP_M = 100.0
+"""a route is broken between poses that are further apart than ten times their usual distance, within these bounds"""
+
+
+class Maps:
+    """The worlds of some pair sets of a dataset."""
+
+    def __init__(self, dataset: Dataset, pair_sets: Sequence[str]) -> None:
+        """Find out which traversals share a world.
+
+        Raises:
+            DatasetError: a file of poses or pairs is bad.
+        """
+        self._dataset = dataset
+        self._sets = [dataset.pair_set(name) for name in pair_sets]
+        self._of = world_of_traversals(dataset, self._sets)
+        self._names = list(dict.fromkeys(self._of.values()))
+        self._routes = {name: self._poses(name) for name in self._of}
+        self._plans = {world: plan_of(self._poses_in(world)) for world in self._names}
+
+    def worlds(self) -> list[dict[str, Any]]:
+        """Each world with the names of its axes, what is taken off its coordinates, and the routes of its drives."""
+        return [
+            {
+                "name": world,
+                "axes": list(self._plans[world].names),
+                "origin": self._plans[world].origin.tolist(),
+                "routes": {name: _route(self._routes[name], self._plans[world]) for name in self._drives(world)},
+            }
+            for world in self._names
+        ]
+
+    def places(self, name: str, keys: Sequence[PairKey]) -> dict[str, Any]:
+        """Where the queries of pairs of a pair set stand: the world's number and coordinates, NaN where unknown."""
+        pair_set = self._dataset.pair_set(name)
+        world, own = self._of[pair_set.reference], self._of[pair_set.query]
+        out = {**self._placed(world, self._beside_keyframes(pair_set, keys)), "own": None}
+        if own != world:
+            poses = self._dataset.traversal(pair_set.query).poses
+            T_rig_cam = self._dataset.traversal(pair_set.query).T_rig_cam(pair_set.camera)
+            known = [poses.get(query) for _, query in keys]
+            out["own"] = self._placed(own, _centres([None if pose is None else pose @ T_rig_cam for pose in known]))
+        return out
+
+    def _placed(self, world: str, positions: Array) -> dict[str, Any]:
+        points = self._plans[world].of(positions)
+        return {"world": self._names.index(world), "x": floats(points[:, 0]), "y": floats(points[:, 1])}
+
+    def _beside_keyframes(self, pair_set: PairSet, keys: Sequence[PairKey]) -> Array:
+        """(N, 3) centres of the queries' cameras in the keyframes' world."""
+        reference = self._dataset.traversal(pair_set.reference)
+        T_rig_cam, poses, pairs = reference.T_rig_cam(pair_set.camera), reference.poses, pair_set.by_key
+        found: list[Array | None] = []
+        for key in keys:
+            T_world_rig, pair = poses.get(key[0]), pairs.get(key)
+            known = T_world_rig is not None and pair is not None and pair.T_query_ref is not None
+            found.append(T_world_rig @ T_rig_cam @ invert(pair.T_query_ref) if known else None)
+        return _centres(found)
+
+    def _drives(self, world: str) -> list[str]:
+        return [name for name, of in self._of.items() if of == world]
+
+    def _poses_in(self, world: str) -> Array:
+        return np.concatenate([self._routes[name] for name in self._drives(world)])
+
+    def _poses(self, name: str) -> Array:
+        """(N, 4, 4) ``T_world_cam`` of a traversal, of the camera of its first pair set."""
+        traversal = self._dataset.traversal(name)
+        camera = next(s.camera for s in self._sets if name in (s.reference, s.query))
+        poses = np.array(list(traversal.poses.values())).reshape(-1, 4, 4)
+        return np.asarray(poses @ traversal.T_rig_cam(camera))
+
+
+def _centres(poses: Iterable[Array | None]) -> Array:
+    """(N, 3) the positions of poses, NaN where there is none."""
+    return np.array([np.full(3, np.nan) if pose is None else pose[:3, 3] for pose in poses]).reshape(-1, 3)
+
+
+def _route(T_world_cam: Array, plan: Plan) -> dict[str, str]:
+    """The line of a drive; NaN where it is broken."""
+    step = max(1, -(-len(T_world_cam) // _MOST_OF_A_ROUTE))
+    points = plan.of(T_world_cam[::step, :3, 3])
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    usual = float(np.median(lengths)) if len(lengths) else 0.0
+    gaps = np.flatnonzero(lengths > max(_STEP_M, min(10.0 * usual, _LONGEST_STEP_M)))
+    points = np.insert(points, gaps + 1, np.nan, axis=0)
+    return {"x": floats(points[:, 0]), "y": floats(points[:, 1])}

@@ -1,0 +1,69 @@
+"""What was measured of methods besides their answers: matching of single pixels, and basins by ``relocbench probe``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from relocbench.evaluation.common.matching_table import OFFSETS_PX, Summary
+from relocbench.evaluation.probe.read import PROBE, ProbeTables, read_probe
+from relocbench.leaderboard.tracking.matching import matching_lines
+from relocbench.leaderboard.tracking.model import DatasetBoard
+
+_NEAR = ("1px", "3px")
+
+
+def matching_payload(dataset: DatasetBoard) -> dict[str, Any]:
+    """By pair set: the shares of pixels that each method found, and of starts that were near already, by offset."""
+    found = {}
+    for name in dataset.entry.pair_sets:
+        lines = matching_lines(dataset, name)
+        if lines:
+            methods = {method.label: _shares(summary, "match") for method, summary in lines}
+            found[name] = {"methods": methods, "starts": _shares(lines[0][1], "start")}
+    return {"offsets": list(OFFSETS_PX), "pair_sets": found} if found else {}
+
+
+def probes_of(dataset: DatasetBoard) -> list[ProbeTables]:
+    """The probes of a dataset whose folders lie in the results folder, or in the dataset's folder there.
+
+    Raises:
+        PredictionError: a table of a probe is bad.
+    """
+    entry = dataset.entry
+    here = {method.results.root.parent for method in entry.methods if method.results is not None}
+    folders = {path.parent for root in here for where in (root, root.parent) for path in _probes_in(where)}
+    known = {entry.record.fingerprint, *entry.copies}
+    probes = [read_probe(folder) for folder in sorted(folders)]
+    return [p for p in probes if p.dataset == entry.record.name and p.fingerprint in known and p.lines]
+
+
+def probe_payload(probe: ProbeTables) -> dict[str, Any]:
+    """A probe as the page takes it."""
+    return {
+        "folder": probe.folder.name,
+        "lines": [
+            {
+                "method": line.method,
+                "what": line.what,
+                "level": line.level,
+                "conditions": line.conditions,
+                "criterion": line.criterion,
+                "unit": line.unit,
+                "pairs": line.pairs,
+                "offsets": list(line.offsets),
+                "shares": list(line.shares),
+                "starts": list(line.starts),
+                "half": None if line.half is None else line.half.text,
+            }
+            for line in probe.lines
+        ],
+    }
+
+
+def _probes_in(folder: Path) -> list[Path]:
+    return [path for path in folder.glob(f"*/{PROBE}") if path.is_file()]
+
+
+def _shares(summary: Summary, what: str) -> dict[str, list[float | int | None]]:
+    return {near: [summary[f"{offset}px"][f"{what}@{near}"] for offset in OFFSETS_PX] for near in _NEAR}

@@ -1,0 +1,58 @@
+"""Writing what the page of a set draws besides its tables.
+
+``data/charts/SET.js`` holds what all pair sets share; ``data/maps/SET/PAIRSET.js`` where the queries of a pair set
+stand, in the order of its errors. A page loads them after its table, maps when they come into sight.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.data import write_data
+from relocbench.leaderboard.html.looks import further_looks
+from relocbench.leaderboard.html.payloads import id_of
+from relocbench.leaderboard.html.set_page.maps import Maps
+from relocbench.leaderboard.html.set_page.measured import matching_payload, probe_payload, probes_of
+from relocbench.leaderboard.html.set_page.months import months_apart
+from relocbench.leaderboard.html.set_page.sweeps import sweep_of
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard
+
+
+def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
+    """Write the payloads of the charts of a set; returns their paths.
+
+    Raises:
+        DatasetError: a file of the dataset at hand is bad.
+        PredictionError: a table of a probe is bad.
+    """
+    of_set, entry = id_of(dataset), dataset.entry
+    known = _first_errors(dataset)
+    maps = Maps(entry.dataset, list(known)) if entry.dataset is not None and known else None
+    written = set()
+    if maps is not None:
+        for name, keys in known.items():
+            places = maps.places(name, [(int(ref), int(query)) for ref, query in keys.tolist()])
+            written.add(write_data(site, f"maps/{of_set}/{links.pair_set_id(name)}", places))
+    probes = probes_of(dataset)
+    labels = {method.label for each in board.datasets for method in each.entry.methods}
+    payload = {
+        "worlds": None if maps is None else maps.worlds(),
+        "months": {name: months_apart(entry.pair_sets[name], keys, entry.dataset) for name, keys in known.items()},
+        "matching": matching_payload(dataset),
+        "probes": [probe_payload(probe) for probe in probes],
+        "looks": further_looks({line.method for probe in probes for line in probe.lines}, labels),
+        "sweep": sweep_of(entry.pair_sets, entry.dataset),
+    }
+    return written | {write_data(site, f"charts/{of_set}", payload)}
+
+
+def _first_errors(dataset: DatasetBoard) -> dict[str, Any]:
+    """(N, 2) the times of the pairs of each pair set that has errors, in the order of its errors."""
+    found = {}
+    for name in dataset.entry.pair_sets:
+        method = next((m for m in dataset.entry.methods if name in m.errors), None)
+        if method is not None:
+            found[name] = method.errors[name].keys
+    return found
