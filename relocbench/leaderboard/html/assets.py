@@ -9,7 +9,11 @@ from pathlib import Path
 from relocbench.errors import ConfigError
 from relocbench.files import write_bytes, write_text
 
-_OWN = ("site.css", "core.js", "tables.js", "charts.js", "start.js", "set.js", "warp.js", "pair.js", "pair.css")
+_OWN = (
+    *("site.css", "core.js", "tables.js", "charts.js", "start.js"),
+    *("parts.js", "map.js", "against.js", "measured.js", "set.js"),
+    *("warp.js", "pair.js", "pair.css"),
+)
 _EXPORT = re.compile(r"export\{[^{}]*?(\w+) as default[^{}]*\};?")
 _NOTICES = """\
 The pages of this site use these programs, which are in the folder assets:

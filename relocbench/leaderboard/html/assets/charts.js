@@ -1,9 +1,28 @@
 /* Charts by Plotly, in the colours of the page; the script is loaded when the first chart is drawn. */
 "use strict";
 
+/** The looks of methods without results, which a page may add. */
+relocbench.furtherLooks = {};
+
 relocbench.look = (label) => {
-  const look = relocbench.payload("site").looks[label] || { light: "#6b7280", dark: "#9aa3b2", dash: "solid", marker: "circle" };
+  const look = relocbench.payload("site").looks[label] || relocbench.furtherLooks[label] || { light: "#6b7280", dark: "#9aa3b2", dash: "solid", marker: "circle" };
   return { colour: relocbench.isDark ? look.dark : look.light, dash: look.dash, marker: look.marker };
+};
+
+/** A method's line as it is drawn everywhere, for keys. */
+relocbench.lineKey = (label) => {
+  const { colour, dash } = relocbench.look(label);
+  return `<svg class="key" width="26" height="10" aria-hidden="true"><line x1="0" y1="5" x2="26" y2="5" stroke="${colour}" stroke-width="2.5" stroke-dasharray="${dash === "solid" ? "" : dash.replaceAll("px", "")}"/></svg>`;
+};
+
+/** A key of methods below a chart that is far from the page's legend. */
+relocbench.keys = (id, labels, ...more) => {
+  document.getElementById(id).replaceChildren(...labels.map((label) => {
+    const item = relocbench.element("li");
+    item.innerHTML = relocbench.lineKey(label);
+    item.append(label);
+    return item;
+  }), ...more.map((text) => relocbench.element("li", { class: "muted" }, text)));
 };
 
 /** Charts are drawn when they come near the window: drawing all of a large set at once takes seconds. */
@@ -17,6 +36,7 @@ const chartsInSight = new IntersectionObserver((entries) => {
   }
 }, { rootMargin: "150px" });
 
+/** Given are traces, layout and what a click does, or a function that finds the three when the chart is drawn. */
 relocbench.chart = (id, ...given) => {
   waitingCharts.set(id, given);
   chartsInSight.unobserve(document.getElementById(id));
@@ -28,13 +48,20 @@ window.addEventListener("beforeprint", () => {
   waitingCharts.clear();
 });
 
-relocbench.drawChart = async (id, traces, layout, onClick = null) => {
-  await relocbench.script("assets/plotly.min.js");
+relocbench.drawChart = async (id, ...given) => {
+  if (!window.Plotly) await relocbench.script("assets/plotly.min.js"); // a chart that is printed cannot wait
+  let [traces, layout, onClick = null] = given;
+  if (typeof traces === "function") {
+    const found = traces();
+    const drawn = found instanceof Promise ? await found : found;
+    if (!drawn) return; // it is not wanted any more
+    [traces, layout, onClick = null] = drawn;
+  }
   const { css } = relocbench;
   const axis = { gridcolor: css("--line"), zerolinecolor: css("--line"), linecolor: css("--line-strong"), automargin: true };
   const node = document.getElementById(id);
   // Plotly shows a few tags of HTML in texts: names are escaped by those who give them.
-  await Plotly.react(node, traces, {
+  const drawing = Plotly.react(node, traces, {
     paper_bgcolor: "rgba(0,0,0,0)",
     plot_bgcolor: "rgba(0,0,0,0)",
     font: { color: css("--text"), family: css("--font"), size: 12 },
@@ -46,6 +73,7 @@ relocbench.drawChart = async (id, traces, layout, onClick = null) => {
     xaxis: { ...axis, ...layout.xaxis },
     yaxis: { ...axis, ...layout.yaxis },
   }, { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["lasso2d", "select2d"] });
+  await drawing;
   node.removeAllListeners("plotly_click");
   if (onClick) node.on("plotly_click", onClick);
 };

@@ -1,4 +1,5 @@
-/* The page of a set: the table, the charts of what is chosen, and lists of pairs. */
+/* The page of a set: the table, the charts of what is chosen, and lists of pairs. Other scripts add charts of their own to
+   relocbench.parts: functions of what is chosen, called after each change. */
 "use strict";
 
 (async () => {
@@ -12,6 +13,7 @@
   const hidden = new Set(state.get("hide").split(",").filter(Boolean));
   const labels = Object.keys(set.methods);
   const decoded = new Map();
+  const extra = load(`charts/${set.id}`);
   let shown = null;
 
   const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
@@ -50,7 +52,7 @@
       for (let i = 0; i < of.pairs; i++) {
         if (table.group !== "all" && of.groups[of.group[i]] !== table.group) continue;
         out.push({
-          set: of.name, reference: of.reference[i], query: of.query[i], t: m.t[i], r: m.r[i],
+          set: of.name, row: i, reference: of.reference[i], query: of.query[i], t: m.t[i], r: m.r[i],
           both: Math.max(m.t[i] / metres, m.r[i] / degrees), confidence: m.confidence[i], seconds: m.seconds[i],
           status: site.statuses[m.status[i]], distance: of.distance[i], angle: of.angle[i],
         });
@@ -63,8 +65,24 @@
   const pairLink = (pair, label) => "pair.html#" + Object.entries({ set: set.id, pairset: pair.set, pair: `${pair.reference}-${pair.query}`, method: label })
     .map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
 
-  function openPairs(label, pairs, where) {
+  /** List pairs of a method. A limit {field, value, words} splits them into those within it, which come first, and others. */
+  function openPairs(label, pairs, where, limit = null) {
+    const within = limit ? pairs.filter((pair) => pair[limit.field] <= limit.value) : pairs;
+    const parts = limit && within.length < pairs.length
+      ? [[`at most ${limit.words}`, within], ["above", pairs.filter((pair) => !(pair[limit.field] <= limit.value))], ["all", pairs]] : [];
+    $("pairs-part").replaceChildren(...parts.map(([words, some], i) => element("button", {
+      type: "button", "aria-pressed": String(i === 0),
+      onclick: (event) => {
+        for (const button of $("pairs-part").children) button.setAttribute("aria-pressed", String(button === event.currentTarget));
+        listPairs(label, some);
+      },
+    }, `${words}: ${some.length}`)));
     $("pairs-title").textContent = `${label}: ${where}, worst first`;
+    listPairs(label, within);
+    if (!$("pairs").open) $("pairs").showModal();
+  }
+
+  function listPairs(label, pairs) {
     if (DataTable.isDataTable("#pair-list")) new DataTable.Api("#pair-list").destroy();
     $("pair-list").replaceChildren();
     const numeric = (unit) => (value, type) => (type === "display" ? escape(number(value, unit)) : Number.isNaN(value) ? -1 : value);
@@ -85,7 +103,6 @@
       paging: true, pageLength: 50, lengthChange: false, deferRender: true, info: true,
       layout: { topStart: "search", topEnd: null, bottomStart: "info", bottomEnd: "paging" },
     });
-    if (!$("pairs").open) $("pairs").showModal();
   }
 
   function drawTable(table) {
@@ -144,6 +161,8 @@
     shown = Object.fromEntries(own.map((label) => [label, pairsOf(sets, table, label)]));
     const click = (event) => { const label = event.points[0].data.meta; openPairs(label, shown[label], table.title); };
     const what = $("choose-error").value, field = { both: "both", translation: "t", rotation: "r" }[what];
+    const mark = { both: 1, translation: metres, rotation: degrees }[what], unit = { both: "", translation: "m", rotation: "deg" }[what];
+    const title = { both: `error, 1 is ${metres} m and ${degrees}°`, translation: "translation error, m", rotation: "rotation error, °" }[what];
     const limits = [];
     const curves = own.filter((label) => shown[label].length).map((label) => {
       const values = Float64Array.from(shown[label], (pair) => pair[field]).sort();
@@ -155,26 +174,15 @@
       x.push(last, Math.max(last, 1e9)); y.push(reached, reached);
       return line(label, { x, y, line: { color: look(label).colour, dash: look(label).dash, width: 2, shape: "hv" }, mode: "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % at most %{x:.3f}<extra></extra>` });
     });
-    const mark = { both: 1, translation: metres, rotation: degrees }[what];
     const limit = Math.max(2 * mark, ...(limits.length ? [limits.sort((a, b) => a - b)[limits.length >> 1]] : []));
-    const title = { both: `error, 1 is ${metres} m and ${degrees}°`, translation: "translation error, m", rotation: "rotation error, °" }[what];
     chart("curves", curves, {
       xaxis: { title: { text: title }, range: [0, limit] }, yaxis: { title: { text: "share of all pairs, %" }, range: [0, 101] },
       shapes: [{ type: "line", x0: mark, x1: mark, y0: 0, y1: 100, line: { color: relocbench.css("--line-strong"), dash: "dot", width: 1 } }],
-    }, click);
-    const points = (x, order) => own.filter((label) => shown[label].length).map((label) => {
-      const pairs = shown[label].filter((p) => Number.isFinite(p.t) && Number.isFinite(x(p))).sort((a, b) => x(a) - x(b));
-      const every = Math.max(1, Math.floor(pairs.length / 300)), kept = pairs.filter((_, i) => i % every === 0);
-      return line(label, { x: kept.map(x), y: kept.map((p) => Math.max(p.t, 1e-4)), mode: "markers", type: "scattergl", hovertemplate: `${escape(label)}<br>%{y:.3f} m at %{x:.2f}<extra></extra>` });
+    }, (event) => {
+      const [{ x, data: { meta: label } }] = event.points;
+      const words = `${number(x, unit)}${{ both: "", translation: " m", rotation: "°" }[what]}`;
+      openPairs(label, shown[label], table.title, { field, value: x, words });
     });
-    const unanswered = own.map((label) => [label, shown[label].filter((p) => !Number.isFinite(p.t)).length, shown[label].length]).filter(([, n]) => n);
-    $("undrawn").textContent = "Below, at most 300 points of a method are drawn." + (unanswered.length ? ` Pairs without an answer have no point: ${unanswered.map(([label, n, all]) => `${label} ${n} of ${all}`).join(", ")}.` : "");
-    const error = { title: { text: "translation error, m" }, type: "log" };
-    let start = null;
-    for (const of of sets) for (const time of of.query) if (start === null || time < start) start = time;
-    chart("route", points((p) => Number(p.query - start) / 1e9), { xaxis: { title: { text: "time of the query since the first, s" } }, yaxis: error }, click);
-    chart("distance", points((p) => p.distance), { xaxis: { title: { text: "distance of the cameras, m" } }, yaxis: error }, click);
-    chart("angle", points((p) => p.angle), { xaxis: { title: { text: "angle between the cameras, °" } }, yaxis: error }, click);
     const risks = own.filter((label) => !set.methods[label].floor && shown[label].some((p) => p.status === "ok")).map((label) => {
       // Answers of one confidence are kept or dropped together; without a confidence an answer is the least sure.
       const sure = (p) => (Number.isNaN(p.confidence) ? -Infinity : p.confidence);
@@ -191,6 +199,8 @@
     chart("cost", cost.map((row) => line(row.method, { x: [row.values[seconds]], y: [100 * row.values[ranking]], mode: "markers", type: "scatter", hovertemplate: `${escape(row.method)}<br>%{y:.1f} %, %{x:.3f} s<extra></extra>` })),
       { xaxis: { title: { text: "median seconds a pair" }, type: "log" }, yaxis: { title: { text: `${escape(set.ranking)}, %` } } }, click);
     drawHeat();
+    const page = { set, site, labels, table, sets, own, shown, field, mark, unit, title, metres, degrees, line, openPairs, pairLink, extra: await extra };
+    if (table === current()) for (const part of relocbench.parts) part(page);
   }
 
   function drawHeat() {
@@ -221,8 +231,7 @@
   function drawLegend() {
     $("legend").replaceChildren(...labels.map((label) => {
       const button = element("button", { type: "button", "aria-pressed": String(!hidden.has(label)) });
-      const l = look(label);
-      button.innerHTML = `<svg class="key" width="26" height="10" aria-hidden="true"><line x1="0" y1="5" x2="26" y2="5" stroke="${l.colour}" stroke-width="2.5" stroke-dasharray="${l.dash === "solid" ? "" : l.dash.replaceAll("px", "")}"/></svg>`;
+      button.innerHTML = relocbench.lineKey(label);
       button.append(label);
       button.addEventListener("click", () => {
         hidden.has(label) ? hidden.delete(label) : hidden.add(label);

@@ -24,7 +24,7 @@ from relocbench.leaderboard.html.set_page.plan import Plan, plan_of
 _MOST_OF_A_ROUTE = 1500
 """poses of a traversal that are drawn at most"""
 _STEP_M = 25.0
-_LONGEST_STEP_M = 100.0
+_LONGEST_STEP_M = 50.0
 """a route is broken between poses that are further apart than ten times their usual distance, within these bounds"""
 
 

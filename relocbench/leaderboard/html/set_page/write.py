@@ -38,6 +38,7 @@ def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
     probes = probes_of(dataset)
     labels = {method.label for each in board.datasets for method in each.entry.methods}
     payload = {
+        "drives": {name: [entry.pair_sets[name].reference, entry.pair_sets[name].query] for name in known},
         "worlds": None if maps is None else maps.worlds(),
         "months": {name: months_apart(entry.pair_sets[name], keys, entry.dataset) for name, keys in known.items()},
         "matching": matching_payload(dataset),

@@ -1,0 +1,132 @@
+/* A map of the drive: the queries of the chosen table from above, coloured by the error of one method. */
+"use strict";
+
+(() => {
+  const { element, escape, number, state, load, floats, chart, pairText, openPair, css } = relocbench;
+  const $ = (id) => document.getElementById(id);
+  const MOST_SVG = 1500; // points up to which they are drawn sharply, and as marks that print well
+  const FAINT = 0.01, STRONG = 10; // errors at the ends of the colours, in thresholds
+  let last = null;
+
+  const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
+
+  /** Plasma, which all eyes see alike, with the largest errors furthest from the background. */
+  const COLOURS = ["#f7e225", "#fca636", "#ed7953", "#d8576b", "#b12a90", "#7e03a8", "#4b03a1"];
+  function colourscale() {
+    const colours = relocbench.isDark ? [...COLOURS].reverse() : COLOURS;
+    return colours.map((colour, i) => [i / (colours.length - 1), colour]);
+  }
+
+  /** The points of a world: each pair that has a place there. */
+  function pointsIn(world, page, label, places) {
+    const out = [];
+    for (const pair of page.shown[label]) {
+      const place = places.get(pair.set);
+      const at = place.world === world ? place : place.own?.world === world ? place.own : null;
+      if (at && Number.isFinite(at.x[pair.row])) out.push({ pair, x: at.x[pair.row], y: at.y[pair.row] });
+    }
+    return out;
+  }
+
+  const decoded = (place) => ({ world: place.world, x: floats(place.x), y: floats(place.y), own: place.own && { world: place.own.world, x: floats(place.own.x), y: floats(place.own.y) } });
+
+  /** The drives of the chosen table whose poses are in a world. */
+  function drives(page, world) {
+    const inWorld = page.extra.worlds[world].routes, pairs = page.sets.map((of) => page.extra.drives[of.name]);
+    const [keyframes, queries] = [0, 1].map((side) => [...new Set(pairs.map((pair) => pair[side]))].filter((name) => name in inWorld));
+    return { keyframes, queries: queries.filter((name) => !keyframes.includes(name)), all: [...new Set([...queries, ...keyframes])] };
+  }
+
+  function routes(world, page) {
+    const own = page.extra.worlds[world].routes, { keyframes, all } = drives(page, world);
+    return all.map((name) => ({
+      x: floats(own[name].x), y: floats(own[name].y), mode: "lines", type: "scatter", hoverinfo: "skip", meta: name,
+      line: { color: css("--line-strong"), width: keyframes.includes(name) ? 2 : 1.25, dash: keyframes.includes(name) ? "solid" : "dot" },
+    }));
+  }
+
+  async function drawn(page, label, world) {
+    const { extra, field, unit, title, mark, set } = page;
+    const known = await Promise.all(page.sets.map((of) => load(`maps/${set.id}/${set.pair_sets[of.name].key.split("/").at(-1)}`)));
+    if (page !== last) return null;
+    const places = new Map(page.sets.map((of, i) => [of.name, decoded(known[i])]));
+    const points = pointsIn(world, page, label, places), type = points.length > MOST_SVG ? "scattergl" : "scatter";
+    const answered = points.filter(({ pair }) => Number.isFinite(pair[field])).sort((a, b) => a.pair[field] - b.pair[field]);
+    const without = points.filter(({ pair }) => !Number.isFinite(pair[field]));
+    const trace = (some) => ({
+      type, mode: "markers", x: some.map((p) => p.x), y: some.map((p) => p.y), customdata: some.map((p) => page.pairLink(p.pair, label)),
+      text: some.map((p) => pairText(p.pair)), hovertemplate: `${escape(label)}<br>%{text}<extra></extra>`, meta: label,
+    });
+    const ticks = [FAINT, 0.1, 1, STRONG].map((times) => times * mark);
+    const words = (value) => `${Number(value.toPrecision(3))}${{ m: " m", deg: "°" }[unit] || ""}`;
+    const narrow = innerWidth < 640;
+    const traces = [
+      ...routes(world, page),
+      {
+        ...trace(answered),
+        marker: {
+          size: 9, color: answered.map(({ pair }) => Math.log10(Math.min(Math.max(pair[field] / mark, FAINT), STRONG))), cmin: Math.log10(FAINT), cmax: Math.log10(STRONG),
+          colorscale: colourscale(), line: { color: css("--line-strong"), width: 1 },
+          colorbar: {
+            orientation: "h", x: 0.5, xanchor: "center", yref: "container", y: 0.985, yanchor: "top", thickness: 12, len: narrow ? 0.95 : 0.6, outlinewidth: 0, title: { text: escape(title), side: "top", font: { size: 12 } },
+            tickvals: ticks.map((tick) => Math.log10(tick / mark)), ticktext: ticks.map((tick, i) => (i === 2 ? `<b>${words(tick)}</b>` : `${["≤ ", "", "", "≥ "][i]}${words(tick)}`)),
+          },
+        },
+      },
+      { ...trace(without), marker: { symbol: "x-thin", size: 9, line: { color: css("--text"), width: 2 } } },
+    ];
+    const { axes, origin } = extra.worlds[world];
+    const axis = (i) => `${axes[i].replace("-", "−") || ["to the right", "to the top"][i]}, m${origin[i] ? ` from ${origin[i]}` : ""}`;
+    return [traces, {
+      margin: { l: 56, r: 12, t: 74, b: 44 }, xaxis: { title: { text: axis(0) }, zeroline: false }, yaxis: { title: { text: axis(1) }, scaleanchor: "x", zeroline: false },
+    }, (event) => { const [point] = event.points; if (point.customdata) openPair(point.customdata, event.event); }];
+  }
+
+  function keys(page, label, world) {
+    const svg = (mark) => { const item = element("span"); item.innerHTML = `<svg class="key" width="20" height="12" viewBox="0 0 20 12" aria-hidden="true">${mark}</svg>`; return item.firstChild; };
+    const line = (dash) => svg(`<line x1="0" y1="6" x2="20" y2="6" stroke="${css("--line-strong")}" stroke-width="2" stroke-dasharray="${dash}"/>`);
+    const { keyframes, queries } = drives(page, world);
+    const some = (names) => (names.length > 4 ? `${names.length} drives` : names.join(", "));
+    const missing = page.shown[label].filter((pair) => !Number.isFinite(pair[page.field])).length;
+    $("map-keys").replaceChildren(...[
+      element("li", {}, svg(`<circle cx="10" cy="6" r="5" fill="${COLOURS[2]}" stroke="${css("--line-strong")}"/>`), "where a query stands, in the colour of its error; the worst are on top"),
+      element("li", {}, svg(`<path d="M6 2L14 10M14 2L6 10" stroke="${css("--text")}" stroke-width="2"/>`), `no answer: ${missing} of ${page.shown[label].length}`),
+      keyframes.length ? element("li", {}, line(""), `drive of the keyframes: ${some(keyframes)}`) : null,
+      queries.length ? element("li", {}, line("2 3"), `of the queries: ${some(queries)}`) : null,
+    ].filter(Boolean));
+  }
+
+  /** The worlds that hold pairs of the chosen table, with what they are called. */
+  const worldsOf = (page) => page.extra.worlds.map((world, i) => [i, world]).filter(([i]) => drives(page, i).all.length);
+
+  function draw() {
+    const page = last, methods = page.labels.filter((label) => page.shown[label]?.length);
+    const worlds = worldsOf(page);
+    $("map-section").hidden = !methods.length || !worlds.length;
+    if ($("map-section").hidden) return;
+    const asked = state.get("map") || state.get("method");
+    const label = methods.includes(asked) ? asked : methods.find((l) => !page.set.methods[l].floor) || methods[0];
+    const world = worlds.some(([i]) => String(i) === state.get("world")) ? Number(state.get("world")) : worlds[0][0];
+    $("map-method").replaceChildren(...methods.map((l) => option(l, l, label)));
+    $("map-world").replaceChildren(...worlds.map(([i, w]) => option(String(i), `that of ${w.name}`, String(world))));
+    $("map-of").hidden = worlds.length < 2;
+    keys(page, label, world);
+    chart("map", () => drawn(page, label, world));
+  }
+
+  $("map-method").addEventListener("change", () => { state.set({ map: $("map-method").value }); draw(); });
+  $("map-world").addEventListener("change", () => { state.set({ world: $("map-world").value }); draw(); });
+  $("map-list").addEventListener("click", () => { const label = $("map-method").value; last.openPairs(label, last.shown[label], last.table.title); });
+
+  relocbench.parts.push((page) => {
+    last = page;
+    if (!page.extra.worlds) {
+      $("map-about").textContent = "Results hold no positions: there is a map where the dataset is at hand. Write the pages again with --dataset FOLDER.";
+      return;
+    }
+    $("map-about").textContent = "From above. Queries stand where the truth puts them beside their keyframe. "
+      + (worldsOf(page).length > 1 ? "These drives do not share a world: each world has a map of its own, where the pairs whose keyframes or queries are in it stand. " : "")
+      + "A click opens the pair.";
+    draw();
+  });
+})();
