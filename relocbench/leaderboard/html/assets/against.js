@@ -67,7 +67,7 @@
       return fact.by === "dates" ? Math.abs(Number(pair.query - pair.reference)) / MONTH_NS : fact.months;
     };
     const largest = Math.max(0, ...own.map((label) => shown[label].reduce((most, pair) => Math.max(most, place(pair) || 0), 0)));
-    if (by("dates").length && !by("seasons").length && largest < 0.5) told.push(`All pairs lie within ${Math.ceil(30.4375 * largest)} days.`);
+    if (by("dates").length && !by("seasons").length && largest < 0.5) told.push(`The images of a pair lie at most ${Math.max(1, Math.ceil(30.4375 * largest))} d apart.`);
     $("months-about").textContent = told.join(" ");
     const known = largest >= 0.5 || by("seasons").length > 0;
     $("months-panel").hidden = !known;
@@ -83,7 +83,7 @@
     const since = (p) => Number(p.query - starts.get(p.set)) / 1e9;
     const span = sets.reduce((most, of) => of.query.reduce((longest, time) => Math.max(longest, Number(time - starts.get(of.name)) / 1e9), most), 0);
     const [unit, seconds] = UNITS_OF_TIME.find(([, each]) => span >= 3 * each) || ["s", 1];
-    draw(page, "route", (p) => since(p) / seconds, `time since the first query of the pair set, ${unit}`, unit);
+    draw(page, "route", (p) => since(p) / seconds, `time since the first query, ${unit}`, unit);
     draw(page, "distance", (p) => p.distance, "distance of the cameras, m", "m");
     draw(page, "angle", (p) => p.angle, "angle between the cameras, °", "°");
     drawMonths(page);

@@ -38,15 +38,14 @@ const chartsInSight = new IntersectionObserver((entries) => {
 
 /** Given are traces, layout and what a click does, or a function that finds the three when the chart is drawn. */
 relocbench.chart = (id, ...given) => {
+  if (relocbench.printing) {
+    waitingCharts.delete(id);
+    return void relocbench.drawChart(id, ...given);
+  }
   waitingCharts.set(id, given);
   chartsInSight.unobserve(document.getElementById(id));
   chartsInSight.observe(document.getElementById(id));
 };
-
-window.addEventListener("beforeprint", () => {
-  for (const [id, given] of waitingCharts) relocbench.drawChart(id, ...given);
-  waitingCharts.clear();
-});
 
 relocbench.drawChart = async (id, ...given) => {
   if (!window.Plotly) await relocbench.script("assets/plotly.min.js"); // a chart that is printed cannot wait
@@ -68,6 +67,7 @@ relocbench.drawChart = async (id, ...given) => {
     margin: { l: 52, r: 12, t: 12, b: 44 },
     showlegend: false,
     hovermode: "closest",
+    ...(relocbench.printing ? { width: node.clientWidth } : {}),
     hoverlabel: { bgcolor: css("--raised"), bordercolor: css("--line-strong"), font: { color: css("--text") } },
     ...layout,
     xaxis: { ...axis, ...layout.xaxis },

@@ -128,13 +128,22 @@
     try { return localStorage.getItem(KEY) || "system"; } catch { return "system"; }
   }
   function apply() {
-    const isDark = chosen() === "dark" || (chosen() === "system" && dark.matches);
+    const isDark = window.relocbench?.printing ? false : chosen() === "dark" || (chosen() === "system" && dark.matches);
     document.documentElement.dataset.theme = isDark ? "dark" : "light";
     document.documentElement.classList.toggle("dark", isDark);
     document.dispatchEvent(new CustomEvent("relocbench-theme"));
   }
   apply();
   dark.addEventListener("change", apply);
+
+  /** Paper is light, and narrower than a window: charts are drawn for it, which must end before these events do. */
+  function print(printing) {
+    window.relocbench.printing = printing;
+    document.documentElement.classList.toggle("printing", printing);
+    apply();
+  }
+  window.addEventListener("beforeprint", () => print(true));
+  window.addEventListener("afterprint", () => print(false));
   document.addEventListener("DOMContentLoaded", () => {
     const button = document.getElementById("theme");
     if (!button) return;
@@ -151,6 +160,7 @@
 
   window.relocbench = {
     load, script, bytes, floats, integers, escape, element, number, state, DIGITS, UNITS,
+    printing: false,
     get isDark() { return document.documentElement.dataset.theme === "dark"; },
     /** A payload that is loaded already. */
     payload: (key) => payloads.get(key),

@@ -46,7 +46,7 @@
   }
 
   async function drawn(page, label, world) {
-    const { extra, field, unit, title, mark, set } = page;
+    const { extra, field, mark, set } = page;
     const known = await Promise.all(page.sets.map((of) => load(`maps/${set.id}/${set.pair_sets[of.name].key.split("/").at(-1)}`)));
     if (page !== last) return null;
     const places = new Map(page.sets.map((of, i) => [of.name, decoded(known[i])]));
@@ -57,9 +57,6 @@
       type, mode: "markers", x: some.map((p) => p.x), y: some.map((p) => p.y), customdata: some.map((p) => page.pairLink(p.pair, label)),
       text: some.map((p) => pairText(p.pair)), hovertemplate: `${escape(label)}<br>%{text}<extra></extra>`, meta: label,
     });
-    const ticks = [FAINT, 0.1, 1, STRONG].map((times) => times * mark);
-    const words = (value) => `${Number(value.toPrecision(3))}${{ m: " m", deg: "°" }[unit] || ""}`;
-    const narrow = innerWidth < 640;
     const traces = [
       ...routes(world, page),
       {
@@ -67,10 +64,7 @@
         marker: {
           size: 9, color: answered.map(({ pair }) => Math.log10(Math.min(Math.max(pair[field] / mark, FAINT), STRONG))), cmin: Math.log10(FAINT), cmax: Math.log10(STRONG),
           colorscale: colourscale(), line: { color: css("--line-strong"), width: 1 },
-          colorbar: {
-            orientation: "h", x: 0.5, xanchor: "center", yref: "container", y: 0.985, yanchor: "top", thickness: 12, len: narrow ? 0.95 : 0.6, outlinewidth: 0, title: { text: escape(title), side: "top", font: { size: 12 } },
-            tickvals: ticks.map((tick) => Math.log10(tick / mark)), ticktext: ticks.map((tick, i) => (i === 2 ? `<b>${words(tick)}</b>` : `${["≤ ", "", "", "≥ "][i]}${words(tick)}`)),
-          },
+          showscale: false,
         },
       },
       { ...trace(without), marker: { symbol: "x-thin", size: 9, line: { color: css("--text"), width: 2 } } },
@@ -78,7 +72,7 @@
     const { axes, origin } = extra.worlds[world];
     const axis = (i) => `${axes[i].replace("-", "−") || ["to the right", "to the top"][i]}, m${origin[i] ? ` from ${origin[i]}` : ""}`;
     return [traces, {
-      margin: { l: 56, r: 12, t: 74, b: 44 }, xaxis: { title: { text: axis(0) }, zeroline: false }, yaxis: { title: { text: axis(1) }, scaleanchor: "x", zeroline: false },
+      margin: { l: 56, r: 12, t: 12, b: 44 }, xaxis: { title: { text: axis(0) }, zeroline: false }, yaxis: { title: { text: axis(1) }, scaleanchor: "x", zeroline: false },
     }, (event) => { const [point] = event.points; if (point.customdata) openPair(point.customdata, event.event); }];
   }
 
@@ -96,6 +90,16 @@
     ].filter(Boolean));
   }
 
+  /** What the colours mean: a bar of them over a factor of 1000, with the threshold in bold. */
+  function scale({ mark, unit, title }) {
+    const words = (times) => `${Number((times * mark).toPrecision(3))}${{ m: " m", deg: "°" }[unit] || ""}`;
+    $("map-scale").replaceChildren(
+      element("span", { class: "small muted" }, title),
+      element("span", { class: "gradient", style: `background: linear-gradient(to right, ${colourscale().map(([at, colour]) => `${colour} ${100 * at}%`).join(", ")})`, role: "img", "aria-label": `Colours from ${words(FAINT)} to ${words(STRONG)}, on a logarithmic scale` }),
+      element("span", { class: "ticks small" }, element("span", {}, `≤ ${words(FAINT)}`), element("span", {}, words(0.1)), element("b", {}, words(1)), element("span", {}, `≥ ${words(STRONG)}`)),
+    );
+  }
+
   /** The worlds that hold pairs of the chosen table, with what they are called. */
   const worldsOf = (page) => page.extra.worlds.map((world, i) => [i, world]).filter(([i]) => drives(page, i).all.length);
 
@@ -110,6 +114,7 @@
     $("map-method").replaceChildren(...methods.map((l) => option(l, l, label)));
     $("map-world").replaceChildren(...worlds.map(([i, w]) => option(String(i), `that of ${w.name}`, String(world))));
     $("map-of").hidden = worlds.length < 2;
+    scale(page);
     keys(page, label, world);
     chart("map", () => drawn(page, label, world));
   }

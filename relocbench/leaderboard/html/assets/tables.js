@@ -15,6 +15,9 @@ relocbench.table = (node, options = {}, key = "") => {
     layout: { topStart: "search", topEnd: null, bottomStart: null, bottomEnd: null },
     ...options,
   });
+  const mark = () => table.table().container().querySelector(".dt-search")?.classList.toggle("used", Boolean(table.search()));
+  mark();
+  table.on("search", mark);
   if (key) {
     table.on("order", () => {
       const [first] = table.order();
