@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import base64
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from answered_dataset import add_answers
 from command_line import relocbench
 from numpy.typing import NDArray
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from test_leaderboard import WINTER, MadeResults, made
 
-from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
+from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.common.results import (
-    Answer,
-    RunRecord,
     dataset_results,
-    write_answers,
     write_dataset_record,
 )
-from relocbench.evaluation.tracking.score import score_method
-from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.html.pair_page import write as pair_page
@@ -46,21 +41,6 @@ _GO_TO_ONE_WITHOUT_IMAGES = """async () => {
   const [reference, query] = [errors.reference, errors.query].map((times) => relocbench.integers(times)[row]);
   location.hash = `set=${set}&pairset=${pairset}&pair=${reference}-${query}`;
 }"""
-Answering = Callable[[Pair], NDArray[np.float64] | None]
-
-
-def _add(results: Path, dataset: Dataset, label: str, target: str, answer: Answering) -> None:
-    folder = dataset_results(results, dataset).method(label)
-    record = RunRecord(method=label, target=target, dataset=dataset.name, fingerprint=dataset.fingerprint)
-    write_text(folder.run_yaml, dump_yaml(record.model_dump(mode="json")))
-    for pair_set in dataset.pair_sets():
-        poses = {pair.key: answer(pair) for pair in pair_set.asked}
-        lines = [PoseLine(*key, pose) for key, pose in poses.items() if pose is not None]
-        write_pose_lines(folder.predictions(pair_set.name), lines)
-        failed = [Answer(key, "failed", 0.5, None, HOSTILE) for key, pose in poses.items() if pose is None]
-        answered = [Answer(key, "ok", 0.5, 0.9) for key, pose in poses.items() if pose is not None]
-        write_answers(folder.answers(pair_set.name), sorted([*failed, *answered], key=lambda one: one.key))
-    score_method(dataset, dataset.pair_sets(), folder)
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +55,10 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert pair.T_query_ref is not None
         return None if pair.key in failing else FAULT @ pair.T_query_ref
 
-    _add(root / "results", dataset, "identity", "identity", lambda pair: np.eye(4))
-    _add(root / "results", dataset, "right", "right", lambda pair: pair.T_query_ref)
-    _add(root / "results", dataset, "wrong", "wrong", wrong)
-    _add(root / "results", dataset, "far", "far", lambda pair: make_transform(np.eye(3), [80.0, 0.0, 0.0]))
+    add_answers(root / "results", dataset, "identity", "identity", lambda pair: np.eye(4))
+    add_answers(root / "results", dataset, "right", "right", lambda pair: pair.T_query_ref)
+    add_answers(root / "results", dataset, "wrong", "wrong", wrong, message=HOSTILE)
+    add_answers(root / "results", dataset, "far", "far", lambda pair: make_transform(np.eye(3), [80.0, 0.0, 0.0]))
     return root / "results"
 
 

@@ -26,6 +26,7 @@ from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure
 from relocbench.evaluation.probe.poses import CONVERGED, OFFSETS, draw_priors, probe_poses
+from relocbench.evaluation.probe.read import read_probe
 from relocbench.evaluation.probe.starts import draw_starts, probe_starts, start_line
 from relocbench.evaluation.probe.table import ACROSS as ACROSS_CONDITIONS
 from relocbench.evaluation.probe.tally import What
@@ -158,6 +159,11 @@ def test_a_method_that_does_not_move_finds_what_it_started_at(dataset: Dataset, 
     }
     assert radii["translation"] == pytest.approx(0.375, abs=0.13)  # 0.25 m is at the edge of what is near
     assert radii["pixels"] == 1.5
+    read = next(li for li in read_probe(tmp_path).lines if (li.what, li.conditions) == ("pixels", ACROSS_CONDITIONS))
+    assert (read.method, read.level, read.pairs, read.offsets) == ("b", "", 3, line.offsets)
+    np.testing.assert_allclose(read.shares, line.shares)
+    assert read.half is not None
+    assert read.half.text == "1.50 px"
     page = (tmp_path / "probe.md").read_text()
     assert "| across conditions | 3 | 1.50 |" in page
     for name in ("curves.png",):
