@@ -4,7 +4,7 @@
 (() => {
   const { escape, number, chart, evenly, pairText, openPair, keys, css } = relocbench;
   const $ = (id) => document.getElementById(id);
-  const MOST_POINTS = 300, MOST_PAIRS = 5000, PLACES = 40, FEW = 6;
+  const MOST_POINTS = 300, MOST_PAIRS = 5000, MOST_SVG = 1500, PLACES = 40, FEW = 6;
   const UNITS_OF_TIME = [["days", 86400], ["h", 3600], ["min", 60]];
   const MONTH_NS = 30.4375 * 86400e9;
 
@@ -25,6 +25,7 @@
   function draw(page, id, place, axis, words, spread = 0) {
     chart(id, () => {
       const { own, shown, field, line, mark, unit, title, pairLink } = page;
+      const drawn = own.reduce((sum, label) => sum + Math.min(MOST_POINTS, shown[label].length), 0), type = drawn > MOST_SVG ? "scattergl" : "scatter";
       const traces = [], least = page.field === "both" ? 1e-3 : 1e-4;
       for (const label of own) {
         const pairs = evenly(shown[label].filter((pair) => Number.isFinite(place(pair))), MOST_PAIRS);
@@ -34,7 +35,7 @@
         const aside = (i) => spread * (((i * 0.618034) % 1) - 0.5);
         const look = line(label, {});
         traces.push({
-          ...look, x: points.map(([x], i) => x + aside(i)), y: points.map(([, pair]) => Math.max(pair[field], least)), mode: "markers", type: "scattergl",
+          ...look, x: points.map(([x], i) => x + aside(i)), y: points.map(([, pair]) => Math.max(pair[field], least)), mode: "markers", type,
           marker: { ...look.marker, size: 5, opacity: own.length > 6 ? 0.4 : 0.55 }, customdata: points.map(([, pair]) => pairLink(pair, label)),
           text: points.map(([x, pair]) => `${words}: ${number(x, "m")}<br>${pairText(pair)}`), hovertemplate: `${escape(label)}<br>%{text}<extra></extra>`,
         });

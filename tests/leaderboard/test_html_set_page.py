@@ -1,0 +1,256 @@
+"""The page of a set in a browser: its map, what errors depend on, lists of pairs, sweeps, basins, and paper."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from answered_dataset import add_answers
+from numpy.typing import NDArray
+from small_dataset import ACROSS, make_small_dataset
+from test_leaderboard import MadeResults, made
+
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.matching_table import OFFSETS_PX, Found, MatchingRow
+from relocbench.evaluation.common.results import dataset_results, write_dataset_record
+from relocbench.evaluation.common.tables import write_rows
+from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS
+from relocbench.files import dump_yaml, write_text
+from relocbench.geometry import make_transform, so3_exp
+from relocbench.leaderboard import load_results, make_board
+from relocbench.leaderboard.html.rows import Boards
+from relocbench.leaderboard.html.site import write_site
+
+HOSTILE = "<img src=x onerror=alert(1)>"
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+pytestmark = [needs_browser, pytest.mark.slow]
+_POINT = """([id, trace, point]) => {
+  const chart = document.getElementById(id);
+  chart.scrollIntoView({ block: "center" });
+  const { left, top } = chart.getBoundingClientRect(), { xaxis, yaxis } = chart._fullLayout;
+  const { x, y } = chart.data[trace];
+  return [left + xaxis._offset + xaxis.d2p(x[point]), top + yaxis._offset + yaxis.d2p(y[point])];
+}"""
+"""Where a point of a chart lies in the window."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset whose two drives have a world each, three methods, one of which fails on two pairs, and a probe."""
+    root = tmp_path_factory.mktemp("set")
+    fault = make_transform(np.eye(3), [5.0, 0.0, 0.0])
+    dataset = make_small_dataset(root / "dataset", frames=8, pose_fault=fault)
+    write_dataset_record(dataset_results(root / "results", dataset), dataset)
+    failing = {pair.key for pair in dataset.pair_set(ACROSS).asked[:2]}
+
+    def wrong(pair: Pair) -> NDArray[np.float64] | None:
+        assert pair.T_query_ref is not None
+        off = 0.02 * (pair.query_timestamp_ns // 10**8 % 7)
+        return None if pair.key in failing else make_transform(so3_exp([0.0, off, 0.0]), [off, 0, 0]) @ pair.T_query_ref
+
+    add_answers(root / "results", dataset, "identity", "identity", lambda pair: np.eye(4))
+    add_answers(root / "results", dataset, "right", "right", lambda pair: pair.T_query_ref)
+    add_answers(root / "results", dataset, "wrong", "wrong", wrong)
+    _write_probe(root / "results" / "probed", dataset.fingerprint)
+    (entry,) = load_results(root / "results", datasets=DatasetsAtHand(root / "results"))
+    counts = [Found(offset, 10, 10, 12 // offset // 2, 12 // offset // 2, 0, 0) for offset in OFFSETS_PX]
+    rows = tuple(MatchingRow((1, 2), "", each) for each in counts)
+    methods = tuple(replace(m, matching={ACROSS: rows}) if m.label == "wrong" else m for m in entry.methods)
+    board = make_board([replace(entry, methods=methods)])
+    return write_site(Boards(board), root / "html", pairs=0).parent
+
+
+def _write_probe(folder: Path, fingerprint: str) -> None:
+    shares, radii = [], []
+    for what, unit in (("pixels", "px"), ("translation", "m")):
+        for label in ("wrong", HOSTILE):
+            head = (label, what, "", "across conditions", "near", unit)
+            shares += [[*head, offset, 3, 10, share, 0] for offset, share in ((0, 0.9), (4, 0.4))]
+            radii.append([*head, 3, 3.0, 0, "", "", "", "", "", 0.9, 3.5, 0, 3.0, 4.25, "", "", ""])
+    write_rows(folder / "probe.csv", [SHARE_COLUMNS, *shares])
+    write_rows(folder / "radii.csv", [RADIUS_COLUMNS, *radii])
+    write_text(folder / "probe.yaml", dump_yaml({"dataset": "small", "fingerprint": fingerprint}))
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site of a sweep of which only results are left."""
+    names = [f"s-wetness-0-0__s-wetness-{i}-0__front" for i in range(1, 5)]
+    results = MadeResults(tmp_path_factory.mktemp("swept") / "results", dict.fromkeys(names, 60))
+    results.write_dataset()
+    record = (results.folder / "dataset.yaml").read_text()
+    for i in range(1, 5):
+        record = record.replace(f"query_condition: s-wetness-{i}-0", f"query_condition: wetness {i}")
+    (results.folder / "dataset.yaml").write_text(record.replace("clear, summer", "wetness 0"))
+    results.add("identity", {name: made(i, 60, 0.8) for i, name in enumerate(names)})
+    results.add("good", {name: made(9 + i, 60, 0.08 * (1 + i)) for i, name in enumerate(names)})
+    return write_site(Boards(results.board()), results.root.parent / "html").parent
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def page(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
+    """A page of a browser, which must report no error and ask for nothing beyond the disk."""
+    told: list[str] = []
+    found = browser.new_page(color_scheme=getattr(request, "param", "light"))
+    found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
+    found.on("pageerror", lambda error: told.append(str(error)))
+    found.on("dialog", lambda dialog: told.append(f"a dialog opened: {dialog.message}"))
+    allowed = ("file:", "data:", "blob:")
+    found.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
+    yield found
+    found.close()
+    assert told == []
+
+
+def _open(page: Any, site: Path, state: str = "") -> None:
+    page.goto(next(site.glob("set-*.html")).as_uri() + (f"#{state}" if state else ""))
+    page.wait_for_selector("#curves .main-svg")
+
+
+def _draw(page: Any, chart: str) -> None:
+    page.locator(f"#{chart}").scroll_into_view_if_needed()
+    page.wait_for_selector(f"#{chart} .main-svg")
+
+
+def _click(page: Any, chart: str, trace: int, point: int) -> None:
+    x, y = page.evaluate(_POINT, [chart, trace, point])
+    page.mouse.move(x - 1, y)
+    page.mouse.move(x, y)
+    page.mouse.click(x, y)
+
+
+def test_a_point_of_a_curve_lists_the_pairs_up_to_it_and_beside_them_all_others(page: Any, site: Path) -> None:
+    _open(page, site, f"table={ACROSS}&hide=identity,right&error=translation")
+    _click(page, "curves", 0, 2)
+    page.wait_for_selector("#pairs[open]")
+    parts = page.locator("#pairs-part button")
+    counts = [int(text.split(": ")[1]) for text in parts.all_inner_texts()]
+    assert counts[0] + counts[1] == counts[2] == 15
+    assert counts[0] < 15
+    shown = page.locator("#pair-list tbody tr")
+    assert shown.count() == counts[0]
+    limit = parts.first.inner_text().split("at most ")[1].split(" m")[0]
+    errors = page.locator("#pair-list tbody td:nth-child(4)")
+    assert errors.first.inner_text() == limit
+    parts.last.click()
+    assert errors.all_inner_texts()[:2] == ["inf", "inf"]
+    assert shown.count() == 15
+
+
+def test_a_cell_of_the_conditions_lists_all_its_pairs(page: Any, site: Path) -> None:
+    _open(page, site, f"table={ACROSS}&method=wrong")
+    _draw(page, "heat")
+    page.locator("#heat").scroll_into_view_if_needed()
+    page.locator("#heat .nsewdrag").click()
+    page.wait_for_selector("#pairs[open]")
+    assert page.locator("#pairs-title").inner_text().startswith("wrong: sunny, summer, day → snow, winter, day")
+    assert page.locator("#pair-list tbody tr").count() == 15
+    assert page.locator("#pairs-part button").count() == 0
+
+
+def test_the_map_of_each_world_shows_its_pairs_and_opens_them(page: Any, site: Path) -> None:
+    _open(page, site, f"table={ACROSS}&map=wrong")
+    _draw(page, "map")
+    page.wait_for_function("document.getElementById('map').data?.length === 3")
+    routes, answered, without = page.evaluate("document.getElementById('map').data.map((each) => [...each.x])")
+    assert (len(routes), len(answered), len(without)) == (8, 13, 2)
+    assert min(answered) < -4  # beside their keyframes, where the truth puts them
+    assert "no answer: 2 of 15" in page.locator("#map-keys").inner_text()
+    page.locator("#map-world").select_option("1")
+    page.wait_for_function("Math.min(...document.getElementById('map').data[1].x) > -4")
+    page.locator("#map-list").press("Enter")  # a way for the keyboard
+    page.wait_for_selector("#pairs[open]")
+    page.keyboard.press("Escape")
+    _click(page, "map", 2, 0)
+    page.wait_for_url("**/pair.html#*")
+    assert page.locator("#numbers .chosen .failed").inner_text() == "failed"
+
+
+def test_errors_depend_on_what_is_recorded_and_a_point_opens_its_pair(page: Any, site: Path, swept: Path) -> None:
+    _open(page, site, f"table={ACROSS}&hide=identity,right&error=rotation")
+    assert "at most 12 d apart" in page.locator("#months-about").text_content()
+    assert not page.locator("#months-panel").is_visible()
+    _draw(page, "distance")
+    points, middle = page.evaluate("document.getElementById('distance').data.map((each) => [...each.y])")
+    assert (len(points), len(middle) > 1) == (13, True)
+    assert page.evaluate("document.getElementById('distance').layout.shapes[0].y0") == 2
+    _click(page, "distance", 0, 4)
+    page.wait_for_url("**/pair.html#*method=wrong*")
+    _open(page, swept)
+    _draw(page, "months")
+    assert page.locator("#months-about").inner_text() == "By the dates of both images."
+    assert page.evaluate("Math.round(document.getElementById('months').data[0].x[0])") == 38
+
+
+def test_a_sweep_has_intervals_and_says_what_is_not_known(page: Any, swept: Path) -> None:
+    _open(page, swept)
+    _draw(page, "sweep")
+    assert page.locator("#sweep-title").inner_text() == "One factor: wetness"
+    assert "known by their number alone" in page.locator("#sweep-about").inner_text()
+    good = page.evaluate("(({ data }) => data.find((each) => each.meta === 'good'))(document.getElementById('sweep'))")
+    assert good["customdata"] == [1, 2, 3, 4]
+    assert good["y"] == sorted(good["y"], reverse=True)
+    assert all(high > 0 for high in good["error_y"]["array"][1:])
+    assert "the dataset is at hand" in page.locator("#map-about").inner_text()
+    assert not page.locator("#map-section").is_visible()
+
+
+def test_matching_and_basins_are_drawn_also_of_methods_without_results(page: Any, site: Path) -> None:
+    _open(page, site, f"table={ACROSS}&probe-what=translation")
+    _draw(page, "matching")
+    drawn = "document.getElementById('{}').data.map((each) => [each.meta ?? '', [...each.y]])"
+    assert page.evaluate(drawn.format("matching"))[1] == ["wrong", [60, 30, 10, 0, 0]]
+    _draw(page, "probe")
+    assert page.evaluate(drawn.format("probe"))[1:] == [["wrong", [90, 40]], [HOSTILE, [90, 40]]]
+    assert "3.50 [3.00, 4.25] m" in page.locator("#probe-widths").inner_text()
+    page.locator("#probe-what").select_option("pixels")
+    page.locator("#probe-widths", has_text="4.25] px").wait_for()
+    assert "probe-what=pixels" in page.url
+
+
+@pytest.mark.parametrize("page", ["dark"], indirect=True)
+def test_paper_has_what_was_chosen_and_light_colours(page: Any, site: Path) -> None:
+    _open(page, site, f"table={ACROSS}&hide=identity&methods-find=wr")
+    page.emulate_media(media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    page.wait_for_selector("#probe .main-svg")  # what was never in sight is printed too
+    for name in ("#choose-table", "#choose-error", ".dt-search", "#legend li:has-text('wrong')", "#map-keys"):
+        assert page.locator(name).first.is_visible(), name
+    for name in ("#theme", "#map-list", "#legend li:has-text('identity')", ".site-header"):
+        assert not page.locator(name).is_visible(), name
+    assert page.locator("#methods tbody tr").count() == 1
+    assert page.evaluate("document.documentElement.dataset.theme") == "light"
+    assert page.evaluate("document.getElementById('curves').offsetWidth") < 800
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate("document.documentElement.dataset.theme") == "dark"
+
+
+def test_all_charts_are_accessible_and_fit_a_phone(page: Any, site: Path, swept: Path) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    for folder, scheme, charts in ((site, "dark", ("map", "matching", "probe")), (swept, "light", ("sweep", "months"))):
+        page.emulate_media(color_scheme=scheme)
+        page.set_viewport_size({"width": 390, "height": 800})
+        _open(page, folder, f"table={ACROSS}" if folder is site else "")
+        for chart in charts:
+            _draw(page, chart)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        page.evaluate("Promise.all(document.getAnimations().map((each) => each.finished))")  # colours fade in
+        found = axe.Axe().run(page, options={"preload": False}).response["violations"]
+        serious = [v for v in found if v["impact"] in ("serious", "critical")]
+        assert [f"{v['id']}: {v['nodes'][0]['html']}" for v in serious] == []
