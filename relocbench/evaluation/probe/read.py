@@ -99,7 +99,9 @@ def _line(key: tuple[str, ...], rows: list[TableRow], half: ProbeHalf | None) ->
     for row, *values in zip(rows, shares, starts, strict=True):
         if not all(0 <= value <= 1 for value in values):
             raise row.fault("expected shares from 0 to 1")
-    return ProbeLine(*key, rows[0]["unit"], rows[0].count("pairs"), offsets, shares, starts, half)
+    method, what, level, conditions, criterion = key
+    unit, pairs = rows[0]["unit"], rows[0].count("pairs")
+    return ProbeLine(method, what, level, conditions, criterion, unit, pairs, offsets, shares, starts, half)
 
 
 def _half(row: TableRow) -> ProbeHalf | None:

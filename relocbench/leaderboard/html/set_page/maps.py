@@ -7,7 +7,7 @@ a world of its own, the same pairs are also drawn there, at the poses of that dr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -64,8 +64,9 @@ class Maps:
         if own != world:
             poses = self._dataset.traversal(pair_set.query).poses
             T_rig_cam = self._dataset.traversal(pair_set.query).T_rig_cam(pair_set.camera)
-            known = [poses.get(query) for _, query in keys]
-            out["own"] = self._placed(own, _centres([None if pose is None else pose @ T_rig_cam for pose in known]))
+            centre = T_rig_cam[:, 3]
+            known = [poses[query] @ centre if query in poses else np.full(4, np.nan) for _, query in keys]
+            out["own"] = self._placed(own, np.array(known).reshape(-1, 4)[:, :3])
         return out
 
     def _placed(self, world: str, positions: Array) -> dict[str, Any]:
@@ -75,13 +76,16 @@ class Maps:
     def _beside_keyframes(self, pair_set: PairSet, keys: Sequence[PairKey]) -> Array:
         """(N, 3) centres of the queries' cameras in the keyframes' world."""
         reference = self._dataset.traversal(pair_set.reference)
-        T_rig_cam, poses, pairs = reference.T_rig_cam(pair_set.camera), reference.poses, pair_set.by_key
-        found: list[Array | None] = []
-        for key in keys:
-            T_world_rig, pair = poses.get(key[0]), pairs.get(key)
-            known = T_world_rig is not None and pair is not None and pair.T_query_ref is not None
-            found.append(T_world_rig @ T_rig_cam @ invert(pair.T_query_ref) if known else None)
-        return _centres(found)
+        poses, pairs = reference.poses, pair_set.by_key
+        known = [i for i, key in enumerate(keys) if key[0] in poses and key in pairs]
+        known = [i for i in known if pairs[keys[i]].T_query_ref is not None]
+        T_world_ref = np.array([poses[keys[i][0]] for i in known]).reshape(-1, 4, 4) @ reference.T_rig_cam(
+            pair_set.camera
+        )
+        T_query_ref = np.array([pairs[keys[i]].T_query_ref for i in known], dtype=np.float64).reshape(-1, 4, 4)
+        out = np.full((len(keys), 3), np.nan)
+        out[known] = (T_world_ref @ invert(T_query_ref))[:, :3, 3]
+        return out
 
     def _drives(self, world: str) -> list[str]:
         return [name for name, of in self._of.items() if of == world]
@@ -95,11 +99,6 @@ class Maps:
         camera = next(s.camera for s in self._sets if name in (s.reference, s.query))
         poses = np.array(list(traversal.poses.values())).reshape(-1, 4, 4)
         return np.asarray(poses @ traversal.T_rig_cam(camera))
-
-
-def _centres(poses: Iterable[Array | None]) -> Array:
-    """(N, 3) the positions of poses, NaN where there is none."""
-    return np.array([np.full(3, np.nan) if pose is None else pose[:3, 3] for pose in poses]).reshape(-1, 3)
 
 
 def _route(T_world_cam: Array, plan: Plan) -> dict[str, str]:
