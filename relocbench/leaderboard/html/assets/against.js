@@ -48,7 +48,7 @@
       return [traces, {
         xaxis: { title: { text: axis } }, yaxis: { title: { text: title }, type: "log", nticks: 6 },
         shapes: [{ type: "line", xref: "paper", x0: 0, x1: 1, y0: mark, y1: mark, line: { color: css("--line-strong"), dash: "dot", width: 1.5 } }],
-        annotations: [{ xref: "paper", x: 1, xanchor: "right", y: Math.log10(mark), yanchor: "bottom", showarrow: false, text: `${mark}${{ m: " m", deg: "°" }[unit] || ""}`, font: { size: 11, color: css("--muted") } }],
+        annotations: [{ xref: "paper", x: 1, xanchor: "right", y: Math.log10(mark), yanchor: "bottom", showarrow: false, text: unit ? `threshold ${mark}${{ m: " m", deg: "°" }[unit]}` : "thresholds", font: { size: 11, color: css("--muted") } }],
       }, (event) => { const [point] = event.points; if (point.customdata) openPair(point.customdata, event.event); }];
     });
   }
