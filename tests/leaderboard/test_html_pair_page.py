@@ -323,3 +323,23 @@ def test_without_images_the_page_says_how_to_bring_them(page: Any, numbers_only:
     page.goto(f"{(site / 'pair.html').as_uri()}#set={of_set}&pairset={ACROSS}&pair=1-2&method=right")
     page.locator("#note", has_text="has no pair 1-2").wait_for()
     assert page.told == []
+
+
+@needs_browser
+@pytest.mark.slow
+def test_what_lies_outside_an_undistorted_image_is_not_compared(page: Any, site: Path) -> None:
+    page.goto((site / "pair.html").as_uri())
+    share, correlation = page.evaluate(
+        """() => {
+          const [warped, query] = [new ImageData(8, 8), new ImageData(8, 8)];
+          for (let i = 0; i < 64; i++) {
+            const outside = i % 8 < 4, value = (i * 37) % 200;
+            warped.data.set([value, value, value, 255], 4 * i);
+            query.data.set(outside ? [0, 0, 0, 0] : [value, value, value, 255], 4 * i);
+          }
+          const found = relocbench.warp.compare(warped, query);
+          return [found.share, found.correlation];
+        }"""
+    )
+    assert share == 0.5
+    assert correlation == pytest.approx(1.0)

@@ -19,7 +19,7 @@
     const tableOf = (name) => set.tables.find((t) => !t.total && t.pair_sets[0] === name && t.group === table.group);
     const span = values.at(-1) - values[0];
     const traces = [], drawn = [];
-    let several = false;
+    let several = false, bars = false;
     own.forEach((label, place) => {
       const points = values.map((value) => {
         const rows = names.filter((name) => sweep.values[name] === value).map((name) => tableOf(name)?.rows.find((row) => row.method === label));
@@ -27,6 +27,7 @@
         return { value, share: mean(rows.map((row) => row?.values[ranking] ?? null)), bounds: rows.length === 1 ? rows[0]?.intervals[set.ranking] : null };
       });
       if (!points.some((point) => point.share !== null)) return;
+      bars ||= points.some((point) => point.bounds);
       drawn.push(label);
       const aside = own.length > 1 ? span * 0.02 * (place / (own.length - 1) - 0.5) : 0; // so that intervals do not cover each other
       const reach = (i) => points.map(({ share, bounds }) => (bounds && share !== null ? 100 * Math.abs(bounds[i] - share) : 0));
@@ -38,8 +39,9 @@
       });
     });
     $("sweep-title").textContent = `One factor: ${sweep.name}`;
-    $("sweep-about").textContent = `Only ${sweep.name} differs between the queries; the dotted line is where the keyframes have it. Bars are the intervals of the tables`
-      + `${several ? ", which there are where one pair set has this value; otherwise a point is the mean of its pair sets" : ""}.`
+    $("sweep-about").textContent = `Only ${sweep.name} differs between the queries; the dotted line is where the keyframes have it. `
+      + (several ? "Where several pair sets have one value, a point is their mean, without an interval. " : "")
+      + (bars ? "Bars are the intervals of the tables." : "There are no intervals: a pair set is worth too few independent pairs, or several have one value.")
       + (sweep.known ? "" : " The dataset was not at hand, so that steps are known by their number alone.");
     chart("sweep", traces, {
       xaxis: { title: { text: escape(sweep.axis) } }, yaxis: { title: { text: `${escape(set.ranking)}, %` }, range: [-2, 102] },
@@ -49,7 +51,8 @@
   }
 
   /** A curve of shares against the offset of starts, with what the starts themselves get. */
-  function curve(id, lines, starts, offsets, unit, line) {
+  function curve(id, lines, starts, offsets, of, line) {
+    const unit = escape(of);
     const traces = lines.map(({ label, shares, x }) => line(label, { x: x || offsets, y: percent(shares), mode: "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % from %{x} ${unit}<extra></extra>` }));
     traces.unshift({ x: offsets, y: percent(starts), mode: "lines", type: "scatter", fill: "tozeroy", fillcolor: css("--line"), line: { color: css("--line-strong"), width: 1, dash: "dot" }, hovertemplate: "the starts themselves<br>%{y:.1f} % from %{x}<extra></extra>" });
     const scale = offsets[0] > 0 ? { type: "log" } : { rangemode: "tozero" };
