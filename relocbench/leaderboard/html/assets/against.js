@@ -36,7 +36,7 @@
         const look = line(label, {});
         traces.push({
           ...look, x: points.map(([x], i) => x + aside(i)), y: points.map(([, pair]) => Math.max(pair[field], least)), mode: "markers", type,
-          marker: { ...look.marker, size: 5, opacity: own.length > 6 ? 0.4 : 0.55 }, customdata: points.map(([, pair]) => pairLink(pair, label)),
+          marker: { ...look.marker, maxdisplayed: 0, size: 5, opacity: own.length > 6 ? 0.4 : 0.55 }, customdata: points.map(([, pair]) => pairLink(pair, label)),
           text: points.map(([x, pair]) => `${words}: ${number(x, "m")}<br>${pairText(pair)}`), hovertemplate: `${escape(label)}<br>%{text}<extra></extra>`,
         });
         const middle = runningMedian(order.map(([x]) => x), order.map(([, pair]) => pair[field]));

@@ -57,17 +57,18 @@
       type, mode: "markers", x: some.map((p) => p.x), y: some.map((p) => p.y), customdata: some.map((p) => page.pairLink(p.pair, label)),
       text: some.map((p) => pairText(p.pair)), hovertemplate: `${escape(label)}<br>%{text}<extra></extra>`, meta: label,
     });
+    const size = innerWidth < 640 ? 6 : 9;
     const traces = [
       ...routes(world, page),
       {
         ...trace(answered),
         marker: {
-          size: 9, color: answered.map(({ pair }) => Math.log10(Math.min(Math.max(pair[field] / mark, FAINT), STRONG))), cmin: Math.log10(FAINT), cmax: Math.log10(STRONG),
+          size, color: answered.map(({ pair }) => Math.log10(Math.min(Math.max(pair[field] / mark, FAINT), STRONG))), cmin: Math.log10(FAINT), cmax: Math.log10(STRONG),
           colorscale: colourscale(), line: { color: css("--line-strong"), width: 1 },
           showscale: false,
         },
       },
-      { ...trace(without), marker: { symbol: "x-thin", size: 9, line: { color: css("--text"), width: 2 } } },
+      { ...trace(without), marker: { symbol: "x-thin", size, line: { color: css("--text"), width: 2 } } },
     ];
     const { axes, origin } = extra.worlds[world];
     const axis = (i) => `${axes[i].replace("-", "−") || ["to the right", "to the top"][i]}, m${origin[i] ? ` from ${origin[i]}` : ""}`;

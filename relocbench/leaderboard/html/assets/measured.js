@@ -33,7 +33,7 @@
       const reach = (i) => points.map(({ share, bounds }) => (bounds && share !== null ? 100 * Math.abs(bounds[i] - share) : 0));
       const look = line(label, {});
       traces.push({
-        ...look, x: values.map((value) => value + aside), y: percent(points.map((point) => point.share)), mode: "lines+markers", type: "scatter", customdata: values,
+        ...look, marker: { ...look.marker, maxdisplayed: 0 }, x: values.map((value) => value + aside), y: percent(points.map((point) => point.share)), mode: "lines+markers", type: "scatter", customdata: values,
         error_y: { type: "data", symmetric: false, array: reach(1), arrayminus: reach(0), thickness: 1, width: 3, color: look.line.color },
         hovertemplate: `${escape(label)}<br>%{y:.1f} % at %{customdata:.3g}<extra></extra>`,
       });
