@@ -20,7 +20,7 @@ from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.common.matching_table import OFFSETS_PX, Found, MatchingRow
 from relocbench.evaluation.common.results import dataset_results, write_dataset_record
 from relocbench.evaluation.common.tables import write_rows
-from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS
+from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS, START_COLUMNS
 from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard import load_results, make_board
@@ -76,6 +76,8 @@ def _write_probe(folder: Path, fingerprint: str) -> None:
             radii.append([*head, 3, 3.0, 0, "", "", "", "", "", 0.9, 3.5, 0, 3.0, 4.25, "", "", ""])
     write_rows(folder / "probe.csv", [SHARE_COLUMNS, *shares])
     write_rows(folder / "radii.csv", [RADIUS_COLUMNS, *radii])
+    start = ["wrong", "across conditions", "near", 3, 0.75, 0.25, 0.5, 0.25, 0.125, 0.375]
+    write_rows(folder / "starts.csv", [START_COLUMNS, start])
     write_text(folder / "probe.yaml", dump_yaml({"dataset": "small", "fingerprint": fingerprint}))
 
 
@@ -220,6 +222,7 @@ def test_matching_and_basins_are_drawn_also_of_methods_without_results(page: Any
     _draw(page, "probe")
     assert page.evaluate(drawn.format("probe"))[1:] == [["wrong", [90, 40]], [HOSTILE, [90, 40]]]
     assert "3.50 [3.00, 4.25] m" in page.locator("#probe-widths").inner_text()
+    assert page.locator("#probe-starts td").last.inner_text() == "+25.0 [+12.5, +37.5]"
     page.locator("#probe-what").select_option("pixels")
     page.locator("#probe-widths", has_text="4.25] px").wait_for()
     assert "probe-what=pixels" in page.url

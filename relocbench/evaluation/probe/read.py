@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict
 from relocbench.datasets.core.schema import Fingerprint, FolderName
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.tables import TableRow, read_rows
-from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS
+from relocbench.evaluation.probe.starts import KINDS
+from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS, START_COLUMNS
 from relocbench.files import load_yaml
 
 PROBE = "probe.yaml"
@@ -61,6 +62,24 @@ class ProbeLine:
 
 
 @dataclass(frozen=True)
+class ProbeStart:
+    """How often a method comes back from the keyframe's pose, and from others as far away."""
+
+    method: str
+    conditions: str
+    pairs: int
+    keyframe: float
+    """share 0..1"""
+    mirrored: float
+    random: float
+    ahead: float
+    """by how much the share from the keyframe's pose exceeds that from random ones"""
+    low: float | None
+    high: float | None
+    """the interval of ``ahead``, where there are pairs enough"""
+
+
+@dataclass(frozen=True)
 class ProbeTables:
     """What the folder of a probe holds."""
 
@@ -68,6 +87,8 @@ class ProbeTables:
     dataset: str
     fingerprint: str
     lines: tuple[ProbeLine, ...]
+    starts: tuple[ProbeStart, ...] = ()
+    """known where whole poses were started at the keyframe's pose"""
 
 
 class _Record(BaseModel):
@@ -91,7 +112,19 @@ def read_probe(folder: Path) -> ProbeTables:
     for row in read_rows(folder / "probe.csv", SHARE_COLUMNS):
         points.setdefault(tuple(row[name] for name in _LINE), []).append(row)
     lines = tuple(_line(key, rows, halves.get(key)) for key, rows in points.items())
-    return ProbeTables(folder, record.dataset, record.fingerprint, lines)
+    starts = folder / "starts.csv"
+    there = tuple(map(_start, read_rows(starts, START_COLUMNS))) if starts.exists() else ()
+    return ProbeTables(folder, record.dataset, record.fingerprint, lines, there)
+
+
+def _start(row: TableRow) -> ProbeStart:
+    keyframe, mirrored, random = (row.number(kind) for kind in KINDS)
+    if not all(0 <= share <= 1 for share in (keyframe, mirrored, random)):
+        raise row.fault("expected shares from 0 to 1")
+    ahead, low, high = row.number("keyframe_less_random"), _known(row, "low"), _known(row, "high")
+    return ProbeStart(
+        row["method"], row["conditions"], row.count("pairs"), keyframe, mirrored, random, ahead, low, high
+    )
 
 
 def _line(key: tuple[str, ...], rows: list[TableRow], half: ProbeHalf | None) -> ProbeLine:

@@ -51,6 +51,7 @@
     if (page !== last) return null;
     const places = new Map(page.sets.map((of, i) => [of.name, decoded(known[i])]));
     const points = pointsIn(world, page, label, places), type = points.length > MOST_SVG ? "scattergl" : "scatter";
+    keys(page, label, world, page.shown[label].length - points.length);
     const answered = points.filter(({ pair }) => Number.isFinite(pair[field])).sort((a, b) => a.pair[field] - b.pair[field]);
     const without = points.filter(({ pair }) => !Number.isFinite(pair[field]));
     const trace = (some) => ({
@@ -77,17 +78,19 @@
     }, (event) => { const [point] = event.points; if (point.customdata) openPair(point.customdata, event.event); }];
   }
 
-  function keys(page, label, world) {
+  function keys(page, label, world, unplaced = 0) {
     const svg = (mark) => { const item = element("span"); item.innerHTML = `<svg class="key" width="20" height="12" viewBox="0 0 20 12" aria-hidden="true">${mark}</svg>`; return item.firstChild; };
     const line = (dash) => svg(`<line x1="0" y1="6" x2="20" y2="6" stroke="${css("--line-strong")}" stroke-width="2" stroke-dasharray="${dash}"/>`);
     const { keyframes, queries } = drives(page, world);
     const some = (names) => (names.length > 4 ? `${names.length} drives` : names.join(", "));
+    const unknown = unplaced ? element("li", { class: "muted" }, `${unplaced} of ${page.shown[label].length} pairs have no place in this world`) : null;
     const missing = page.shown[label].filter((pair) => !Number.isFinite(pair[page.field])).length;
     $("map-keys").replaceChildren(...[
       element("li", {}, svg(`<circle cx="10" cy="6" r="5" fill="${COLOURS[2]}" stroke="${css("--line-strong")}"/>`), "where a query stands, in the colour of its error; the worst are on top"),
       element("li", {}, svg(`<path d="M6 2L14 10M14 2L6 10" stroke="${css("--text")}" stroke-width="2"/>`), `no answer: ${missing} of ${page.shown[label].length}`),
       keyframes.length ? element("li", {}, line(""), `drive of the keyframes: ${some(keyframes)}`) : null,
       queries.length ? element("li", {}, line("2 3"), `of the queries: ${some(queries)}`) : null,
+      unknown,
     ].filter(Boolean));
   }
 

@@ -79,8 +79,11 @@
   const CHOICES = [["folder", "Probe"], ["what", "Starts"], ["level", "Level of the pyramid"], ["conditions", "Conditions"], ["criterion", "Found"]];
   const WORDS = { pixels: "single pixels", translation: "poses, moved", rotation: "poses, turned" };
   function drawProbe(page) {
-    const lines = page.extra.probes.flatMap((probe) => probe.lines.map((line) => ({ ...line, folder: probe.folder })));
-    $("probe-section").hidden = !lines.length;
+    const all = page.extra.probes, lines = all.flatMap((probe) => probe.lines.map((line) => ({ ...line, folder: probe.folder })));
+    const starts = all.flatMap((probe) => probe.starts.map((start) => ({ ...start, folder: probe.folder })));
+    $("probe-section").hidden = !lines.length && !starts.length;
+    $("probe-curves").hidden = !lines.length;
+    drawStarts(starts, all.length > 1);
     if (!lines.length) return;
     let left = lines;
     const controls = [];
@@ -98,11 +101,22 @@
     if (!left.length) return;
     const [first] = left;
     curve("probe", left.map((line) => ({ label: line.method, shares: line.shares, x: line.offsets })), first.starts, first.offsets, first.unit, page.line);
-    const head = ["method", "pairs", "found from the truth, %", "half of that is left up to"];
-    $("probe-widths").replaceChildren(element("table", {},
-      element("thead", {}, element("tr", {}, ...head.map((text, i) => element("th", { scope: "col", class: i ? "" : "text" }, text)))),
-      element("tbody", {}, ...left.map((line) => element("tr", {}, element("td", { class: "text" }, line.method), element("td", {}, String(line.pairs)),
-        element("td", {}, number(line.shares[0], "share")), element("td", {}, line.half ?? "not recorded of this criterion"))))));
+    fill("probe-widths", ["method", "pairs", "found from the truth, %", "half of that is left up to"],
+      left.map((line) => [line.method, String(line.pairs), number(line.shares[0], "share"), line.half ?? "not recorded of this criterion"]));
+  }
+
+  function drawStarts(starts, several) {
+    $("probe-starts-section").hidden = !starts.length;
+    const share = (value) => number(value, "share"), signed = (value) => (value > 0 ? "+" : "") + share(value);
+    fill("probe-starts", ["method", ...(several ? ["probe"] : []), "conditions", "pairs", "from the keyframe's pose, %", "mirrored, %", "random, %", "keyframe's pose less random, %"],
+      starts.map((s) => [s.method, ...(several ? [s.folder] : []), s.conditions, String(s.pairs), share(s.keyframe), share(s.mirrored), share(s.random),
+        signed(s.ahead) + (s.low === null || s.high === null ? "" : ` [${signed(s.low)}, ${signed(s.high)}]`)]));
+  }
+
+  /** A table of texts, the first of each row being a name. */
+  function fill(id, head, rows) {
+    const cells = (name, texts) => texts.map((text, i) => element(name, { scope: name === "th" ? "col" : null, class: i ? null : "text" }, text));
+    $(id).replaceChildren(element("table", {}, element("thead", {}, element("tr", {}, ...cells("th", head))), element("tbody", {}, ...rows.map((row) => element("tr", {}, ...cells("td", row))))));
   }
 
   let last = null;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ def probes_of(dataset: DatasetBoard) -> list[ProbeTables]:
     folders = {path.parent for root in here for where in (root, root.parent) for path in _probes_in(where)}
     known = {entry.record.fingerprint, *entry.copies}
     probes = [read_probe(folder) for folder in sorted(folders)]
-    return [p for p in probes if p.dataset == entry.record.name and p.fingerprint in known and p.lines]
+    return [p for p in probes if p.dataset == entry.record.name and p.fingerprint in known]
 
 
 def probe_payload(probe: ProbeTables) -> dict[str, Any]:
@@ -58,6 +59,7 @@ def probe_payload(probe: ProbeTables) -> dict[str, Any]:
             }
             for line in probe.lines
         ],
+        "starts": [asdict(start) for start in probe.starts],
     }
 
 
