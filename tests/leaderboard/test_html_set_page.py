@@ -241,8 +241,12 @@ def test_paper_has_what_was_chosen_and_light_colours(page: Any, site: Path) -> N
     assert page.locator("#methods tbody tr").count() == 1
     assert page.evaluate("document.documentElement.dataset.theme") == "light"
     assert page.evaluate("document.getElementById('curves').offsetWidth") < 800
+    page.emulate_media(media="screen")
     page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert page.evaluate("document.documentElement.dataset.theme") == "dark"
+    _draw(page, "curves")
+    fits = "(chart) => chart.querySelector('.main-svg').clientWidth === chart.clientWidth && chart.clientWidth > 900"
+    page.wait_for_function(f"({fits})(document.getElementById('curves'))")
 
 
 @pytest.mark.parametrize("page", ["dark"], indirect=True)

@@ -59,6 +59,9 @@ relocbench.drawChart = async (id, ...given) => {
   const { css } = relocbench;
   const axis = { gridcolor: css("--line"), zerolinecolor: css("--line"), linecolor: css("--line-strong"), automargin: true };
   const node = document.getElementById(id);
+  if (node.dataset.printed && !relocbench.printing) Plotly.purge(node); // it would keep the width of paper
+  if (relocbench.printing) node.dataset.printed = "yes";
+  else delete node.dataset.printed;
   // Plotly shows a few tags of HTML in texts: names are escaped by those who give them.
   const drawing = Plotly.react(node, traces, {
     paper_bgcolor: "rgba(0,0,0,0)",

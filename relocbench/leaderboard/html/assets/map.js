@@ -45,9 +45,11 @@
     }));
   }
 
+  const placesOf = ({ set, sets }) => Promise.all(sets.map((of) => load(`maps/${set.id}/${set.pair_sets[of.name].key.split("/").at(-1)}`)));
+
   async function drawn(page, label, world) {
-    const { extra, field, mark, set } = page;
-    const known = await Promise.all(page.sets.map((of) => load(`maps/${set.id}/${set.pair_sets[of.name].key.split("/").at(-1)}`)));
+    const { extra, field, mark } = page;
+    const known = await placesOf(page);
     if (page !== last) return null;
     const places = new Map(page.sets.map((of, i) => [of.name, decoded(known[i])]));
     const points = pointsIn(world, page, label, places), type = points.length > MOST_SVG ? "scattergl" : "scatter";
@@ -121,6 +123,7 @@
     scale(page);
     keys(page, label, world);
     chart("map", () => drawn(page, label, world));
+    setTimeout(() => placesOf(page), 1000); // so that they are there when the page is printed before the map was in sight
   }
 
   $("map-method").addEventListener("change", () => { state.set({ map: $("map-method").value }); draw(); });
