@@ -32,15 +32,14 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.evaluation.common.answer_table import Answer, write_answers
 from relocbench.evaluation.common.error_table import PairErrors, write_errors
 from relocbench.evaluation.common.results import (
-    Answer,
     DatasetRecord,
     MethodResults,
     PairSetRecord,
     RunRecord,
     ScoreRecord,
-    write_answers,
     write_record,
 )
 from relocbench.evaluation.tracking.score import (
@@ -238,7 +237,8 @@ def site(scratch: Path, sets: int, methods: int, pairs: int) -> dict[str, Any]:
     mib = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20
     print(f"report, {sets} sets x {methods} methods x {pairs} pairs: {taken.seconds:.1f} s, {mib:.0f} MiB", flush=True)
     found: dict[str, Any] = {"sets": sets, "methods": methods, "pairs": pairs, "mib": round(mib)}
-    found |= {"seconds": round(taken.seconds, 2), "peak_mib": round(taken.peak_mib)}
+    found |= {"seconds": round(taken.seconds, 2), "cpu_seconds": round(taken.cpu_seconds, 2)}
+    found["peak_mib"] = round(taken.peak_mib)
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     return found | (_in_browser(folder, browser) if browser else {})
 

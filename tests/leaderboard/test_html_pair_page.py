@@ -17,14 +17,9 @@ from test_leaderboard import WINTER, MadeResults, made
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
+from relocbench.evaluation.common.answer_table import Answer, write_answers
 from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
-from relocbench.evaluation.common.results import (
-    Answer,
-    RunRecord,
-    dataset_results,
-    write_answers,
-    write_dataset_record,
-)
+from relocbench.evaluation.common.results import RunRecord, dataset_results, write_dataset_record
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import make_transform, so3_exp

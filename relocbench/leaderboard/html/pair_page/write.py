@@ -19,7 +19,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, read_pose_lines
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import read_answers
+from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.execution import run_units
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import floats, write_data
