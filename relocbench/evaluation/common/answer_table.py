@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.pairfile import PairKey, may_be_among
 from relocbench.evaluation.common.tables import (
     KEY_COLUMNS,
     STATUSES,
@@ -42,10 +42,22 @@ def write_answers(path: Path, answers: Sequence[Answer]) -> None:
     write_rows(path, [ANSWER_COLUMNS, *rows])
 
 
-def read_answers(path: Path) -> dict[PairKey, Answer]:
-    """Read ``PAIRSET.csv``. Raises PredictionError with file and line."""
+def read_answers(path: Path, only: Container[PairKey] | None = None) -> dict[PairKey, Answer]:
+    """Read ``PAIRSET.csv``.
+
+    Args:
+        only: the pairs whose rows are read and checked, if not all are; much faster where they are few.
+
+    Raises:
+        PredictionError: with file and line: a wrong header, a field that cannot be read, a pair that occurs twice.
+    """
     out: dict[PairKey, Answer] = {}
     for lines, rows in read_chunks(path, ANSWER_COLUMNS):
+        if only is not None:
+            kept = [place for place, row in enumerate(rows) if may_be_among(only, row)]
+            lines, rows = [lines[place] for place in kept], [rows[place] for place in kept]
+        if not rows:
+            continue
         usual = _fast(list(zip(*rows, strict=True)))
         if usual is not None and len(out.keys() | {answer.key for answer in usual}) == len(out) + len(usual):
             out.update((answer.key, answer) for answer in usual)
