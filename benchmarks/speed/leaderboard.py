@@ -1,6 +1,6 @@
 """Seconds and peak memory of ``relocbench leaderboard`` on many pair sets and pairs, and of scoring predictions.
 
-There are four cases: 200 pair sets x 10 methods, one pair set of 100,000 pairs x 2 methods, the site of 20 pair sets
+There are four cases: 200 pair sets x 10 methods, one pair set of 100,000 pairs x 2 methods, the site of 20 datasets
 x 20 methods x 5000 pairs, and ``relocbench evaluate --predictions`` with 100,000 pairs. Results are artificial:
 errors follow a random walk along a drive, and a share of pairs fails. Every command runs in a new process and is
 timed from start to end; its peak memory is that of the process and of its children. The reference for a leaderboard's
@@ -32,15 +32,14 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.evaluation.common.answer_table import Answer, write_answers
 from relocbench.evaluation.common.error_table import PairErrors, write_errors
 from relocbench.evaluation.common.results import (
-    Answer,
     DatasetRecord,
     MethodResults,
     PairSetRecord,
     RunRecord,
     ScoreRecord,
-    write_answers,
     write_record,
 )
 from relocbench.evaluation.tracking.score import (
@@ -54,7 +53,6 @@ from relocbench.evaluation.tracking.score import (
 from relocbench.geometry import Camera, make_transform, so3_exp
 
 Array = NDArray[np.float64]
-FINGERPRINT = "ab" * 32
 START_NS, STEP_NS = 1_600_000_000_000_000_000, 100_000_000
 PER_SET = 50
 """number of pairs of each of the many pair sets"""
@@ -70,31 +68,44 @@ class Measured:
     peak_mib: float
 
 
-def make_results(root: Path, sets: int, methods: int, pairs: int, seed: int = 0) -> Path:
-    """Make a results folder of one dataset with ``sets`` pair sets of ``pairs`` pairs and ``methods`` methods."""
-    folder = root / f"made@{FINGERPRINT[:12]}"
+def make_results(root: Path, sets: int, methods: int, pairs: int, datasets: int = 1) -> Path:
+    """Make results of ``methods`` methods on datasets of ``sets`` pair sets of ``pairs`` pairs each."""
+    for number in range(datasets):
+        _make_dataset_results(root, f"made-{number}", sets, methods, pairs, number)
+    return root
+
+
+def _make_dataset_results(root: Path, name: str, sets: int, methods: int, pairs: int, seed: int) -> None:
+    fingerprint = f"{seed:02x}" * 32
+    folder = root / f"{name}@{fingerprint[:12]}"
     names = [f"summer__drive-{index:03d}__cam0" for index in range(sets)]
     write_record(
         folder / "dataset.yaml",
         DatasetRecord(
-            name="made",
-            fingerprint=FINGERPRINT,
+            name=name,
+            fingerprint=fingerprint,
             licence="CC0-1.0",
             splits={"test": tuple(names)},
-            pair_sets={name: _record(name, pairs) for name in names},
+            pair_sets={each: _record(each, pairs) for each in names},
         ),
     )
     for number in range(methods):
         label = "identity" if number == 0 else f"method-{number}"
-        _write_method(MethodResults(folder / label), names, pairs, np.random.default_rng([seed, number]), 0.1 + number)
-    return root
+        run = RunRecord(
+            method=label,
+            target=label,
+            seed=0,
+            dataset=name,
+            fingerprint=fingerprint,
+            versions={"relocbench": "0", "method": "0"},
+        )
+        rng = np.random.default_rng([seed, number])
+        _write_method(MethodResults(folder / label), run, names, pairs, rng, 0.1 + number)
 
 
-def _write_method(folder: MethodResults, names: list[str], pairs: int, rng: np.random.Generator, scale: float) -> None:
-    versions = {"relocbench": "0", "method": "0"}
-    run = RunRecord(
-        method=folder.label, target=folder.label, seed=0, dataset="made", fingerprint=FINGERPRINT, versions=versions
-    )
+def _write_method(
+    folder: MethodResults, run: RunRecord, names: list[str], pairs: int, rng: np.random.Generator, scale: float
+) -> None:
     write_record(folder.run_yaml, run)
     pose = make_transform(so3_exp([0.0, 0.01, 0.0]), [0.1, 0.2, 0.3])
     hashes, errors, scores = {}, {}, {}
@@ -108,7 +119,7 @@ def _write_method(folder: MethodResults, names: list[str], pairs: int, rng: np.r
     record = ScoreRecord(
         relocbench="0",
         formulas=FORMULAS,
-        fingerprint=FINGERPRINT,
+        fingerprint=run.fingerprint,
         run=run_hash(folder),
         predictions=hashes,
         errors=errors,
@@ -232,13 +243,16 @@ def board(scratch: Path, name: str, sets: int, methods: int, pairs: int, plots: 
 
 def site(scratch: Path, sets: int, methods: int, pairs: int) -> dict[str, Any]:
     """Measure ``report``: writing the site, and opening it from the disk and sorting a table in Chromium."""
-    results = make_results(scratch / "site", sets, methods, pairs)
+    results = make_results(scratch / "site", 1, methods, pairs, datasets=sets)
     folder = scratch / "site-report"
     taken = run("report", str(results), "--out", str(folder), "--quiet")
     mib = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20
-    print(f"report, {sets} sets x {methods} methods x {pairs} pairs: {taken.seconds:.1f} s, {mib:.0f} MiB", flush=True)
-    found: dict[str, Any] = {"sets": sets, "methods": methods, "pairs": pairs, "mib": round(mib)}
-    found |= {"seconds": round(taken.seconds, 2), "peak_mib": round(taken.peak_mib)}
+    print(
+        f"report, {sets} datasets x {methods} methods x {pairs} pairs: {taken.seconds:.1f} s, {mib:.0f} MiB", flush=True
+    )
+    found: dict[str, Any] = {"datasets": sets, "methods": methods, "pairs": pairs, "mib": round(mib)}
+    found |= {"seconds": round(taken.seconds, 2), "cpu_seconds": round(taken.cpu_seconds, 2)}
+    found["peak_mib"] = round(taken.peak_mib)
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     return found | (_in_browser(folder, browser) if browser else {})
 
@@ -291,7 +305,7 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=200)
     parser.add_argument("--methods", type=int, default=10)
     parser.add_argument("--pairs", type=int, default=100_000)
-    parser.add_argument("--site-sets", type=int, default=20, help="of the site of 20 methods and 5000 pairs a set")
+    parser.add_argument("--site-datasets", type=int, default=20, help="of the site of 20 methods, 5000 pairs each")
     parser.add_argument("--plots", action=argparse.BooleanOptionalAction, default=True)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -299,7 +313,7 @@ def main() -> None:
         results = {
             "many_sets": board(scratch, "many_sets", options.sets, options.methods, PER_SET, options.plots),
             "many_pairs": board(scratch, "many_pairs", 1, 2, options.pairs, options.plots),
-            "site": site(scratch, options.site_sets, 20, 5000),
+            "site": site(scratch, options.site_datasets, 20, 5000),
             "predictions": predictions(scratch, options.pairs),
         }
     print(json.dumps({"benchmark": "leaderboard", **results}))

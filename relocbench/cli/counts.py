@@ -97,7 +97,7 @@ def leaves(values: Mapping[str, Any]) -> int:
 
 def _statuses(folders: Iterable[MethodResults], pair_sets: list[str]) -> Counter[str]:
     """How often each status occurs in the tables of answers; predictions made elsewhere may have none."""
-    from relocbench.evaluation.common.results import read_answers
+    from relocbench.evaluation.common.answer_table import read_answers
 
     tables = [folder.answers(name) for folder in folders for name in pair_sets]
     return Counter(answer.status for table in tables if table.exists() for answer in read_answers(table).values())

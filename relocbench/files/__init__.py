@@ -22,11 +22,13 @@ from relocbench.files.numbers import (
     parse_floats,
     parse_seconds,
     parse_timestamp,
+    quick_counts,
+    quick_floats,
     seconds_to_ns,
     whole_number,
 )
 from relocbench.files.plain import plain_file, read_bytes
-from relocbench.files.tables import read_csv, read_table
+from relocbench.files.tables import CHUNK_ROWS, read_csv, read_table, read_table_chunks
 from relocbench.files.text import lines_of, read_rows, read_text
 from relocbench.files.writing import (
     alone_in,
@@ -49,6 +51,7 @@ from relocbench.files.yaml_files import (
 from relocbench.files.yaml_text import MAX_DEPTH, MAX_NODES, YamlFault, YamlPlaces, parse_yaml, parse_yaml_setting
 
 __all__ = [
+    "CHUNK_ROWS",
     "MAX_DEPTH",
     "MAX_FOLDER_BYTES",
     "MAX_JOINED_BYTES",
@@ -80,11 +83,14 @@ __all__ = [
     "parse_yaml_setting",
     "plain_file",
     "plain_name",
+    "quick_counts",
+    "quick_floats",
     "read_bytes",
     "read_csv",
     "read_journal",
     "read_rows",
     "read_table",
+    "read_table_chunks",
     "read_text",
     "remove_parts",
     "seconds_to_ns",

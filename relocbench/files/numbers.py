@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from decimal import ROUND_HALF_UP, Decimal, InvalidOperation
 from pathlib import Path
 
@@ -21,7 +22,7 @@ def parse_floats(
 ) -> list[float]:
     """Finite floats of ``fields``, as many as ``names`` has words. Raises ``error`` with file and line."""
     wanted = names.split()
-    quick = _quick_floats(fields) if len(fields) == len(wanted) else None
+    quick = quick_floats(fields) if len(fields) == len(wanted) else None
     if quick is not None:
         return quick
     if len(fields) != len(wanted):
@@ -41,8 +42,8 @@ def parse_floats(
     return out
 
 
-def _quick_floats(fields: list[str]) -> list[float] | None:
-    """Fields that are all good; None where one may not be, which is then looked at by itself."""
+def quick_floats(fields: Sequence[str]) -> list[float] | None:
+    """Finite floats of fields that are all good; None where one may not be, which is then looked at by itself."""
     text = "".join(fields)
     if not text.isascii() or "_" in text:
         return None
@@ -52,6 +53,18 @@ def _quick_floats(fields: list[str]) -> list[float] | None:
         return None
     total = sum(values)  # not finite if one of them is not
     return values if total - total == 0.0 else None
+
+
+def quick_counts(fields: Sequence[str]) -> list[int] | None:
+    """Whole numbers that fit 64 bits, of fields that all are such; None where one may not be."""
+    text = "".join(fields)
+    if not (text.isascii() and text.isdecimal()):
+        return None
+    try:
+        values = list(map(int, fields))
+    except ValueError:
+        return None
+    return values if max(values) <= _MOST else None
 
 
 def whole_number(text: str) -> int | None:

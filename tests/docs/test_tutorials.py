@@ -105,7 +105,10 @@ def test_the_notebook_is_small() -> None:
         ("median 0.0250 m", "median 0.0251 m"),
         ("fingerprint fcb9ca3dd2b9", "fingerprint 0123456789ab"),
         ("16/16 in 5.6 s", "16/16 in 60.1 s"),
-        ("┃ method ┃ s a pair ┃\n│ dso │ 100.0 % │ 0.004 │", "┃ method ┃ s a pair ┃\n│ dso │ 100.0 % │ 9.1 │"),
+        (
+            "┃ method ┃ median_seconds ┃\n│ dso │ 100.0 % │ 0.004 │",
+            "┃ method ┃ median_seconds ┃\n│ dso │ 100.0 % │ 9.1 │",
+        ),
         ("first\n...\nlast", "first\nbetween\nlast"),
     ],
 )

@@ -26,10 +26,10 @@ from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.robotcar import files as robotcar_files
 from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError, RelocbenchError, quoted
+from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS
+from relocbench.evaluation.common.answer_table import read_answers as read_pair_answers
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import read_matching
-from relocbench.evaluation.common.results import ANSWER_COLUMNS
-from relocbench.evaluation.common.results import read_answers as read_pair_answers
 from relocbench.evaluation.relocalization.answers import read_chain
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import read_answers

@@ -83,7 +83,7 @@ def _errors(place: Place) -> None:
 
 
 def _answers(place: Place) -> None:
-    from relocbench.evaluation.common.results import read_answers
+    from relocbench.evaluation.common.answer_table import read_answers
 
     read_answers(place.target)
 

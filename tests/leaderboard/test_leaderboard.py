@@ -18,16 +18,9 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.answer_table import Answer, write_answers
 from relocbench.evaluation.common.error_table import PairErrors, write_errors
-from relocbench.evaluation.common.results import (
-    Answer,
-    DatasetRecord,
-    MethodResults,
-    PairSetRecord,
-    RunRecord,
-    ScoreRecord,
-    write_answers,
-)
+from relocbench.evaluation.common.results import DatasetRecord, MethodResults, PairSetRecord, RunRecord, ScoreRecord
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
-from relocbench.evaluation.common.results import Answer, RunRecord, dataset_results, write_answers
+from relocbench.evaluation.common.answer_table import Answer, write_answers
+from relocbench.evaluation.common.results import RunRecord, dataset_results
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.files import dump_yaml, write_text
 

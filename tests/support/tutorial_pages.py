@@ -28,6 +28,8 @@ import check_docs
 
 _MARK = "@@ block "
 _END = f"{_MARK}end"
+_STOPPED = f"{_MARK}stopped"
+"""printed when the shell ends: what a page left in the background may hold its output open"""
 _SHOWN_ONLY = {"toml", ""}
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?![\w])")
 _HASH = re.compile(r"\b[0-9a-f]{12,64}\b")
@@ -62,7 +64,7 @@ def run(page: Path, folder: Path) -> list[list[str]]:
     """What each step of a page printed, run in a folder. Raises AssertionError where the shell ends early."""
     work = steps(page)
     script = "\n".join(f"echo '{_MARK}{index}'\n{_typed(step.block)}" for index, step in enumerate(work))
-    script += f"\necho '{_END}'"
+    script = f"trap \"echo '{_STOPPED}'\" EXIT\n{script}\necho '{_END}'"
     shell = subprocess.Popen(
         ["bash", "-e", "-c", script],
         cwd=folder,
@@ -77,6 +79,8 @@ def run(page: Path, folder: Path) -> list[list[str]]:
         assert shell.stdout is not None
         lines = []
         for line in shell.stdout:
+            if line.startswith(_STOPPED):
+                break
             lines.append(line.rstrip("\n"))
             if line.startswith(_END):
                 break

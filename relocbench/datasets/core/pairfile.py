@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,16 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.errors import DatasetError, RelocbenchError
-from relocbench.files import atomic_write, parse_floats, parse_timestamp, read_csv, read_rows, write_text
+from relocbench.files import (
+    atomic_write,
+    parse_floats,
+    parse_timestamp,
+    quick_counts,
+    quick_floats,
+    read_csv,
+    read_rows,
+    write_text,
+)
 from relocbench.geometry import rotation_angle, transform_from_tq, transform_to_tq
 
 PairKey = tuple[int, int]
@@ -127,21 +136,68 @@ def distances_and_angles(pairs: Sequence[Pair]) -> list[tuple[float | None, floa
 
 
 def read_pose_lines(
-    path: Path, error: type[RelocbenchError] = DatasetError, *, allow_non_finite: bool = False
+    path: Path,
+    error: type[RelocbenchError] = DatasetError,
+    *,
+    allow_non_finite: bool = False,
+    only: Container[PairKey] | None = None,
 ) -> list[PoseLine]:
     """Parse a pair or prediction file.
 
     Args:
         error: the error class to raise.
         allow_non_finite: treat a pose that is not finite as missing, as the failure policy does with predictions.
+        only: the pairs whose lines are parsed and checked, if not all are; much faster where they are few.
 
     Raises:
         RelocbenchError: (as ``error``) with file and line: a wrong number of columns, a value that is not a finite
             number, a quaternion whose norm is not 1, or a pair that occurs twice.
     """
+    rows = list(read_rows(path, "a relocalization file (ref_ts query_ts [tx ty tz qx qy qz qw])", error))
+    if only is not None:
+        rows = [(number, fields) for number, fields in rows if may_be_among(only, fields)]
+    usual = _fast(rows)
+    return usual if usual is not None else _one_by_one(rows, path, error, allow_non_finite)
+
+
+def may_be_among(keys: Container[PairKey], fields: Sequence[str]) -> bool:
+    """Whether a line that begins with the timestamps of a pair is one of these, or no such line."""
+    try:
+        return (int(fields[0]), int(fields[1])) in keys
+    except (ValueError, IndexError):
+        return True
+
+
+def _fast(rows: Sequence[tuple[int, list[str]]]) -> list[PoseLine] | None:
+    """The lines of whole columns; None where a field needs a closer look."""
+    posed = [fields for _, fields in rows if len(fields) != 2]
+    if not rows or any(len(fields) != 9 for fields in posed):
+        return None
+    reference_ns = quick_counts([fields[0] for _, fields in rows])
+    query_ns = quick_counts([fields[1] for _, fields in rows])
+    numbers = quick_floats([text for fields in posed for text in fields[2:]])
+    if reference_ns is None or query_ns is None or numbers is None:
+        return None
+    keys = list(zip(reference_ns, query_ns, strict=True))
+    if len(set(keys)) < len(keys):
+        return None
+    values = np.array(numbers, dtype=np.float64).reshape(-1, 7)
+    if (np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) > QUATERNION_TOLERANCE).any():
+        return None
+    transforms = iter(transform_from_tq(values[:, :3], values[:, 3:]))
+    return [
+        PoseLine(key[0], key[1], None if len(fields) == 2 else next(transforms), number)
+        for key, (number, fields) in zip(keys, rows, strict=True)
+    ]
+
+
+def _one_by_one(
+    rows: Sequence[tuple[int, list[str]]], path: Path, error: type[RelocbenchError], allow_non_finite: bool
+) -> list[PoseLine]:
+    """The lines field by field. Raises ``error`` with file and line."""
     keys: dict[PairKey, int] = {}
     poses: dict[int, list[float]] = {}
-    for number, fields in read_rows(path, "a relocalization file (ref_ts query_ts [tx ty tz qx qy qz qw])", error):
+    for number, fields in rows:
         if len(fields) not in (2, 9):
             wanted = f"expected 2 or 9 columns (ref_ts query_ts [{_POSE_COLUMNS}])"
             raise error(f"{wanted}, found {len(fields)}", path, number)

@@ -21,10 +21,9 @@ from pydantic import Field
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import PairKey, distances_and_angles
+from relocbench.datasets.core.pairfile import distances_and_angles
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Label, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.tables import KEY_COLUMNS, float_text, read_rows, seconds_text, write_rows
 from relocbench.files import (
     check_joined_name,
     check_label,
@@ -38,22 +37,6 @@ from relocbench.files import (
 
 PREDICTIONS = "predictions:"
 """prefix of the target of predictions that were made elsewhere"""
-ANSWER_COLUMNS = (*KEY_COLUMNS, "status", "seconds", "confidence", "message", "info")
-
-
-@dataclass(frozen=True)
-class Answer:
-    """How the answer to one pair came about; the pose itself is in the prediction file."""
-
-    key: PairKey
-    status: str
-    seconds: float | None = None
-    """wall-clock time of the tracker alone, after reading the images and preparing the reference"""
-    confidence: float | None = None
-    message: str = ""
-    info: str = ""
-    """JSON object with whatever else the method reported"""
-
 
 Count = Annotated[int, Field(ge=0, le=10**15)]
 """a number of things"""
@@ -341,24 +324,6 @@ def all_results(results: Path) -> list[DatasetResults]:
         other = meant(results, lambda folder: any(folder.glob("*@*/dataset.yaml")))
         raise PredictionError(f"holds no results (expected DATASET@FINGERPRINT folders){other}", results)
     return found
-
-
-def write_answers(path: Path, answers: Sequence[Answer]) -> None:
-    """Write ``PAIRSET.csv``, in the order given."""
-    rows = ([*a.key, a.status, seconds_text(a.seconds), float_text(a.confidence), a.message, a.info] for a in answers)
-    write_rows(path, [ANSWER_COLUMNS, *rows])
-
-
-def read_answers(path: Path) -> dict[PairKey, Answer]:
-    """Read ``PAIRSET.csv``. Raises PredictionError with file and line."""
-    out: dict[PairKey, Answer] = {}
-    for row in read_rows(path, ANSWER_COLUMNS):
-        key = row.key()
-        if key in out:
-            raise row.fault(f"pair {key[0]} {key[1]} occurs again")
-        seconds, confidence = row.seconds_or_none(), row.number_or_none("confidence")
-        out[key] = Answer(key, row.status(), seconds, confidence, row["message"], row["info"])
-    return out
 
 
 def _named(asked: str) -> str:

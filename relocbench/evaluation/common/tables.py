@@ -6,20 +6,17 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.files import atomic_write, parse_count, parse_floats, parse_timestamp, read_table
+from relocbench.files import atomic_write, parse_count, parse_floats, parse_timestamp, read_table, read_table_chunks
 
 STATUSES = ("ok", "failed", "error")
 """the method answered; it reported a failure; it raised, crashed or broke the contract"""
 _YEAR_S = 366 * 86400.0
 KEY_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns")
-CHUNK_ROWS = 8192
-"""rows that are converted at a time: their text takes some 10 MB, however long the table is"""
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class TableRow:
     def seconds_or_none(self) -> float | None:
         """The seconds of an answer, from 0 to a year, or None for a blank field."""
         seconds = self.number_or_none("seconds")
-        if seconds is not None and not 0 <= seconds <= _YEAR_S:
+        if seconds is not None and not is_duration(seconds):
             raise self.fault(f"seconds is {self['seconds'][:60]}, expected a time of at least 0 and at most a year")
         return seconds
 
@@ -80,6 +77,11 @@ class TableRow:
         return self["status"]
 
 
+def is_duration(seconds: float) -> bool:
+    """Whether a method can have taken so many seconds: from 0 to a year."""
+    return 0 <= seconds <= _YEAR_S
+
+
 def read_rows(path: Path, columns: Sequence[str]) -> Iterator[TableRow]:
     """Yield the rows of a table.
 
@@ -91,14 +93,12 @@ def read_rows(path: Path, columns: Sequence[str]) -> Iterator[TableRow]:
 
 
 def read_chunks(path: Path, columns: Sequence[str]) -> Iterator[tuple[list[int], list[list[str]]]]:
-    """Yield the rows of a long table in chunks: the line numbers that rows begin on, and their fields.
+    """The rows of a long table in chunks: the line numbers that rows begin on, and their fields.
 
     Raises:
         PredictionError: as :func:`read_rows`.
     """
-    rows = read_table(path, columns, error=PredictionError)
-    while chunk := list(islice(rows, CHUNK_ROWS)):
-        yield [number for number, _ in chunk], [row for _, row in chunk]
+    return read_table_chunks(path, columns, error=PredictionError)
 
 
 def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:

@@ -9,7 +9,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import DatasetResults, MethodResults, read_answers
+from relocbench.evaluation.common.answer_table import read_answers
+from relocbench.evaluation.common.results import DatasetResults, MethodResults
 from relocbench.evaluation.common.worker import journal_entries
 from relocbench.evaluation.relocalization.chain import Tracked
 from relocbench.evaluation.tracking.run import Overwrite, run_method

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
-from relocbench.evaluation.common.results import Answer
+from relocbench.evaluation.common.answer_table import Answer
 from relocbench.evaluation.relocalization.answers import ChainAnswer, Outcome
 from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside

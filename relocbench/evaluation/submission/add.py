@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.answer_table import write_answers
 from relocbench.evaluation.common.opening import check_outside
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
@@ -22,7 +23,6 @@ from relocbench.evaluation.common.results import (
     MethodResults,
     RunRecord,
     dataset_results,
-    write_answers,
     write_dataset_record,
     write_record,
 )

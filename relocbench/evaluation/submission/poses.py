@@ -12,7 +12,7 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, parse_pose
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.common.results import ANSWER_COLUMNS, Answer
+from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS, Answer
 from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
 from relocbench.evaluation.submission.resolving import Asked
 from relocbench.files import parse_timestamp, read_csv, read_rows

@@ -12,6 +12,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
+from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.evaluation.common.blindness import blind_methods
 from relocbench.evaluation.common.capabilities import capabilities_of
 from relocbench.evaluation.common.execution_options import ExecutionOptions
@@ -22,7 +23,6 @@ from relocbench.evaluation.common.results import (
     MethodResults,
     dataset_results,
     first_breakage,
-    read_answers,
     write_dataset_record,
 )
 from relocbench.evaluation.tracking.clock import CLOCK, run_clock

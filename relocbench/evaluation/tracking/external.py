@@ -8,15 +8,13 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.answer_table import Answer, read_answers, write_answers
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
-    Answer,
     DatasetResults,
     MethodResults,
     RunRecord,
     adopted_run,
-    read_answers,
-    write_answers,
     write_record,
 )
 from relocbench.evaluation.tracking.named import is_named, read_named_predictions

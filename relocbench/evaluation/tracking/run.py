@@ -19,18 +19,11 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.answer_table import Answer, read_answers, write_answers
 from relocbench.evaluation.common.answers import CheckedAnswer, error_answer
 from relocbench.evaluation.common.capabilities import construction_fault
 from relocbench.evaluation.common.handles import TrackerHandle
-from relocbench.evaluation.common.results import (
-    Answer,
-    DatasetResults,
-    MethodResults,
-    RunRecord,
-    read_answers,
-    write_answers,
-    write_record,
-)
+from relocbench.evaluation.common.results import DatasetResults, MethodResults, RunRecord, write_record
 from relocbench.evaluation.common.worker import (
     Shown,
     Unit,

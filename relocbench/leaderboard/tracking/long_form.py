@@ -8,7 +8,7 @@ from itertools import repeat
 from typing import Any
 
 from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable
-from relocbench.evaluation.common.tables import CHUNK_ROWS
+from relocbench.files import CHUNK_ROWS
 from relocbench.leaderboard.common.text import Value, cell, json_text
 from relocbench.leaderboard.tracking.marks import made_elsewhere
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table

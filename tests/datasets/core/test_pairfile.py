@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from relocbench.datasets.checks.faults import Findings, read_pair_table
+from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.pairfile import (
     AXIS_COLUMNS,
     TABLE_COLUMNS,
@@ -94,6 +95,25 @@ def test_predictions_may_hold_poses_that_are_not_finite_and_they_are_no_poses(tm
     first, second = read_pose_lines(path, PredictionError, allow_non_finite=True)
     assert first.T_query_ref is None
     np.testing.assert_array_equal(second.T_query_ref, np.eye(4))
+
+
+@pytest.mark.parametrize("odd", ["", "# a comment\n", "-5 6\n", "7 8 nan 0 0 0 0 0 1\n"])
+def test_lines_are_the_same_read_by_columns_and_one_by_one(
+    odd: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "predictions.txt"
+    write_pose_lines(path, [PoseLine(1, 2, QUARTER_TURN), PoseLine(3, 4, None), PoseLine(5, 6, np.eye(4))])
+    path.write_text(path.read_text() + odd + "9 10\n")
+    by_columns = read_pose_lines(path, allow_non_finite=True)
+    some = read_pose_lines(path, allow_non_finite=True, only={(5, 6), (9, 10)})
+    monkeypatch.setattr(pairfile, "_fast", lambda rows: None)
+    one_by_one = read_pose_lines(path, allow_non_finite=True)
+    assert [(line.key, line.line) for line in by_columns] == [(line.key, line.line) for line in one_by_one]
+    for line, other in zip(by_columns, one_by_one, strict=True):
+        np.testing.assert_array_equal(line.T_query_ref, other.T_query_ref)
+    assert [(line.key, line.line) for line in some] == [
+        (line.key, line.line) for line in one_by_one if line.key in {(5, 6), (9, 10)}
+    ]
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:

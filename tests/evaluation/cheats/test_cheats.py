@@ -17,9 +17,10 @@ from small_views import make_small_views
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import MethodError, RelocbenchError
+from relocbench.evaluation.common.answer_table import Answer, read_answers
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import OFFSETS_PX, read_matching
-from relocbench.evaluation.common.results import Answer, MethodResults, read_answers
+from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.common.worker import Shown, units_of
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous

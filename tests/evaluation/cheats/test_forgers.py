@@ -22,9 +22,10 @@ from relocbench.cli import app as app_module
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, DatasetError, PredictionError
+from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS, read_answers
 from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.common.error_table import PairErrors
-from relocbench.evaluation.common.results import ANSWER_COLUMNS, MethodResults, read_answers
+from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.score import predictions_hash
 from relocbench.evaluation.tracking.validation import validate_results

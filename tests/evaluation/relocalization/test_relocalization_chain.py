@@ -178,7 +178,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     made = make_small_dataset(tmp_path / "d", frames=4, size=(32, 24))
     writable = made.layout.traversal("summer").poses
     writable.write_text(writable.read_text().splitlines(keepends=True)[0])
-    from relocbench.evaluation.common.results import Answer
+    from relocbench.evaluation.common.answer_table import Answer
     from relocbench.evaluation.relocalization.basin import Basin
     from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers
     from relocbench.evaluation.relocalization.truth import MapTruth

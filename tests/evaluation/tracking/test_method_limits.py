@@ -26,7 +26,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common import worker_losses
-from relocbench.evaluation.common.results import Answer, read_answers
+from relocbench.evaluation.common.answer_table import Answer, read_answers
 from relocbench.evaluation.common.worker import Shown, Unit, append_entry
 from relocbench.evaluation.common.worker_losses import LossHandler
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved

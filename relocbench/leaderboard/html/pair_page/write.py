@@ -19,7 +19,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, read_pose_lines
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import read_answers
+from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.execution import run_units
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import floats, write_data
@@ -122,25 +122,27 @@ def _answers_payload(
     keys = [(int(ref), int(query)) for ref, query in methods[0].errors[name].keys[list(kept)].tolist()]
     at_hand = dataset.entry.dataset
     pair_set = None if at_hand is None else at_hand.pair_set(name)
+    only = None if len(keys) == len(methods[0].errors[name]) else frozenset(keys)
     places = {row: place for place, row in enumerate(kept)}
     shown = [] if pair_set is None else [places[row] for row in chosen]
     return {
-        "rows": None if len(kept) == len(methods[0].errors[name]) else list(kept),
+        "rows": None if only is None else list(kept),
         "truth": None if pair_set is None else _poses([pair_set.by_key[key].T_query_ref for key in keys]),
-        "methods": {method.label: _answers(method, name, keys) for method in methods},
+        "methods": {method.label: _answers(method, name, keys, only) for method in methods},
         "pictured": shown,
         "images": {} if pair_set is None else _folders(pair_set),
         "set": id_of(dataset),
     }
 
 
-def _answers(method: Method, name: str, keys: Sequence[PairKey]) -> dict[str, Any]:
+def _answers(method: Method, name: str, keys: Sequence[PairKey], only: frozenset[PairKey] | None) -> dict[str, Any]:
     if method.results is None:
         return {"poses": _poses([None] * len(keys)), "messages": {}}
     path = method.results.predictions(name)
-    found = {line.key: line.T_query_ref for line in read_pose_lines(path, PredictionError, allow_non_finite=True)}
+    lines = read_pose_lines(path, PredictionError, allow_non_finite=True, only=only)
+    found = {line.key: line.T_query_ref for line in lines}
     table = method.results.answers(name)
-    answers = read_answers(table) if table.exists() else {}
+    answers = read_answers(table, only) if table.exists() else {}
     messages = {place: answers[key].message for place, key in enumerate(keys) if key in answers}
     return {
         "poses": _poses([found.get(key) for key in keys]),

@@ -1,0 +1,78 @@
+"""The table of answers: read by columns where that is safe, and field by field to the same answers and faults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common import answer_table
+from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS, Answer, read_answers, write_answers
+from relocbench.files import tables
+
+times = st.integers(0, 2**63 - 1)
+optional = st.none() | st.floats(0, 1e6, allow_nan=False).map(lambda value: round(value, 6))
+answers = st.builds(
+    Answer,
+    st.tuples(times, times),
+    st.sampled_from(["ok", "failed", "error"]),
+    optional,
+    optional,
+    st.text(st.characters(blacklist_characters="\0\r", blacklist_categories=["Cs"]), max_size=20),
+    st.just("") | st.just('{"points": 3}'),
+)
+
+
+def write(path: Path, rows: str) -> Path:
+    path.write_text(f"{','.join(ANSWER_COLUMNS)}\n{rows}")
+    return path
+
+
+@settings(max_examples=60)
+@given(st.lists(answers, max_size=12, unique_by=lambda answer: answer.key), st.integers(1, 5))
+def test_columns_and_fields_give_the_answers_that_were_written(
+    tmp_path_factory: pytest.TempPathFactory, written: list[Answer], chunk: int
+) -> None:
+    path = tmp_path_factory.mktemp("answers") / "set.csv"
+    write_answers(path, written)
+    expected = {answer.key: answer for answer in written}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tables, "CHUNK_ROWS", chunk)
+        assert read_answers(path) == expected
+        some = set(list(expected)[::2])
+        assert read_answers(path, some) == {key: expected[key] for key in some}
+        patch.setattr(answer_table, "_fast", lambda columns: None)
+        assert read_answers(path) == expected
+
+
+@pytest.mark.parametrize(
+    ("row", "fault"),
+    [
+        ("1,2,ok,,,,", "pair 1 2 occurs again"),
+        ("x,2,ok,,,,", "'x' is not a timestamp"),
+        ("3,9223372036854775808,ok,,,,", "is out of range"),
+        ("3,4,fine,,,,", "status is 'fine'"),
+        ("3,4,ok,-1,,,", "seconds is -1, expected a time of at least 0"),
+        ("3,4,ok,nan,,,", "seconds is nan, expected a finite number"),
+        ("3,4,ok,1,1_0,,", "confidence is '1_0', expected a number"),
+        ("3,4,ok,1", "expected 7 columns, found 4"),
+        ('3,4,ok,1,,"open,', "a quotation mark is out of place or not closed"),
+    ],
+)
+@pytest.mark.parametrize("chunk", [1, 2, 100])
+def test_a_bad_row_is_named_wherever_chunks_end(
+    row: str, fault: str, chunk: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "CHUNK_ROWS", chunk)
+    path = write(tmp_path / "set.csv", f'1,2,ok,0.5,0.25,"two\nlines",\n7,8,failed,,,,\n{row}\n')
+    with pytest.raises(PredictionError, match=rf"set\.csv:5: .*{fault}"):
+        read_answers(path)
+
+
+def test_a_row_that_names_no_pair_is_read_whichever_are_asked_for(tmp_path: Path) -> None:
+    path = write(tmp_path / "set.csv", "1,2,ok,,,,\nx,2,ok,,,,\n")
+    with pytest.raises(PredictionError, match="'x' is not a timestamp"):
+        read_answers(path, {(1, 2)})
