@@ -47,10 +47,19 @@ def _open_worst_pair(page: Page) -> None:
     page.wait_for_timeout(1500)
 
 
+def _scroll_to_map(page: Page) -> None:
+    """To the map of the drive, of a method that fails on some pairs."""
+    page.locator("#map-method").select_option("dso")
+    page.locator("#map-section").scroll_into_view_if_needed()
+    page.evaluate("window.scrollTo(0, document.getElementById('map-about').offsetTop - 120)")
+    page.wait_for_timeout(1500)
+
+
 SHOTS = (
     Shot("report-start", "index.html"),
     Shot("report-set", "set-*.html", height=1500),
     Shot("report-pair", "set-*.html", height=1000, prepare=_open_worst_pair, photographs=True),
+    Shot("report-map", "set-*.html", height=880, prepare=_scroll_to_map),
     Shot("report-phone", "set-*.html", width=390, height=844),
     Shot("report-dark", "set-*.html", height=1500, dark=True),
 )
