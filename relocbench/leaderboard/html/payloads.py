@@ -51,16 +51,14 @@ def site_payload(board: Board | None) -> dict[str, Any]:
 def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
     """All tables of a dataset."""
     entry = dataset.entry
-    metrics = [*shown_metrics(board), metric_named(_SECONDS)]
+    others = [metric for metric in shown_metrics(board) if metric.name != board.metric.name]
+    metrics = [board.metric, *others, metric_named(_SECONDS)]
     return {
         "id": id_of(dataset),
         "title": entry.title,
         "ranking": board.metric.name,
-        "metrics": [
-            {"name": m.name, "heading": "s a pair" if m.name == _SECONDS else plain_heading(m), "unit": m.unit}
-            for m in metrics
-        ],
-        "methods": {m.label: _method(m) for m in entry.methods},
+        "metrics": [{"name": m.name, "heading": plain_heading(m), "unit": m.unit} for m in metrics],
+        "methods": {m.label: _method(m) for m in _by_rank(dataset)},
         "pair_sets": {
             name: {
                 "key": f"errors/{id_of(dataset)}/{links.pair_set_id(name)}",
@@ -136,6 +134,13 @@ def table_title(table: Table) -> str:
         return table.pair_set
     kind = "total of one drive" if table.pair_set == SAME_DRIVE_TOTAL else "total of two drives"
     return f"{kind}, split {table.split}" if table.split else kind
+
+
+def _by_rank(dataset: DatasetBoard) -> list[Method]:
+    """The methods in the order of the first table, which is a total where there is one; others follow."""
+    first = next(iter(dataset.tables), None)
+    places = {} if first is None else {row.method.label: place for place, row in enumerate(first.rows)}
+    return sorted(dataset.entry.methods, key=lambda method: places.get(method.label, len(places)))
 
 
 def _table(dataset: DatasetBoard, table: Table, metrics: list[str]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -320,7 +321,7 @@ def test_descriptors_that_overflow_retrieve_nothing_or_something_but_end_nothing
         assert len(rows) == 2
 
 
-READERS = {
+READERS: dict[str, tuple[Callable[[Path], object], str, int]] = {
     "answers": (read_answers, "ref_timestamp_ns,query_timestamp_ns,status,seconds,confidence,message,info", 7),
     "retrieved": (read_retrieved, "query,group,status,positives,ranks,seconds,message", 7),
     "matching": (read_matching, ",".join(MATCHING_COLUMNS), len(MATCHING_COLUMNS)),
