@@ -10,6 +10,8 @@ from relocbench.errors import ConfigError
 from relocbench.files import write_bytes, write_text
 
 _OWN = ("site.css", "core.js", "tables.js", "charts.js", "start.js", "set.js", "warp.js", "pair.js", "pair.css")
+_OF_PLACES = ("parts.js", "retrieval.js", "relocalization.js", "queries.js", "query.js", "located.js", "places.css")
+"""those of the pages of retrievers and of chains"""
 _EXPORT = re.compile(r"export\{[^{}]*?(\w+) as default[^{}]*\};?")
 _NOTICES = """\
 The pages of this site use these programs, which are in the folder assets:
@@ -28,7 +30,7 @@ Apache-2.0.
 def asset_files(site: Path) -> set[Path]:
     """The files of :func:`write_assets`."""
     shipped = ("plotly.min.js", "datatables.js", "datatables.css")
-    return {site / "notices.txt", *(site / "assets" / name for name in (*_OWN, *shipped))}
+    return {site / "notices.txt", *(site / "assets" / name for name in (*_OWN, *_OF_PLACES, *shipped))}
 
 
 def write_assets(site: Path) -> None:
@@ -38,7 +40,7 @@ def write_assets(site: Path) -> None:
         ConfigError: the installed package itables has no bundle of DataTables that can be used.
     """
     own = files("relocbench.leaderboard.html") / "assets"
-    for name in _OWN:
+    for name in (*_OWN, *_OF_PLACES):
         write_bytes(site / "assets" / name, (own / name).read_bytes())
     write_bytes(site / "assets" / "plotly.min.js", (files("plotly") / "package_data" / "plotly.min.js").read_bytes())
     bundle = files("itables") / "html"
