@@ -48,6 +48,7 @@ relocbench.parts = (() => {
 
   /** Buttons that take methods out of all charts; what is hidden stands in the address. */
   function legend(labels, hidden, changed) {
+    $("hidden").textContent = someHidden(labels, hidden);
     $("legend").replaceChildren(...labels.map((label) => {
       const button = element("button", { type: "button", "aria-pressed": String(!hidden.has(label)) });
       const l = look(label);
@@ -55,6 +56,7 @@ relocbench.parts = (() => {
       button.append(label);
       button.addEventListener("click", () => {
         if (!hidden.delete(label)) hidden.add(label);
+        $("hidden").textContent = someHidden(labels, hidden);
         state.set({ hide: JSON.stringify([...hidden]) });
         button.setAttribute("aria-pressed", String(!hidden.has(label)));
         changed();
@@ -63,10 +65,21 @@ relocbench.parts = (() => {
     }));
   }
 
-  /** The labels that the address hides; they may hold commas, so that they stand there as JSON. */
-  function hiddenLabels() {
-    try { const known = JSON.parse(state.get("hide", "[]")); return new Set(Array.isArray(known) ? known : []); } catch { return new Set(); }
+  const DRAWN = 8;
+
+  /**
+   * The labels that are not drawn: those that the address hides, or else what many methods leave no room for.
+   * The best are drawn; labels may hold commas, so that they stand in the address as JSON.
+   */
+  function hiddenLabels(labels, table, isFloor) {
+    const text = state.get("hide");
+    try { if (text) return new Set([].concat(JSON.parse(text))); } catch { /* no JSON */ }
+    if (labels.length <= DRAWN + 2) return new Set();
+    const best = new Set(table.rows.filter((row) => !isFloor(row.method)).slice(0, DRAWN).map((row) => row.method));
+    return new Set(labels.filter((label) => !best.has(label)));
   }
+
+  const someHidden = (labels, hidden) => (hidden.size && labels.length > DRAWN + 2 ? `${labels.length - hidden.size} of ${labels.length} are drawn: a click on a name adds it or takes it away.` : "");
 
   const line = (label, more) => {
     const l = look(label);
@@ -110,24 +123,27 @@ relocbench.parts = (() => {
       const values = at(row, column).map(valueOf);
       return values.length && !values.includes(null) ? values.reduce((s, v) => s + v, 0) / values.length : null;
     }));
+    const height = (innerWidth > 640 ? 130 : 260) + 60 * rows.length;
+    $(id).style.minHeight = `${height}px`;
     chart(id, [{
       type: "heatmap", z, x: columns.map(escape), y: rows.map(escape), xgap: 2, ygap: 2,
       colorscale: b ? [[0, "#b3561b"], [0.5, "#f4f4f4"], [1, "#2b5fb8"]] : "Cividis", showscale: innerWidth > 640, zmin: b ? -100 : 0, zmax: 100,
       texttemplate: "%{z:.1f}", hovertemplate: "%{y} → %{x}: %{z:.1f} %<extra></extra>",
-    }], { height: (innerWidth > 640 ? 130 : 260) + 60 * rows.length, xaxis: { title: { text: titles[0] }, type: "category" }, yaxis: { title: { text: titles[1] }, type: "category" } },
+    }], { height, xaxis: { title: { text: titles[0] }, type: "category" }, yaxis: { title: { text: titles[1] }, type: "category" } },
     (event) => { const [y, x] = event.points[0].pointIndex || event.points[0].pointNumber; at(rows[y], columns[x])[0]?.open(); });
   }
 
   /** Bars side by side for each method, as [{name, colour, pattern, values: {label: value}}], the first label on top. */
   function stacked(id, labels, parts, layout, template, click) {
-    const down = [...labels].reverse();
+    const down = [...labels].reverse(), height = 110 + 30 * labels.length;
+    $(id).style.minHeight = `${height}px`;
     chart(id, parts.map((part) => ({
       type: "bar", orientation: "h", name: part.name, y: down.map(escape), x: down.map((label) => part.values[label] ?? null), meta: down,
       marker: { color: part.colour, pattern: { shape: part.pattern || "", fillmode: "overlay", fgcolor: relocbench.css("--page"), size: 6 } },
       texttemplate: template, textposition: "inside", insidetextanchor: "middle", textangle: 0, textfont: { color: part.ink || "#ffffff" },
       hovertemplate: `%{y}<br>${part.name}: ${template}<extra></extra>`,
     })), {
-      barmode: "stack", height: 110 + 30 * labels.length, showlegend: true, legend: { orientation: "h", traceorder: "normal", x: 0, y: 1.02, yanchor: "bottom", font: { size: 12 } },
+      barmode: "stack", height, showlegend: true, legend: { orientation: "h", traceorder: "normal", x: 0, y: 1.02, yanchor: "bottom", font: { size: 12 } },
       margin: { l: 8, r: 12, t: 12, b: 44 }, uniformtext: { minsize: 10, mode: "hide" }, ...layout, yaxis: { type: "category", ticklabelstandoff: 6, ...layout.yaxis },
     }, click && ((event) => click(event.points[0].data.meta[event.points[0].pointIndex])));
   }

@@ -9,9 +9,9 @@
   const labels = Object.keys(set.chains);
   const [metres, degrees] = set.right;
   const indexOf = Object.fromEntries(set.metrics.map((metric, index) => [metric.name, index]));
-  const hidden = hiddenLabels();
   const decoded = new Map();
   const current = chooseTable(set, () => { drawTables(); drawCharts(); });
+  const hidden = hiddenLabels(labels, current(), (label) => set.chains[label].floor);
 
   async function answersOf(name) {
     if (!decoded.has(name)) {
@@ -164,7 +164,7 @@
   }
 
   const competing = (label) => !set.chains[label].floor && !set.chains[label].oracle;
-  const chosen = labels.includes(state.get("method")) ? state.get("method") : labels.find(competing) || labels[0];
+  const chosen = labels.includes(state.get("method")) ? state.get("method") : current().rows.map((row) => row.method).find(competing) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
   $("heat-b").replaceChildren(option("", "nothing", ""), ...labels.map((l) => option(l, l, state.get("less"))));
   $("choose-error").value = ["translation", "rotation"].includes(state.get("error")) ? state.get("error") : "both";

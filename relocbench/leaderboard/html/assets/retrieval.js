@@ -8,9 +8,9 @@
   const set = await load(`retrieval/${$("set").dataset.set}`);
   const labels = Object.keys(set.methods);
   const ranking = set.metrics.findIndex((metric) => metric.name === set.ranking);
-  const hidden = hiddenLabels();
   const decoded = new Map();
   const current = chooseTable(set, () => { drawTable(); drawCharts(); });
+  const hidden = hiddenLabels(labels, current(), (label) => set.methods[label].floor);
 
   /** The ranks of a task, decoded once: of each query the rank of its first right image, Infinity for none. */
   async function ranksOf(name) {
@@ -162,7 +162,7 @@
     })), a, b, ["query", "gallery"]);
   }
 
-  const chosen = labels.includes(state.get("method")) ? state.get("method") : labels.find((l) => !set.methods[l].floor) || labels[0];
+  const chosen = labels.includes(state.get("method")) ? state.get("method") : current().rows.map((row) => row.method).find((l) => !set.methods[l].floor) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
   $("heat-b").replaceChildren(option("", "nothing", ""), ...labels.map((l) => option(l, l, state.get("less"))));
   for (const [id, key] of [["heat-a", "method"], ["heat-b", "less"]]) $(id).addEventListener("change", () => { state.set({ [key]: $(id).value }); drawHeat(); });

@@ -63,7 +63,7 @@ def distances_of(truth: RetrievalTruth, name: str) -> Distances | None:
 
 
 def time_of(view: ImageView) -> int:
-    """The timestamp of an image of a drive, in nanoseconds, from its key: ``traversals/NAME/images/CAMERA/TIME.png``."""
+    """The timestamp of an image of a drive, nanoseconds: the key is ``traversals/NAME/images/CAMERA/TIME.png``."""
     return int(Path(view.key).stem)
 
 

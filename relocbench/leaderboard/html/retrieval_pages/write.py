@@ -1,7 +1,7 @@
 """Writing the pages of retrieval sets and what the page of a query loads.
 
-``data/retrieval/SET.js`` holds the tables of a set, ``data/ranks/SET/TASK.js`` the ranks of each query, from which curves
-are drawn, and ``data/lists/SET/TASK.js`` the first images of each query.
+``data/retrieval/SET.js`` holds the tables of a set, ``data/ranks/SET/TASK.js`` the ranks of each query, from which
+curves are drawn, and ``data/lists/SET/TASK.js`` the first images of each query.
 """
 
 from __future__ import annotations
