@@ -88,7 +88,8 @@ def leaderboard(
             min=0,
             metavar="N",
             help="With --html: where the dataset is at hand, the pages of the N worst pairs of each method and of N "
-            "drawn at random, in each pair set, show their images; about 0.1 MB a pair.",
+            "drawn at random, in each pair set, show their images; about 0.1 MB a pair. So do those of queries of "
+            "retrievers and of retrieval followed by tracking.",
         ),
     ] = 6,
     formats: Annotated[
@@ -177,7 +178,8 @@ def report(
             min=0,
             metavar="N",
             help="Where the dataset is at hand, the pages of the N worst pairs of each method and of N drawn at "
-            "random, in each pair set, show their images; about 0.1 MB a pair.",
+            "random, in each pair set, show their images; about 0.1 MB a pair. So do those of queries of retrievers "
+            "and of retrieval followed by tracking.",
         ),
     ] = 6,
     quiet: Quiet = False,
