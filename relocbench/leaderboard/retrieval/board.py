@@ -171,7 +171,7 @@ def load_retrieval(
     """
     if metric not in METRICS:
         raise ConfigError(f"retrievers cannot be ranked by '{metric}'; expected one of {', '.join(METRICS)}")
-    found = all_sets(results)
+    found = [folder for folder in all_sets(results) if not folder.record.is_withheld]
     if not found:
         return None
     check_folder(results)
