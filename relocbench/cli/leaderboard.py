@@ -205,10 +205,9 @@ def report(
         boards = Boards(*_load(results, at_hand, _USUAL, split, seed, told))
         start = write_site(boards, out, pairs=pairs, reporter=told)
     if json:
-        board = boards.tracking
         counts = {
-            "sets": len(board.datasets) if board else 0,
-            "methods": len({m.label for d in board.datasets for m in d.entry.methods}) if board else 0,
+            "sets": boards.sets,
+            "methods": len(boards.methods),
             "files_written": len(earlier_files(out)),
         }
         print_json({"page": start}, counts)

@@ -260,6 +260,12 @@ def test_seconds_of_both_stages_part_only_where_the_rankings_are_those_of_the_ch
         assert retrieval_seconds(asked, oracle, ACROSS) is None
 
 
+def test_sets_and_methods_of_all_tasks_are_counted(boards: Boards, site: Path) -> None:
+    assert boards.sets == len([*site.glob("set-*"), *site.glob("retrieval-*"), *site.glob("relocalization-*")]) == 5
+    assert boards.methods == {"identity", "near", "same", "thumb"}
+    assert len([*site.glob("method-*")]) == len(boards.methods)
+
+
 def test_a_method_page_has_its_results_as_a_retriever_and_in_chains(site: Path) -> None:
     page = (site / "method-near.html").read_text(encoding="utf-8")
     assert "As a retriever" in page

@@ -31,6 +31,19 @@ class Boards:
     retrieval: RetrievalBoard | None = None
     relocalization: ChainBoard | None = None
 
+    @property
+    def sets(self) -> int:
+        """How many datasets and retrieval sets have a page."""
+        tracked = len(self.tracking.datasets) if self.tracking is not None else 0
+        return tracked + sum(len(board.sets) for board in (self.retrieval, self.relocalization) if board is not None)
+
+    @property
+    def methods(self) -> frozenset[str]:
+        """The labels of all trackers and retrievers, which have a page each."""
+        trackers = [m.label for d in (self.tracking.datasets if self.tracking else ()) for m in d.entry.methods]
+        retrievers = [m.label for asked in (self.retrieval.sets if self.retrieval else ()) for m in asked.methods]
+        return frozenset({*trackers, *retrievers})
+
 
 def sections(boards: Boards) -> list[dict[str, Any]]:
     """The tables of the start page: one for each task."""

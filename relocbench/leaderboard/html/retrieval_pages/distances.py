@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.datasets.pairs.street_places import StreetPlaces
@@ -22,12 +22,13 @@ class Distances:
     """Distances between the cameras of a task."""
 
     task: RetrievalTask
-    metres: Array
+    metres: Floats
     """(Q, G) between each query and each keyframe; NaN where it is not known"""
 
     def of(self, query: int, key: str) -> float:
         """Metres between a query and a keyframe, by its key; NaN where it is not known."""
-        return float(self.metres[query, self._place[key]])
+        place = self._place.get(key)
+        return float("nan") if place is None else float(self.metres[query, place])
 
     @cached_property
     def _place(self) -> dict[str, int]:
@@ -40,26 +41,34 @@ class Distances:
         return np.asarray(known.min(axis=1, initial=np.inf), dtype=np.float64)
 
 
-def distances_of(truth: RetrievalTruth, name: str) -> Distances | None:
+def distances_of(truth: RetrievalTruth | None, name: str) -> Distances | None:
     """The distances of a task along drives; None for views of places, whose positions nobody records.
+
+    They are None too where the dataset, or this task of it, is not at hand.
 
     With a radius they are those of the positions by which images are right. Pairs alone need no common world, and
     their distances are those of the pairs' true poses, transferred along the drive of the keyframes.
     """
-    places = truth.places
-    if isinstance(places, CrossViewSet):
+    if truth is None or name not in truth.tasks or isinstance(truth.places, CrossViewSet):
         return None
+    places = truth.places
     task, pair_set = truth.tasks[name], places.dataset.pair_set(name)
     if places.rule == "radius":
         query, gallery = (
             _centres(places, traversal, pair_set.camera, images)
             for traversal, images in ((pair_set.query, task.queries), (pair_set.reference, task.gallery))
         )
-        return Distances(task, np.linalg.norm(query[:, None] - gallery[None], axis=-1))
+        return Distances(task, np.stack([_lengths(gallery - centre) for centre in query]))
     if not pair_set.has_truth:
         return None
     known = MapTruth(places.dataset, pair_set, *([time_of(view) for view in of] for of in (task.queries, task.gallery)))
-    return Distances(task, np.stack([distance_and_angle(known.relative(q))[0] for q in range(len(task.queries))]))
+    rows = (distance_and_angle(known.relative(q))[0].astype(np.float32) for q in range(len(task.queries)))
+    return Distances(task, np.stack(list(rows)))
+
+
+def _lengths(vectors: Array) -> Floats:
+    """(N, 3) -> (N,)"""
+    return np.asarray(np.linalg.norm(vectors, axis=-1), dtype=np.float32)
 
 
 def time_of(view: ImageView) -> int:

@@ -10,6 +10,7 @@ from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.files import lines_of, read_text
 from relocbench.leaderboard.retrieval.board import Retriever, SetBoard
 from relocbench.leaderboard.tracking.marks import made_elsewhere
+from relocbench.retrieval import RetrievalTask
 
 SHOWN = 5
 """images of a query that a page shows, of each method and of the right ones"""
@@ -27,6 +28,11 @@ class KeptLists:
     """up to which rank the method's rankings go; None: they hold the whole gallery"""
 
 
+def task_of(asked: SetBoard, name: str) -> RetrievalTask | None:
+    """A task with its images; None where the dataset, or this task of it, is not at hand."""
+    return None if asked.truth is None else asked.truth.tasks.get(name)
+
+
 def kept_lists(asked: SetBoard, method: Retriever, name: str) -> KeptLists:
     """The beginnings of the lists of a task that a method has answered.
 
@@ -39,7 +45,7 @@ def kept_lists(asked: SetBoard, method: Retriever, name: str) -> KeptLists:
     answers = method.answers[name]
     if method.folder is None:
         return KeptLists([[] for _ in answers], [[] for _ in answers], None)
-    task = None if asked.truth is None else asked.truth.tasks[name]
+    task = task_of(asked, name)
     junk: Collection[str] = ()
     if task is not None:
         junk = {image.key for image, out in zip(task.gallery, task.relevance.junk, strict=True) if out}

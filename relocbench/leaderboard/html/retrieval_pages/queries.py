@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from relocbench.leaderboard.html.retrieval_pages.distances import Distances
-from relocbench.leaderboard.html.retrieval_pages.lists import SHOWN, KeptLists
+from relocbench.leaderboard.html.retrieval_pages.lists import SHOWN, KeptLists, task_of
 from relocbench.leaderboard.html.retrieval_pages.payloads import is_random
 from relocbench.leaderboard.html.thumbnails import Thumbnail, thumbnail_name
 from relocbench.leaderboard.retrieval.board import Retriever, SetBoard
@@ -52,7 +52,7 @@ def lists_payload(
     """
     methods = {m.label: m for m in asked.methods if m.label in lists}
     answers = next(iter(methods.values())).answers[name]
-    task = None if asked.truth is None else asked.truth.tasks[name]
+    task = task_of(asked, name)
     right = {q: right_images(task, q, distances) for q in range(len(answers))}
     pictured = {key for q in chosen for key in _shown(lists, right, q)} if task is not None else set()
     images = sorted({key for q in kept for key in _shown(lists, right, q)})

@@ -12,7 +12,7 @@ from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import write_data
 from relocbench.leaderboard.html.pages import write_page
 from relocbench.leaderboard.html.retrieval_pages.distances import distances_of
-from relocbench.leaderboard.html.retrieval_pages.lists import kept_lists
+from relocbench.leaderboard.html.retrieval_pages.lists import kept_lists, task_of
 from relocbench.leaderboard.html.retrieval_pages.payloads import (
     id_of_places,
     lists_key,
@@ -64,15 +64,16 @@ def _write_set(
     rows = sum(len(rows) for m in asked.methods for rows in m.answers.values())
     for name in names:
         methods = [m for m in asked.methods if name in m.answers]
-        distances = None if asked.truth is None else distances_of(asked.truth, name)
+        distances = distances_of(asked.truth, name)
         lists = {m.label: kept_lists(asked, m, name) for m in methods}
         written.add(write_data(site, ranks_key(asked, name), ranks_payload(asked, name, lists, distances)))
         chosen = chosen_queries(methods, name, count)
         kept = chosen if rows > MOST_ROWS else list(range(asked.record.tasks[name].queries))
         payload = lists_payload(asked, name, lists, kept, chosen, distances)
         written.add(write_data(site, lists_key(asked, name), payload))
-        if asked.truth is not None:
-            thumbnails.extend(thumbnails_of(asked.truth.tasks[name], lists, chosen, distances, site, of_set))
+        task = task_of(asked, name)
+        if task is not None:
+            thumbnails.extend(thumbnails_of(task, lists, chosen, distances, site, of_set))
     page = site / links.retrieval_page(of_set)
     write_page(page, __name__, "retrieval.html.j2", page="retrieval", asked=asked, of_set=of_set, tasks=names)
     return written | {page}
