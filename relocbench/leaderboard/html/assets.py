@@ -10,8 +10,6 @@ from relocbench.errors import ConfigError
 from relocbench.files import write_bytes, write_text
 
 _OWN = ("site.css", "core.js", "tables.js", "charts.js", "start.js", "set.js", "warp.js", "pair.js", "pair.css")
-_OF_PLACES = ("parts.js", "retrieval.js", "relocalization.js", "queries.js", "query.js", "located.js", "places.css")
-"""those of the pages of retrievers and of chains"""
 _EXPORT = re.compile(r"export\{[^{}]*?(\w+) as default[^{}]*\};?")
 _NOTICES = """\
 The pages of this site use these programs, which are in the folder assets:
@@ -25,6 +23,8 @@ The bundle of DataTables is that of the package itables, MIT licence, with its e
 pages that are opened from a disk cannot load modules. All other scripts and styles are those of relocbench, licence
 Apache-2.0.
 """
+_OF_PLACES = ("boards.js", "retrieval.js", "relocalization.js", "queries.js", "query.js", "located.js", "places.css")
+"""those of the pages of retrievers and of chains"""
 
 
 def asset_files(site: Path) -> set[Path]:

@@ -3,7 +3,7 @@
 
 (async () => {
   const { escape, number, state, load, floats, integers, bytes, chart } = relocbench;
-  const { $, option, text, numeric, rank, redraw, cell, named, openList, legend, hiddenLabels, cumulative, middle, curve, upright, heat, stacked, chooseTable } = relocbench.parts;
+  const { $, option, text, numeric, rank, redraw, cell, named, openList, legend, hiddenLabels, cumulative, middle, curve, upright, heat, stacked, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
   const set = await load(`chains/${$("set").dataset.set}`);
   const labels = Object.keys(set.chains);

@@ -3,7 +3,7 @@
 
 (async () => {
   const { escape, number, state, load, floats, integers, bytes, chart } = relocbench;
-  const { shortName, $, option, text, numeric, rank, redraw, cell, named, openList, legend, hiddenLabels, line, aside, cumulative, curve, upright, heat, chooseTable } = relocbench.parts;
+  const { shortName, $, option, text, numeric, rank, redraw, cell, named, openList, legend, hiddenLabels, line, aside, cumulative, curve, upright, heat, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
   const set = await load(`retrieval/${$("set").dataset.set}`);
   const labels = Object.keys(set.methods);

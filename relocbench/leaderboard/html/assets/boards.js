@@ -1,7 +1,7 @@
 /* Parts of the pages of retrievers and of chains: lists, legends, curves, and maps of conditions. */
 "use strict";
 
-relocbench.parts = (() => {
+relocbench.boards = (() => {
   const { element, escape, number, state, look, chart } = relocbench;
   const $ = (id) => document.getElementById(id);
 
