@@ -17,14 +17,15 @@ def export(
     dataset: DatasetPath,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="Folder to write; for mlad, the zip file.")],
     format: Annotated[
-        Literal["tum", "kitti", "colmap", "kapture", "hloc", "mlad", "blind"],
+        Literal["tum", "kitti", "colmap", "kapture", "hloc", "mlad", "blind", "blind-images"],
         typer.Option(
             "--format",
             "-f",
             metavar="NAME",
             help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model), kapture (kapture "
             "folders mapping and query), hloc (named poses and pairs; with --retriever its lists), mlad (MLAD "
-            "submission) or blind (the dataset without truth, times and order, for somebody else's method).",
+            "submission), blind (the dataset without truth, times and order, for somebody else's tracker) or "
+            "blind-images (the images that retrievers are asked about, without names and order).",
         ),
     ],
     results: Annotated[
@@ -65,7 +66,17 @@ def export(
             metavar="N",
             min=1,
             max=999_999_999,
-            help="With --format blind: exports of other editions have other keys for the same images [default: 1].",
+            help="With --format blind and blind-images: exports of other editions have other keys for the same images "
+            "[default: 1].",
+        ),
+    ] = None,
+    radius: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            min=0.0,
+            help="With --format blind-images, of drives: distance within which an image is right, which the export "
+            "does not tell but is named after [default: 25].",
         ),
     ] = None,
     quiet: Quiet = False,
@@ -88,13 +99,18 @@ def export(
         raise ConfigError("--top is the length of a retriever's lists; name the retriever: --retriever LABEL")
     if retriever is not None and (format != "hloc" or method is not None):
         raise ConfigError("--retriever exports lists of images for hloc: give --format hloc and no --method")
-    if edition is not None and format != "blind":
-        raise ConfigError("--edition chooses the keys of a blind export; it goes with --format blind")
+    if edition is not None and not format.startswith("blind"):
+        raise ConfigError("--edition chooses the keys of a blind export; it goes with --format blind or blind-images")
+    if radius is not None and format != "blind-images":
+        raise ConfigError("--radius chooses a retrieval set; it goes with --format blind-images")
+    if format.startswith("blind") and (method is not None or pair_set or relocalization_file):
+        raise ConfigError("a blind export holds all pair sets and no answers; give no option but --edition")
+    if format == "blind-images":
+        _export_images(dataset, out, radius, 1 if edition is None else edition, quiet=quiet, json=json)
+        return
     opened = Dataset(dataset)
     check_outside(out, dataset)
     if format == "blind":
-        if method is not None or pair_set or relocalization_file:
-            raise ConfigError("a blind export holds all pair sets and no answers; give no option but --edition")
         with alone_writing_to(out):
             typer.echo(export_blind(opened, out, 1 if edition is None else edition, reporter(quiet)).name)
         return
@@ -121,3 +137,23 @@ def export(
         return
     for path in written:
         typer.echo(str(path))
+
+
+def _export_images(dataset: Path, out: Path, radius: float | None, edition: int, *, quiet: bool, json: bool) -> None:
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.errors import ConfigError
+    from relocbench.evaluation.retrieval.blind_export import export_blind_images
+    from relocbench.evaluation.retrieval.opening import SetOptions, open_set
+    from relocbench.files import alone_writing_to
+
+    if radius == 0:
+        raise ConfigError("--radius is 0, expected metres")
+    told = reporter(quiet)
+    asked = open_set(dataset, out, SetOptions(radius_m=radius), told)
+    with alone_writing_to(out):
+        file = export_blind_images(asked, dataset, out, edition, told)
+    if json:
+        queries = sum(task.queries for task in file.tasks.values())
+        print_json({"name": file.name, "fingerprint": file.fingerprint}, {"tasks": len(file.tasks), "queries": queries})
+    else:
+        typer.echo(file.name)

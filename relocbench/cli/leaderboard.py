@@ -91,7 +91,8 @@ def leaderboard(
             min=0,
             metavar="N",
             help="With --html: where the dataset is at hand, the pages of the N worst pairs of each method and of N "
-            "drawn at random, in each pair set, show their images; about 0.1 MB a pair.",
+            "drawn at random, in each pair set, show their images; about 0.1 MB a pair. So do those of queries of "
+            "retrievers and of retrieval followed by tracking.",
         ),
     ] = 6,
     formats: Annotated[
@@ -180,7 +181,8 @@ def report(
             min=0,
             metavar="N",
             help="Where the dataset is at hand, the pages of the N worst pairs of each method and of N drawn at "
-            "random, in each pair set, show their images; about 0.1 MB a pair.",
+            "random, in each pair set, show their images; about 0.1 MB a pair. So do those of queries of retrievers "
+            "and of retrieval followed by tracking.",
         ),
     ] = 6,
     quiet: Quiet = False,
@@ -209,10 +211,9 @@ def report(
         boards = Boards(*_load(results, at_hand, ranked_by, split, seed, told))
         start = write_site(boards, out, pairs=pairs, reporter=told)
     if json:
-        board = boards.tracking
         counts = {
-            "sets": len(board.datasets) if board else 0,
-            "methods": len({m.label for d in board.datasets for m in d.entry.methods}) if board else 0,
+            "sets": boards.sets,
+            "methods": len(boards.methods),
             "files_written": len(earlier_files(out)),
         }
         print_json({"page": start, "metric": ranked_by["--metric"]}, counts)

@@ -56,7 +56,8 @@ def submit_check(
 ) -> None:
     """Find every fault of a submission, with file and line, and say what is in it; exit status 1 where there is one.
 
-    A submission is a folder with card.yaml and, for each dataset, a folder with PAIRSET.txt files of nine columns.
+    A submission is a folder with card.yaml and, for each dataset, a folder with PAIRSET.txt files of nine columns, or,
+    of a retriever, with TASK.txt files of lines 'query db'.
 
     Example: relocbench submit-check my-submission --dataset town
     """

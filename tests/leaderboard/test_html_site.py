@@ -111,8 +111,9 @@ def test_words_behind_names_stand_on_every_page_and_are_explained(boards: Boards
 
 
 def test_chance_stands_below_retrievers(boards: Boards) -> None:
-    table = SimpleNamespace(name="a task", queries=8, rows=(), chance={"R@1": 0.125})
-    asked = SimpleNamespace(title="places", tables=(table,))
+    table = SimpleNamespace(name="a task", queries=8, rows=(), records=(), chance={"R@1": 0.125})
+    record = SimpleNamespace(name="places", fingerprint="ab" * 32)
+    asked = SimpleNamespace(title="places", record=record, tables=(table,))
     board = cast(RetrievalBoard, SimpleNamespace(metric="R@1", sets=(asked,)))
     (section,) = sections(Boards(None, board, None))
     (row,) = section["rows"]

@@ -16,6 +16,7 @@ from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain
 from relocbench.evaluation.relocalization.rankings import Oracle, StoredRankings
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainBasin, ChainRun, ChainSetResults
 from relocbench.evaluation.relocalization.tasks import ChainTasks, chain_tasks
+from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
 from relocbench.progress import Silent
@@ -40,6 +41,25 @@ class ChainTruth:
         self._rankings = set_results(results, self._tasks.asked)
         self._check_record()
 
+    @property
+    def dataset(self) -> Dataset:
+        """The dataset of the chains."""
+        return self._dataset
+
+    def truth(self, name: str) -> MapTruth:
+        """The true poses of a task's queries against its keyframes."""
+        return self._tasks.truth[name]
+
+    def asked(self, run: ChainRun, name: str) -> tuple[list[Retrieved], Tracked] | None:
+        """What a chain's halves said on a task: the keyframes of each query, and the tracker's answers.
+
+        Returns:
+            None where the ranking or the tracker's answers are not in the results folder.
+        """
+        found = self._found(run, name)
+        tracked = None if found is None else self._tracked(run, name, found)
+        return None if found is None or tracked is None else (found, tracked)
+
     def rescored(self, run: ChainRun, name: str, basin: ChainBasin, claimed: Sequence[ChainAnswer], path: Path) -> bool:
         """Whether the rows of a chain on a task follow from rankings, answers and truth.
 
@@ -57,10 +77,10 @@ class ChainTruth:
         truth = self._tasks.truth[name]
         if basin.source == "pairs" and not _close((basin.metres, basin.degrees), truth.reach):
             raise PredictionError(f"the basin on '{name}' is not the reach of the dataset's pairs; {AGAIN}", path)
-        found = self._found(run, name)
-        tracked = None if found is None else self._tracked(run, name, found)
-        if found is None or tracked is None:
+        both = self.asked(run, name)
+        if both is None:
             return False
+        found, tracked = both
         try:
             rows, _ = chain_answers(truth, found, tracked, run.top, Basin(basin.metres, basin.degrees, basin.source))
         except KeyError:

@@ -1,15 +1,16 @@
-"""Opening the retrieval set of a folder: drives of a relocbench dataset, or places in University-1652's layout."""
+"""Opening the retrieval set of a folder: drives, places in University-1652's layout, or a blind export of either."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
 from relocbench.datasets.pairs.street_places import Positives, StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.common.opening import check_outside, open_for_evaluation
+from relocbench.evaluation.retrieval.blind_set import WITHHELD, is_blind_set, open_blind_set
 from relocbench.evaluation.retrieval.run import check_task
 from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
 from relocbench.progress import Reporter
@@ -42,6 +43,8 @@ class OpenedSet:
     """command-line options that define this set"""
     question: str = ""
     """digest of what is asked, equal for copies whose images differ in last digits only"""
+    source: StreetPlaces | CrossViewSet | None = None
+    """what the tasks are of; None for a blind export, whose truth is withheld"""
 
     def tasks(self) -> tuple[RetrievalTask, ...]:
         return self.all_tasks
@@ -51,9 +54,11 @@ def open_set(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -
     """Open the set in a folder, to be evaluated with results in another folder.
 
     Raises:
-        DatasetError: the folder holds neither kind of set, or a bad one.
+        DatasetError: the folder holds no set, or a bad one.
         ConfigError: an option that does not apply to the kind of set, no task is left, or ``out`` lies in the folder.
     """
+    if is_blind_set(folder):
+        return _blind(folder, out, options)
     if is_cross_view(folder):
         return _cross_view(folder, out, options, reporter)
     if not folder.is_dir():
@@ -103,6 +108,7 @@ def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) ->
             places.splits,
             places.options,
             places.question,
+            places,
         )
     )
 
@@ -130,12 +136,34 @@ def _cross_view(folder: Path, out: Path, options: SetOptions, reporter: Reporter
     check_outside(out, folder)
     found: CrossViewSet = open_cross_view(folder, reporter)
     tasks = tuple(found.tasks(by_condition=options.by_condition))
+    chosen = _chosen(tasks, options, folder)
+    opened = OpenedSet(found.name, found.fingerprint, tasks, chosen, found.positives, question=found.question)
+    return _checked(replace(opened, source=found))
+
+
+def _blind(folder: Path, out: Path, options: SetOptions) -> OpenedSet:
+    given = {
+        "--split": options.split,
+        "--radius": options.radius_m,
+        "--heading": options.heading_deg,
+        "--positives": options.positives,
+        "--by-condition": options.by_condition or None,
+    }
+    for option, value in given.items():
+        if value is not None:
+            raise ConfigError(f"{option} is for a dataset with its truth; {folder} is a blind export")
+    check_outside(out, folder)
+    file, tasks = open_blind_set(folder)
+    return _checked(OpenedSet(file.name, file.fingerprint, tasks, _chosen(tasks, options, folder), WITHHELD))
+
+
+def _chosen(tasks: Sequence[RetrievalTask], options: SetOptions, folder: Path) -> tuple[RetrievalTask, ...]:
+    """The tasks that the options name, or all. Raises ConfigError for a name that is none."""
     known = [task.name for task in tasks]
     for name in options.tasks:
         if name not in known:
             raise ConfigError(f"no task '{name}'; there is {', '.join(known)}", folder)
-    chosen = tuple(task for task in tasks if not options.tasks or task.name in options.tasks)
-    return _checked(OpenedSet(found.name, found.fingerprint, tasks, chosen, found.positives, question=found.question))
+    return tuple(task for task in tasks if not options.tasks or task.name in options.tasks)
 
 
 def _checked(asked: OpenedSet) -> OpenedSet:

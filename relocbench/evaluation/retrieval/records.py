@@ -25,6 +25,7 @@ from relocbench.evaluation.common.results import (
     method_folders,
     write_record,
 )
+from relocbench.evaluation.retrieval.blind_set import WITHHELD
 from relocbench.files import MAX_FOLDER_BYTES, check_joined_name, load_yaml
 from relocbench.metrics import chance_level
 from relocbench.retrieval import RetrievalSet, RetrievalTask
@@ -85,6 +86,11 @@ class SetRecord(Strict):
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     """split -> tasks"""
     tasks: dict[JoinedName, TaskRecord]
+
+    @property
+    def is_withheld(self) -> bool:
+        """Whether the set is a blind export, so that answers to it are not scored here."""
+        return self.positives == WITHHELD
 
     @property
     def compared_by(self) -> str:

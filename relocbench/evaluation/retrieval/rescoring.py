@@ -56,6 +56,7 @@ class RetrievalTruth:
             PredictionError: the folder says otherwise of a task than the set does.
             DatasetError: the set has no such tasks.
         """
+        self.places = places
         self._tasks = {task.name: task for task in _tasks(places, folder.record)}
         told = _first_difference(folder.record, places, self._tasks)
         if told is not None:
@@ -63,6 +64,11 @@ class RetrievalTruth:
                 f"{told} is not that of the dataset; `relocbench evaluate-retrieval` writes it again",
                 folder.root / SET_FILE,
             )
+
+    @property
+    def tasks(self) -> Mapping[str, RetrievalTask]:
+        """The tasks with their images, by name."""
+        return self._tasks
 
     def confirmed(
         self, folder: RetrieverResults, name: str, keep: int | None, claimed: Sequence[QueryAnswer]

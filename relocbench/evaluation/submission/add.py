@@ -149,7 +149,10 @@ def _tracked(checked: Checked, card: Card, one: TrackedDataset, results: Path) -
 
 
 def _ranked(checked: Checked, card: Card, one: RankedDataset, results: Path) -> _Plan:
-    asked = one.asked
+    asked = one.asked.images
+    if asked.source is None:
+        told = f"the truth of '{asked.name}' is withheld; to score, name the dataset that the export was made of"
+        raise ConfigError(told, checked.root / one.name)
     there = set_results(results, asked)
     answered = [of for of in one.tasks if (checked.root / one.name / f"{of.task.name}.txt").exists()]
 
@@ -170,6 +173,7 @@ def _ranked(checked: Checked, card: Card, one: RankedDataset, results: Path) -> 
             dataset=asked.name,
             fingerprint=asked.fingerprint,
             question=asked.question,
+            answered_blind="" if one.asked.blind is None else str(one.asked.blind.name),
         )
         write_bytes(row.root / CARD, card_bytes(checked.root))
         write_record(row.run_yaml, run)

@@ -204,9 +204,9 @@ date: '{_UNFILLED}: when the answers were made'
 # Of the predictions, which are published with the leaderboard
 licence: CC-BY-4.0
 
-# A folder of this submission for each, with PAIRSET.txt files, under the dataset's name and with its fingerprint
-# (both stand in its dataset.yaml). asked_once: the finished method answered once, and nothing was changed after a
-# score was seen. A note may say more.
+# A folder of this submission for each, with PAIRSET.txt or TASK.txt files, under the dataset's name and with its
+# fingerprint (both stand in its dataset.yaml; of a blind export of images, in blind.yaml). asked_once: the finished
+# method answered once, and nothing was changed after a score was seen. A note may say more.
 datasets:
   NAME:
     fingerprint: '0'

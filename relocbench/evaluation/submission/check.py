@@ -11,18 +11,20 @@ from typing import Any
 from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.datasets.cross_view import is_cross_view
+from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import RunRecord
+from relocbench.evaluation.retrieval.blind_export import BlindImages
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
 from relocbench.evaluation.retrieval.records import RetrievalRun
 from relocbench.evaluation.submission.card import CARD, Answered, Card, read_card
 from relocbench.evaluation.submission.folder import RUN, answer_files, answer_folders, check_entries
 from relocbench.evaluation.submission.poses import PairSetAnswers, read_answered
 from relocbench.evaluation.submission.rankings import TaskLists, odd_lists, read_ranked
-from relocbench.evaluation.submission.resolving import Asked, resolve
+from relocbench.evaluation.submission.resolving import Asked, AskedLists, resolve, resolve_lists
 from relocbench.evaluation.submission.suspicions import suspicions
+from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.files import YamlPlaces, load_yaml
 from relocbench.progress import Reporter
 
@@ -44,7 +46,7 @@ class Opened:
 
     path: Path
     dataset: Dataset | None
-    """None for places by several views"""
+    """None for places by several views, and for a blind export of images"""
     retrieval: OpenedSet | None
 
     @property
@@ -78,7 +80,8 @@ class RankedDataset:
     """The lists of a retriever for one dataset."""
 
     name: str
-    asked: OpenedSet
+    """in the submission"""
+    asked: AskedLists
     tasks: list[TaskLists]
 
 
@@ -108,6 +111,11 @@ class Checked:
     tracked: list[TrackedDataset] = field(default_factory=list)
     ranked: list[RankedDataset] = field(default_factory=list)
     suspicions: list[str] = field(default_factory=list)
+
+    @property
+    def blind_exports(self) -> list[BlindKeys | BlindImages | None]:
+        """The blind export that each dataset was answered on; None for the dataset itself."""
+        return [*(one.asked.blind for one in self.tracked), *(one.asked.blind for one in self.ranked)]
 
     @property
     def sound(self) -> bool:
@@ -167,7 +175,7 @@ def check_submission(root: Path, options: SubmissionOptions, reporter: Reporter)
             place = root / CARD, places.line(("datasets", name, "fingerprint"))
             try:
                 if retrieval:
-                    _check_lists(checked, name, answered, opened)
+                    _check_lists(checked, name, answered, opened, options)
                 else:
                     _check_poses(checked, name, answered, opened, options)
             except PredictionError as bad:
@@ -183,7 +191,7 @@ def _open(path: Path, root: Path, options: SubmissionOptions, reporter: Reporter
         raise ConfigError("is the submission itself; --dataset is what it answers", path)
     if retrieval:
         opened = open_set(path, root, options.retrieval, reporter)
-        return Opened(path, None if is_cross_view(path) else Dataset(path), opened)
+        return Opened(path, opened.source.dataset if isinstance(opened.source, StreetPlaces) else None, opened)
     return Opened(path, open_for_evaluation(path, root), None)
 
 
@@ -205,9 +213,7 @@ def _check_poses(
     run = _run_record(folder, answered, found)
     datasets = [one.dataset for one in opened if one.dataset is not None]
     asked = resolve(name, answered.fingerprint, "" if run is None else run.question, datasets)
-    if options.blind_only and asked.blind is None:
-        told = f"answers '{name}', where times and truth are at hand; expected answers to a blind export of it"
-        raise PredictionError(told, folder)
+    _check_blind_only(name, folder, options, is_blind=asked.blind is not None)
     files = {path.stem: path for path in answer_files(folder)}
     known = asked.dataset.pair_set_names
     for stem, path in files.items():
@@ -227,6 +233,12 @@ def _check_poses(
     checked.suspicions += _grouped(name, {of.pair_set.name: list(suspicions(of)) for of in answered_sets})
 
 
+def _check_blind_only(name: str, folder: Path, options: SubmissionOptions, *, is_blind: bool) -> None:
+    if options.blind_only and not is_blind:
+        told = f"answers '{name}', where names, times or truth are at hand; expected answers to a blind export of it"
+        raise PredictionError(told, folder)
+
+
 def _run_record(folder: Path, answered: Answered, found: Findings) -> RunRecord | None:
     """The record that `relocbench evaluate` wrote beside the answers, if there is one."""
     path = folder / RUN
@@ -243,30 +255,31 @@ def _run_record(folder: Path, answered: Answered, found: Findings) -> RunRecord 
     return run
 
 
-def _check_lists(checked: Checked, name: str, answered: Answered, opened: Sequence[Opened]) -> None:
+def _check_lists(
+    checked: Checked, name: str, answered: Answered, opened: Sequence[Opened], options: SubmissionOptions
+) -> None:
     folder, found = checked.root / name, checked.found
-    one = next((o for o in opened if o.name == name), None)
-    if one is None or one.retrieval is None:
-        there = ", ".join(o.name for o in opened)
-        raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")
-    if one.fingerprint != answered.fingerprint:
-        told = f"the fingerprint of '{name}' is {answered.fingerprint[:SHORT]}, the dataset given has "
-        raise PredictionError(told + one.fingerprint[:SHORT])
+    sets = {one.name: (one.fingerprint, one.retrieval) for one in opened if one.retrieval is not None}
+    asked = resolve_lists(name, answered.fingerprint, sets)
+    _check_blind_only(name, folder, options, is_blind=asked.blind is not None)
     if (folder / RUN).exists():
         with found.catching():
             run = load_yaml(folder / RUN, RetrievalRun, "the record of a retrieval run", PredictionError)
-            if run.fingerprint != one.retrieval.fingerprint:
-                told = f"is of the set {run.dataset}@{run.fingerprint[:SHORT]}, expected {one.retrieval.name}"
-                raise PredictionError(f"{told}@{one.retrieval.fingerprint[:SHORT]}", folder / RUN)
-    tasks = {task.name: task for task in one.retrieval.tasks()}
+            expected, of = (asked.images.fingerprint, asked.images.name)
+            if asked.blind is not None:
+                expected, of = answered.fingerprint, name
+            if run.fingerprint != expected:
+                told = f"is of the set {run.dataset}@{run.fingerprint[:SHORT]}, expected {of}"
+                raise PredictionError(f"{told}@{expected[:SHORT]}", folder / RUN)
+    tasks = {task.name: task for task in asked.images.tasks()}
     files = {path.stem: path for path in answer_files(folder)}
     for stem, path in files.items():
         if stem not in tasks:
             found.fault(f"no task '{stem}' in {name}; there is {', '.join(tasks)}", path)
-    lists = [read_ranked(files[n], t, found) if n in files else TaskLists(t) for n, t in tasks.items()]
+    lists = [read_ranked(files[n], t, asked, found) if n in files else TaskLists(t) for n, t in tasks.items()]
     if not files:
         found.fault("holds no lists of images (TASK.txt)", folder)
-    checked.ranked.append(RankedDataset(name, one.retrieval, lists))
+    checked.ranked.append(RankedDataset(name, asked, lists))
     checked.suspicions += _grouped(name, {of.task.name: odd_lists(of) for of in lists if of.task.name in files})
 
 
@@ -292,6 +305,6 @@ def _tell(checked: Checked, card: Card, places: YamlPlaces) -> None:
         seen = [split for split in card.weights.splits_seen if name.partition(".blind")[0] in split]
         if seen:
             checked.suspicions.append(f"{name}: training or tuning has seen '{seen[0]}', as the card says")
-    if card.uses_times and any(tracked.asked.blind is not None for tracked in checked.tracked):
+    if card.uses_times and any(blind is not None for blind in checked.blind_exports):
         line = places.line(("uses_times",))
         checked.found.fault("uses_times is true, and a blind export has no times", checked.root / CARD, line)

@@ -7,10 +7,12 @@ from pathlib import Path
 
 from relocbench.datasets.checks.faults import Findings
 from relocbench.errors import PredictionError, quoted
+from relocbench.evaluation.submission.resolving import AskedLists
 from relocbench.files import lines_of, read_text
 from relocbench.retrieval import RetrievalTask
 
 _LINE_BYTES, _SPARE_BYTES = 512, 2**16
+_REAL = ": this is a real name, and the card names a blind export, whose keys are due"
 MOST_IMAGES = 10_000
 """of one query's list"""
 
@@ -21,7 +23,7 @@ class TaskLists:
 
     task: RetrievalTask
     lists: dict[str, list[str]] = field(default_factory=dict)
-    """retrieved images of each answered query, best first"""
+    """retrieved images of each answered query, best first, by their names in the set"""
     unknown: int = 0
     duplicate: int = 0
     invalid: int = 0
@@ -31,10 +33,11 @@ class TaskLists:
         return len(self.task.queries) - len(self.lists)
 
 
-def read_ranked(path: Path, task: RetrievalTask, found: Findings) -> TaskLists:
-    """Read ``TASK.txt``, a line ``query db`` for each retrieved image."""
+def read_ranked(path: Path, task: RetrievalTask, asked: AskedLists, found: Findings) -> TaskLists:
+    """Read ``TASK.txt``, a line ``query db`` for each retrieved image; keys of a blind export become names again."""
     out = TaskLists(task)
-    queries, gallery = {image.key for image in task.queries}, {image.key for image in task.gallery}
+    queries, gallery = asked.queries(task), asked.gallery(task)
+    names = {image.key for image in (*task.queries, *task.gallery)} if asked.blind is not None else set()
     most = _SPARE_BYTES + _LINE_BYTES * len(queries) * min(len(gallery), MOST_IMAGES)
     with found.catching():
         text = read_text(path, "retrieved images, a line 'query db' each", PredictionError, most)
@@ -50,17 +53,18 @@ def read_ranked(path: Path, task: RetrievalTask, found: Findings) -> TaskLists:
             query, image = words
             if query not in queries:
                 out.unknown += 1
-                found.fault(f"unknown query {quoted(query)}; queries are such as '{task.queries[0].key}'", path, number)
+                told = f"unknown query {quoted(query)}; queries are such as '{next(iter(queries))}'"
+                found.fault(told + (_REAL if query in names else ""), path, number)
             elif image not in gallery:
                 out.unknown += 1
-                told = f"image {quoted(image)} is not in the gallery, whose images are such as '{task.gallery[0].key}'"
-                found.fault(told, path, number)
+                told = f"image {quoted(image)} is not in the gallery, whose images are such as '{next(iter(gallery))}'"
+                found.fault(told + (_REAL if image in names else ""), path, number)
             elif (query, image) in seen:
                 out.duplicate += 1
                 found.fault(f"image {quoted(image)} occurs again for the query {quoted(query)}", path, number)
             else:
                 seen.add((query, image))
-                out.lists.setdefault(query, []).append(image)
+                out.lists.setdefault(queries[query], []).append(gallery[image])
     return out
 
 

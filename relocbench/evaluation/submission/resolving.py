@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from relocbench.datasets.core.dataset import Dataset
@@ -10,7 +10,11 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.tracking.blind_keys import BlindKeys, blind_name
+from relocbench.evaluation.common.blind_names import BlindName, blind_name
+from relocbench.evaluation.retrieval.blind_export import BlindImages
+from relocbench.evaluation.retrieval.opening import OpenedSet
+from relocbench.evaluation.tracking.blind_keys import BlindKeys
+from relocbench.retrieval import RetrievalTask
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,23 @@ class Asked:
         return f"{told}; expected one of the {len(pair_set.asked)} pairs of the dataset"
 
 
+@dataclass(frozen=True, eq=False)
+class AskedLists:
+    """A retrieval set whose queries are answered, and what its images are called in the answers."""
+
+    images: OpenedSet
+    blind: BlindImages | None = None
+    """of answers to a blind export of the set"""
+
+    def queries(self, task: RetrievalTask) -> dict[str, str]:
+        """The queries of a task: as answers name them -> their names in the set."""
+        return self.blind.queries(task) if self.blind is not None else {one.key: one.key for one in task.queries}
+
+    def gallery(self, task: RetrievalTask) -> dict[str, str]:
+        """The gallery of a task, in the same way."""
+        return self.blind.gallery(task) if self.blind is not None else {one.key: one.key for one in task.gallery}
+
+
 def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Dataset]) -> Asked:
     """The dataset that answers belong to.
 
@@ -62,13 +83,49 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
         )
     if blind is not None and source is not None:
         keys = BlindKeys(source, blind.edition)
-        if keys.name != blind:
-            raise PredictionError(
-                f"'{name}' is another export than that of {source.name}@{source.fingerprint[:SHORT]}, whose edition "
-                f"{blind.edition} is '{keys.name}'"
-            )
+        _check_export(blind, keys.name, source.fingerprint)
         return Asked(source, keys)
     if own is not None:
         return Asked(own)
     there = ", ".join(d.name for d in datasets) or "none"
     raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")
+
+
+def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, OpenedSet]]) -> AskedLists:
+    """The retrieval set that lists belong to.
+
+    Args:
+        name: of the dataset or blind export, as the card has it.
+        fingerprint: the same.
+        sets: those at hand, by what a card calls them, each with the fingerprint that the card names; of a blind
+            export the dataset that it was made of, or the export itself.
+
+    Raises:
+        PredictionError: without a place: it is none of them, or another version or export of one.
+    """
+    blind = blind_name(name)
+    source = next((images for _, images in sets.values() if blind is not None and images.name == blind.dataset), None)
+    if name in sets and sets[name][0] != fingerprint:
+        told = f"the fingerprint of '{name}' is {fingerprint[:SHORT]}, the dataset given has "
+        raise PredictionError(told + sets[name][0][:SHORT])
+    if blind is not None and source is not None:
+        keys = BlindImages(source, blind.edition)
+        _check_export(blind, keys.name, source.fingerprint)
+        return AskedLists(source, keys)
+    if name in sets:
+        return AskedLists(sets[name][1])
+    there = ", ".join(sets) or "none"
+    if blind is not None:
+        of = ", ".join(images.name for _, images in sets.values())
+        told = f"an export of '{blind.dataset}', and the datasets given are {of} (along drives, --radius chooses)"
+        raise PredictionError(f"no dataset '{name}' was given (--dataset): it is {told}")
+    raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")
+
+
+def _check_export(named: BlindName, own: BlindName, fingerprint: str) -> None:
+    """Raise PredictionError unless a name is that of the export that a dataset gives."""
+    if named != own:
+        raise PredictionError(
+            f"'{named}' is another export than that of {own.dataset}@{fingerprint[:SHORT]}, whose edition "
+            f"{own.edition} is '{own}'"
+        )

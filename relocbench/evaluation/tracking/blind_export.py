@@ -13,8 +13,9 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.errors import ConfigError
+from relocbench.evaluation.common.blind_names import blind_name
 from relocbench.evaluation.common.opening import check_outside
-from relocbench.evaluation.tracking.blind_keys import BlindKeys, blind_name
+from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.progress import Reporter
 
 _Image = tuple[str, str, int]

@@ -8,39 +8,15 @@ can compute one.
 from __future__ import annotations
 
 import hashlib
-import hmac
-import re
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import cached_property
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import DatasetError
+from relocbench.evaluation.common.blind_names import BlindName, BlindSecret
 from relocbench.files import read_bytes
-
-_ID_CHARACTERS = 12
-_NAME = re.compile(r"(?P<dataset>.+)\.blind(?P<edition>[0-9]{1,9})-(?P<id>[0-9a-f]{12})")
-
-
-@dataclass(frozen=True)
-class BlindName:
-    """The name of a blind export, which says what it is of."""
-
-    dataset: str
-    """name of the dataset that it was made of"""
-    edition: int
-    id: str
-    """digest of the dataset's truth and the edition"""
-
-    def __str__(self) -> str:
-        return f"{self.dataset}.blind{self.edition}-{self.id}"
-
-
-def blind_name(name: str) -> BlindName | None:
-    """The parts of a blind export's name; None for the name of something else."""
-    found = _NAME.fullmatch(name)
-    return None if found is None else BlindName(found["dataset"], int(found["edition"]), found["id"])
 
 
 class BlindKeys:
@@ -56,21 +32,16 @@ class BlindKeys:
     def __init__(self, dataset: Dataset, edition: int = 1) -> None:
         self.dataset = dataset
         self.edition = edition
-        withheld = [s.name for s in dataset.pair_sets() if not s.has_truth or not s.asked]
-        if withheld:
-            told = f"the truth of '{withheld[0]}' is withheld, and keys of a blind export follow from the truth"
-            raise DatasetError(told, dataset.root)
+        check_truth(dataset)
 
     @cached_property
     def name(self) -> BlindName:
         """What the export is called."""
-        identity = hmac.new(self._secret, b"name", hashlib.sha256).hexdigest()[:_ID_CHARACTERS]
-        return BlindName(self.dataset.name, self.edition, identity)
+        return self._secret.name(self.dataset.name, self.edition)
 
     def key(self, traversal: str, timestamp_ns: int) -> int:
         """The key of the images of one time of a drive, from 0 to 2^62."""
-        digest = hmac.new(self._secret, f"image {traversal} {timestamp_ns}".encode(), hashlib.sha256).digest()
-        return int.from_bytes(digest[:8], "big") >> 2
+        return int.from_bytes(self._secret.digest(f"image {traversal} {timestamp_ns}")[:8], "big") >> 2
 
     def pairs(self, pair_set: PairSet) -> dict[PairKey, PairKey]:
         """The pairs that are asked: keys of keyframe and query -> their times."""
@@ -80,11 +51,27 @@ class BlindKeys:
         }
 
     @cached_property
-    def _secret(self) -> bytes:
-        # The bytes themselves, behind words of our own: digests of pair files stand in published results.
+    def _secret(self) -> BlindSecret:
         digest = hashlib.sha256(f"relocbench blind export 1, edition {self.edition}\n".encode())
         digest.update(f"{self.dataset.name} {self.dataset.fingerprint}\n".encode())
-        for name in self.dataset.pair_set_names:
-            digest.update(f"{name}\n".encode())
-            digest.update(read_bytes(self.dataset.layout.pair_file(name), "a pair file", DatasetError))
-        return digest.digest()
+        for part in truth_of(self.dataset):
+            digest.update(part)
+        return BlindSecret(digest.digest())
+
+
+def check_truth(dataset: Dataset) -> None:
+    """Raise DatasetError where the truth of a dataset is withheld, so that keys could be computed by anybody."""
+    withheld = [s.name for s in dataset.pair_sets() if not s.has_truth or not s.asked]
+    if withheld:
+        told = f"the truth of '{withheld[0]}' is withheld, and keys of a blind export follow from the truth"
+        raise DatasetError(told, dataset.root)
+
+
+def truth_of(dataset: Dataset) -> Iterator[bytes]:
+    """The truth of a dataset: its pair files, each behind its name.
+
+    The bytes themselves, since digests of pair files stand in published results.
+    """
+    for name in dataset.pair_set_names:
+        yield f"{name}\n".encode()
+        yield read_bytes(dataset.layout.pair_file(name), "a pair file", DatasetError)

@@ -27,12 +27,14 @@ The bundle of DataTables is that of the package itables, MIT licence, with its e
 pages that are opened from a disk cannot load modules. All other scripts and styles are those of relocbench, licence
 Apache-2.0.
 """
+_OF_PLACES = ("boards.js", "retrieval.js", "relocalization.js", "queries.js", "query.js", "located.js", "places.css")
+"""those of the pages of retrievers and of chains"""
 
 
 def asset_files(site: Path) -> set[Path]:
     """The files of :func:`write_assets`."""
     shipped = ("plotly.min.js", "datatables.js", "datatables.css")
-    return {site / "notices.txt", *(site / "assets" / name for name in (*_OWN, *shipped))}
+    return {site / "notices.txt", *(site / "assets" / name for name in (*_OWN, *_OF_PLACES, *shipped))}
 
 
 def write_assets(site: Path) -> None:
@@ -42,7 +44,7 @@ def write_assets(site: Path) -> None:
         ConfigError: the installed package itables has no bundle of DataTables that can be used.
     """
     own = files("relocbench.leaderboard.html") / "assets"
-    for name in _OWN:
+    for name in (*_OWN, *_OF_PLACES):
         write_bytes(site / "assets" / name, (own / name).read_bytes())
     write_bytes(site / "assets" / "plotly.min.js", (files("plotly") / "package_data" / "plotly.min.js").read_bytes())
     bundle = files("itables") / "html"

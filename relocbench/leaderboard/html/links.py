@@ -15,6 +15,10 @@ from relocbench.files import fitting_name, plain_name
 
 START = "index.html"
 PAIR_PAGE = "pair.html"
+QUERY_PAGE = "query.html"
+"""of one query and the images that were retrieved for it"""
+LOCATED_PAGE = "located.html"
+"""of one query, the keyframe that was retrieved for it and the tracker's answer"""
 _LONGEST = 120
 """bytes of what a name contributes to the name of a file"""
 _PLAIN = re.compile(r"[0-9A-Za-z][0-9A-Za-z._+-]*")
@@ -51,7 +55,7 @@ def relocalization_page(of_set: str) -> str:
 
 
 def method_page(label: str) -> str:
-    """The page of a tracker."""
+    """The page of a method, which may be a tracker, a retriever or both."""
     return f"method-{method_id(label)}.html"
 
 
@@ -67,6 +71,16 @@ def pair_link(of_set: str, pair_set: str, reference_ns: int, query_ns: int, meth
     """
     state = {"set": of_set, "pairset": pair_set, "pair": f"{reference_ns}-{query_ns}", "method": method}
     return f"{PAIR_PAGE}#{hash_of(state)}"
+
+
+def query_link(of_set: str, task: str, query: str, method: str) -> str:
+    """The link to a query of retrievers: ``query.html#set=ID&task=TASK&query=KEY&method=LABEL``."""
+    return f"{QUERY_PAGE}#{hash_of({'set': of_set, 'task': task, 'query': query, 'method': method})}"
+
+
+def located_link(of_set: str, task: str, query_ns: int, chain: str) -> str:
+    """The link to a query of chains: ``located.html#set=ID&task=TASK&query=TIMESTAMP&chain=LABEL``."""
+    return f"{LOCATED_PAGE}#{hash_of({'set': of_set, 'task': task, 'query': str(query_ns), 'chain': chain})}"
 
 
 def hash_of(state: dict[str, str]) -> str:

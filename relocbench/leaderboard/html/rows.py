@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.chain_pages.payloads import id_of_chains, is_floor_chain, marks_of_row
 from relocbench.leaderboard.html.payloads import id_of, is_floor, marks_of, table_title
-from relocbench.leaderboard.relocalization.board import ChainBoard
-from relocbench.leaderboard.relocalization.page import marks_of_chain
-from relocbench.leaderboard.retrieval.board import RetrievalBoard
+from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
+from relocbench.leaderboard.relocalization.board import ChainBoard, ChainRow, ChainSetBoard, ChainTable
+from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
+from relocbench.leaderboard.retrieval.page import CHANCE, not_above_chance
 from relocbench.leaderboard.tracking.cells import level_with_floor, share_a_rank, without_intervals
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import Interval
+
+_MEAN = "mean "
+"""begins the names of tables over several tasks that are not of some conditions or views alone"""
 
 
 @dataclass(frozen=True)
@@ -24,6 +30,19 @@ class Boards:
     tracking: Board | None = None
     retrieval: RetrievalBoard | None = None
     relocalization: ChainBoard | None = None
+
+    @property
+    def sets(self) -> int:
+        """How many datasets and retrieval sets have a page."""
+        tracked = len(self.tracking.datasets) if self.tracking is not None else 0
+        return tracked + sum(len(board.sets) for board in (self.retrieval, self.relocalization) if board is not None)
+
+    @property
+    def methods(self) -> frozenset[str]:
+        """The labels of all trackers and retrievers, which have a page each."""
+        trackers = [m.label for d in (self.tracking.datasets if self.tracking else ()) for m in d.entry.methods]
+        retrievers = [m.label for asked in (self.retrieval.sets if self.retrieval else ()) for m in asked.methods]
+        return frozenset({*trackers, *retrievers})
 
 
 def sections(boards: Boards) -> list[dict[str, Any]]:
@@ -36,23 +55,48 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
         section = {"title": "Trackers", "metric": board.metric.name, "what": "pairs", "rows": rows, "notes": notes}
         sections.append(section)
     if boards.retrieval is not None:
-        found, metric = [], boards.retrieval.metric
-        for asked in boards.retrieval.sets:
-            for table in asked.tables:
-                for row in table.rows:
-                    found.append(_other(asked.title, table, row.method.label, row, metric))
-                found.append(_chance(asked.title, table, metric))
-        sections.append({"title": "Retrievers", "metric": metric, "what": "queries", "rows": found})
+        sections.append(_retrievers(boards.retrieval))
     if boards.relocalization is not None:
-        found, metric = [], boards.relocalization.metric
-        for chains in boards.relocalization.sets:
-            for chained in chains.tables:
-                for link in chained.rows:
-                    found.append(
-                        {**_other(chains.title, chained, link.chain.label, link, metric), "marks": marks_of_chain(link)}
-                    )
-        sections.append({"title": "Retrieval, then tracking", "metric": metric, "what": "queries", "rows": found})
+        sections.append(_chains(boards.relocalization))
     return sections
+
+
+def _retrievers(board: RetrievalBoard) -> dict[str, Any]:
+    """The means of each set, and the single tasks of one whose directions are not to be mixed up."""
+    rows, notes = [], []
+    for asked in board.sets:
+        for table in asked.tables:
+            if not _is_first(table, asked.tables, across_views=_across_views(table)):
+                continue
+            rows += [retriever_line(board, asked, table, row) for row in table.rows]
+            rows.append(_chance(asked, table, board.metric))
+            level = [row.method.label for row in table.rows if not_above_chance(board, table, row)]
+            if level:
+                notes.append(f"{asked.title}, {table.name}: not shown to be better than chance: {', '.join(level)}")
+    return {"title": "Retrievers", "metric": board.metric, "what": "queries", "rows": rows, "notes": notes}
+
+
+def _chains(board: ChainBoard) -> dict[str, Any]:
+    """The means of each dataset."""
+    rows = [
+        chain_line(board, asked, table, row)
+        for asked in board.sets
+        for table in asked.tables
+        if _is_first(table, asked.tables)
+        for row in table.rows
+    ]
+    return {"title": "Retrieval, then tracking", "metric": board.metric, "what": "queries", "rows": rows, "notes": []}
+
+
+def _is_first(table: Any, tables: Sequence[Any], *, across_views: bool = False) -> bool:
+    """Whether a table is one of those that a reader looks at first; the others are on the page of the set."""
+    if not any(other.name.startswith(_MEAN) for other in tables):
+        return True
+    return bool(table.name.startswith(_MEAN)) or (across_views and len(table.tasks) == 1 and "__" not in table.name)
+
+
+def _across_views(table: RetrievalTable) -> bool:
+    return any(record.view_query != record.view_gallery for record in table.records)
 
 
 def line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[str, Any]:
@@ -79,17 +123,36 @@ def line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
     }
 
 
+def retriever_line(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: RetrievalRow) -> dict[str, Any]:
+    """The row of a retriever in a table of a retrieval set."""
+    method = row.method
+    page = links.retrieval_page(id_of_places(asked))
+    own = {"page": page, "method_page": links.method_page(method.label), "floor": is_random(method)}
+    state = {"table": table.name, "method": method.label}
+    marks = marks_of_retriever(method)
+    return _other(asked.title, table, method.label, row, board.metric) | own | _linked(page, state) | {"marks": marks}
+
+
+def chain_line(board: ChainBoard, asked: ChainSetBoard, table: ChainTable, row: ChainRow) -> dict[str, Any]:
+    """The row of a chain in a table of a dataset."""
+    page = links.relocalization_page(id_of_chains(asked))
+    own = {"page": page, "floor": is_floor_chain(row.chain), "marks": marks_of_row(row)}
+    state = {"table": table.name, "method": row.chain.label}
+    return _other(asked.title, table, row.chain.label, row, board.metric) | own | _linked(page, state)
+
+
+def _linked(page: str, state: dict[str, str]) -> dict[str, str]:
+    return {"link": f"{page}#{links.hash_of(state)}"}
+
+
 def _other(title: str, table: Any, label: str, row: Any, metric: str) -> dict[str, Any]:
     value = row.values.get(metric)
     return {
         "set": title,
-        "page": "",
         "table": table.name,
         "count": table.queries,
         "method": label,
         "method_page": "",
-        "floor": False,
-        "marks": [],
         "rank": row.rank,
         "value": number(value, "share"),
         "sort": "" if value is None else repr(float(value)),
@@ -98,29 +161,33 @@ def _other(title: str, table: Any, label: str, row: Any, metric: str) -> dict[st
         "missing": list(row.missing),
         "failed": row.failed,
         "broke": row.broke,
-        "link": "",
     }
 
 
-def _chance(title: str, table: Any, metric: str) -> dict[str, Any]:
+def _chance(asked: SetBoard, table: RetrievalTable, metric: str) -> dict[str, Any]:
     """What a random order of the gallery scores."""
     value = float(table.chance[metric])
-    same = dict.fromkeys(("page", "method_page", "link", "bounds"), "")
-    return same | {
-        "set": title,
-        "table": table.name,
-        "count": table.queries,
-        "method": "(chance)",
-        "floor": True,
-        "marks": [],
-        "rank": None,
-        "value": number(value, "share"),
-        "sort": repr(value),
-        "finer": False,
-        "missing": [],
-        "failed": None,
-        "broke": None,
-    }
+    page = links.retrieval_page(id_of_places(asked))
+    return (
+        dict.fromkeys(("method_page", "bounds"), "")
+        | _linked(page, {"table": table.name})
+        | {
+            "set": asked.title,
+            "page": page,
+            "table": table.name,
+            "count": table.queries,
+            "method": CHANCE,
+            "floor": True,
+            "marks": [],
+            "rank": None,
+            "value": number(value, "share"),
+            "sort": repr(value),
+            "finer": False,
+            "missing": [],
+            "failed": None,
+            "broke": None,
+        }
+    )
 
 
 def _notes(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:

@@ -8,13 +8,15 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from relocbench import version
-from relocbench.files import remove_parts, write_text
+from relocbench.files import remove_parts
 from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.assets import asset_files, write_assets
+from relocbench.leaderboard.html.chain_pages.write import write_chain_pages
 from relocbench.leaderboard.html.data import write_data
 from relocbench.leaderboard.html.manifest import earlier_files, write_manifest
+from relocbench.leaderboard.html.other_tasks import results_of, retriever_labels, with_other_tasks
+from relocbench.leaderboard.html.pages import write_page
 from relocbench.leaderboard.html.pair_page.write import USUAL_PAIRS, write_pair_pages
 from relocbench.leaderboard.html.payloads import (
     errors_payload,
@@ -23,13 +25,13 @@ from relocbench.leaderboard.html.payloads import (
     set_payload,
     site_payload,
 )
+from relocbench.leaderboard.html.retrieval_pages.write import write_retrieval_pages
 from relocbench.leaderboard.html.rows import Boards, line, sections
 from relocbench.leaderboard.html.set_page.write import write_charts
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.metrics import LEVEL
-from relocbench.pages import render
 from relocbench.progress import Reporter, Silent
 
 READING = "reading.html"
@@ -43,7 +45,7 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
         site: its folder, which is empty or holds an earlier site. Pages and payloads of that one that are no longer
             needed are removed, and no other file.
         pairs: in each pair set, so many worst pairs of each method, and so many drawn at random, have pictures where
-            the dataset is at hand.
+            the dataset is at hand; so have queries in each task of retrievers and of chains.
         reporter: receives the number of sets and of pictures that are done.
 
     Raises:
@@ -58,16 +60,21 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
     fixed = {*asset_files(site), *(site / name for name in (links.PAIR_PAGE, links.START, READING))}
     write_manifest(site, earlier | fixed)  # a run that is killed leaves a site
     write_assets(site)
-    written = {write_data(site, "site", site_payload(board)), *fixed}
+    written = {write_data(site, "site", with_other_tasks(site_payload(board), boards)), *fixed}
     datasets = board.datasets if board else ()
     with (reporter or Silent()).stage("site", len(datasets)) as advance:
         for dataset in datasets:
             assert board is not None
             written |= _write_set(board, dataset, site)
             advance(1)
+    written |= _write_methods(boards, site)
     if board is not None:
-        written |= _write_methods(board, site)
         written |= write_pair_pages(board, site, pairs=pairs, reporter=reporter)
+    if boards.retrieval is not None:
+        written |= write_retrieval_pages(boards.retrieval, site, queries=pairs, reporter=reporter or Silent())
+    if boards.relocalization is not None:
+        told = reporter or Silent()
+        written |= write_chain_pages(boards.relocalization, board, site, queries=pairs, reporter=told)
     _page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
     marks = [(mark.name, _code_spans(mark.words)) for mark in MARKS]
     _page(site / READING, "reading.html.j2", page="reading", metric=board.metric if board else None, marks=marks)
@@ -96,18 +103,20 @@ def _pairs(dataset: DatasetBoard) -> int:
     return sum(record.pairs for record in dataset.entry.pair_sets.values())
 
 
-def _write_methods(board: Board, site: Path) -> set[Path]:
-    found: dict[str, list[tuple[DatasetBoard, Method]]] = {}
-    for dataset in board.datasets:
+def _write_methods(boards: Boards, site: Path) -> set[Path]:
+    found: dict[str, list[tuple[DatasetBoard, Method]]] = {label: [] for label in retriever_labels(boards)}
+    board = boards.tracking
+    for dataset in board.datasets if board else ():
         for method in dataset.entry.methods:
             found.setdefault(method.label, []).append((dataset, method))
     written = set()
     for label, own in found.items():
         page = site / links.method_page(label)
-        numbers = [n for dataset, method in own for n in _numbers(board, dataset, method)]
+        numbers = [n for dataset, method in own if board for n in _numbers(board, dataset, method)]
         runs = [_run(dataset, method) for dataset, method in own]
         marks = list(dict.fromkeys(mark for _, method in own for mark in marks_of(method)))
-        shown = {"label": label, "marks": marks, "numbers": numbers, "runs": runs, "metric": board.metric.name}
+        shown = {"label": label, "marks": marks, "numbers": numbers, "runs": runs, **results_of(label, boards)}
+        shown["metric"] = board.metric.name if board else ""
         _page(page, "method.html.j2", page="method", **shown)
         written.add(page)
     return written
@@ -141,7 +150,7 @@ def _run(dataset: DatasetBoard, method: Method) -> dict[str, Any]:
 
 
 def _page(path: Path, template: str, **values: object) -> None:
-    write_text(path, render(__name__, template, version=version.__version__, **values))
+    write_page(path, __name__, template, **values)
 
 
 def _code_spans(words: str) -> Markup:

@@ -109,6 +109,9 @@ class ChainSetBoard:
     record: ChainSet
     chains: tuple[Chain, ...]
     tables: tuple[ChainTable, ...]
+    folder: ChainSetResults | None = None
+    truth: ChainTruth | None = None
+    """None where the dataset is not at hand"""
 
     @property
     def title(self) -> str:
@@ -186,7 +189,7 @@ def _set(
     check_same_queries(tables_of_tasks, "queries")
     plans = {**_means(used), **{name: (name,) for name in used}}
     tables = tuple(_table(record, name, of, chains, metric, seed) for name, of in plans.items())
-    return ChainSetBoard(record, chains, tables)
+    return ChainSetBoard(record, chains, tables, folder, truth)
 
 
 def _means(tasks: Mapping[str, ChainTask]) -> dict[str, tuple[str, ...]]:

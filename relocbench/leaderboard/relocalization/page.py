@@ -22,7 +22,7 @@ from relocbench.metrics.pose.registry import SIGMA_FACTOR
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
-_POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)", "t_auc@0.5m", "r_auc@0.5deg")
+POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)", "t_auc@0.5m", "r_auc@0.5deg")
 MEDIANS = ("median_translation_error_m", "median_rotation_error_deg")
 
 
@@ -139,7 +139,7 @@ def _section(board: ChainBoard, table: ChainTable) -> dict[str, object]:
 
 
 def _pose_table(board: ChainBoard, table: ChainTable) -> str:
-    poses = list(dict.fromkeys((board.metric, *_POSES)))
+    poses = list(dict.fromkeys((board.metric, *POSES)))
     columns = [RANK, RETRIEVER, TRACKER, TOP, *map(heading, poses), *MEDIANS, SECONDS]
     rows = []
     for row in table.rows:
@@ -158,7 +158,7 @@ def _loss_table(table: ChainTable) -> str:
     rows = [
         [
             *_head(row)[1:],
-            _basin(row, table),
+            basin_words(row, table),
             *(_cell(row, share) for share in shares),
             "" if row.missing else f"{row.failed} / {row.broke}",
         ]
@@ -196,7 +196,7 @@ def _cell(row: ChainRow, metric: str) -> str:
     return with_bounds(row.values.get(metric), row.intervals.get(metric), "share")
 
 
-def _basin(row: ChainRow, table: ChainTable) -> str:
+def basin_words(row: ChainRow, table: ChainTable) -> str:
     """The size of the basin if it is the same on all tasks, else its source in words."""
     basins = [row.chain.basins[task] for task in table.tasks if task in row.chain.basins]
     if not basins:

@@ -54,6 +54,8 @@ class Retriever:
     """the label in the run's record, which the name of the folder replaces"""
     card: KeptCard | None = None
     """of lists that were submitted"""
+    folder: RetrieverResults | None = None
+    """where its lists are kept"""
 
     @property
     def renamed(self) -> bool:
@@ -125,6 +127,8 @@ class SetBoard:
     """tasks that no method has answered"""
     copies: tuple[str, ...] = ()
     """fingerprints of other copies of the same question, from other processors, that methods answered on"""
+    truth: RetrievalTruth | None = None
+    """the tasks with their images; None where no copy of the dataset is at hand"""
 
     @property
     def title(self) -> str:
@@ -167,7 +171,7 @@ def load_retrieval(
     """
     if metric not in METRICS:
         raise ConfigError(f"retrievers cannot be ranked by '{metric}'; expected one of {', '.join(METRICS)}")
-    found = all_sets(results)
+    found = [folder for folder in all_sets(results) if not folder.record.is_withheld]
     if not found:
         return None
     check_folder(results)
@@ -253,7 +257,7 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
         record = record.model_copy(update={"tasks": {**other.tasks, **record.tasks}})
     names = [n for n in record.tasks if split is None or n in record.splits[split]]
     tasks = {name: record.tasks[name] for name in names}
-    methods, path_of = _methods_of(copies, tasks, at_hand)
+    methods, path_of, truth = _methods_of(copies, tasks, at_hand)
     if not methods:
         raise PredictionError(
             "holds no retriever's answers; expected results of `relocbench evaluate-retrieval`", copies[0].root
@@ -271,7 +275,7 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
         tables.append(_table(record, name, of, methods, metric, seed))
         check_plausible(tables[-1])
     unused = tuple(n for n in tasks if n not in used)
-    return SetBoard(record, methods, tuple(tables), unused, tuple(other.fingerprint for other in others))
+    return SetBoard(record, methods, tuple(tables), unused, tuple(other.fingerprint for other in others), truth)
 
 
 def _rule_differs(record: SetRecord, other: SetRecord) -> str:
@@ -287,18 +291,20 @@ def _rule_differs(record: SetRecord, other: SetRecord) -> str:
 
 def _methods_of(
     copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord], at_hand: DatasetsAtHand
-) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults]]:
-    """The methods by label, and the folder of each."""
+) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults], RetrievalTruth | None]:
+    """The methods by label, the folder of each, and the tasks of the first copy that is at hand."""
     found: dict[str, Retriever] = {}
     folders: dict[str, RetrieverResults] = {}
+    first: RetrievalTruth | None = None
     for copy in copies:
         truth = truth_of(copy, at_hand)
+        first = first or truth
         for folder in copy.methods():
             method = _method(folder, copy.record, tasks, truth)
             label = distinct_label(method.label, found, copy.record.fingerprint)
             method = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
             found[method.label], folders[method.label] = method, folder
-    return tuple(found[label] for label in sorted(found)), folders
+    return tuple(found[label] for label in sorted(found)), folders, first
 
 
 def _method(
@@ -326,9 +332,8 @@ def _method(
             _check_summary(folder, name, done[name], rows, scores)
     confirmed = {} if truth is None else {n: truth.confirmed(folder, n, run.keep, rows) for n, rows in answers.items()}
     card = kept_card(folder.root, run)
-    return Retriever(
-        folder.label, run.model_copy(update={"method": folder.label}), answers, confirmed, run.method, card
-    )
+    named = run.model_copy(update={"method": folder.label})
+    return Retriever(folder.label, named, answers, confirmed, run.method, card, folder)
 
 
 def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: RetrievalScores) -> None:

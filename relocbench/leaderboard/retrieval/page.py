@@ -90,7 +90,7 @@ def _section(board: RetrievalBoard, table: RetrievalTable) -> dict[str, object]:
         "believed": _believed(board, table),
         "table": table,
         "numbers": table_text(columns, [*(_row(board, row) for row in table.rows), chance], left=2),
-        "at_chance": [row.method.label for row in table.rows if _at_chance(board, table, row)],
+        "at_chance": [row.method.label for row in table.rows if not_above_chance(board, table, row)],
         "ranks_shared": all(row.rank in (1, None) for row in table.rows),
         "without_intervals": all(not row.intervals.get(board.metric) for row in table.rows if not row.missing),
     }
@@ -112,7 +112,8 @@ def _believed(board: RetrievalBoard, table: RetrievalTable) -> list[tuple[str, s
     return [(metric, f"{points:.2g}") for metric, points in most.items() if points > 0]
 
 
-def _at_chance(board: RetrievalBoard, table: RetrievalTable, row: RetrievalRow) -> bool:
+def not_above_chance(board: RetrievalBoard, table: RetrievalTable, row: RetrievalRow) -> bool:
+    """Whether a row is not shown to be better than a gallery in random order."""
     value, interval = row.values[board.metric], row.intervals.get(board.metric)
     chance = table.chance[board.metric]
     return value is not None and (value <= chance or (interval is not None and interval.low <= chance))

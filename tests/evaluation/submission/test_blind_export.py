@@ -11,8 +11,9 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.evaluation.common.blind_names import blind_name
 from relocbench.evaluation.tracking.blind_export import export_blind
-from relocbench.evaluation.tracking.blind_keys import BlindKeys, blind_name
+from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.geometry import make_transform
 from relocbench.progress import Silent
 

@@ -1,0 +1,173 @@
+"""What the page of a dataset's chains shows: its tables, and of every query the errors and where it was lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.evaluation.common.tables import STATUSES
+from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer
+from relocbench.evaluation.relocalization.chain import RIGHT
+from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainTask
+from relocbench.evaluation.relocalization.score import FAILURES, HIT
+from relocbench.leaderboard.common.headings import SECONDS, heading
+from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.chain_pages.stages import retrieval_seconds
+from relocbench.leaderboard.html.data import bytes_of, floats, integers
+from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
+from relocbench.leaderboard.relocalization.page import MEDIANS, POSES, basin_words, marks_of_chain
+from relocbench.metrics.pose.registry import SIGMA_FACTOR
+
+LOSSES = ("right_and_hit", "right_without_hit", *FAILURES)
+"""shares of all queries that add up to one: what is right, and what the others are lost to"""
+_NONE = -1
+"""in place of a timestamp or a rank that there is none of"""
+
+
+def id_of_chains(asked: ChainSetBoard) -> str:
+    """The id of a dataset's chains in links and names of files."""
+    return links.set_id(asked.record.name, asked.record.fingerprint)
+
+
+def located_key(asked: ChainSetBoard, task: str) -> str:
+    """The key of the payload with the errors of a task's queries."""
+    return f"located/{id_of_chains(asked)}/{links.pair_set_id(task)}"
+
+
+def candidates_key(asked: ChainSetBoard, task: str) -> str:
+    """The key of the payload with the keyframes that were retrieved for a task's queries."""
+    return f"candidates/{id_of_chains(asked)}/{links.pair_set_id(task)}"
+
+
+def is_floor_chain(chain: Chain) -> bool:
+    """Whether a chain answers the pose of its first keyframe."""
+    return chain.run.tracker == KEYFRAME
+
+
+def marks_of_row(row: ChainRow) -> list[str]:
+    """The words behind the name of a chain."""
+    chain = row.chain
+    known = {"floor": is_floor_chain(chain), "knows the truth": chain.knows_truth, "uses times": chain.uses_times}
+    return [*(word for word, applies in known.items() if applies), *marks_of_chain(row)]
+
+
+def chains_payload(board: ChainBoard, asked: ChainSetBoard, trackers: Mapping[str, str]) -> dict[str, Any]:
+    """All tables of a dataset's chains.
+
+    Args:
+        trackers: task -> the id of the set of trackers whose pairs have pages, where there is one.
+    """
+    poses = list(dict.fromkeys((board.metric, *POSES)))
+    shares = [*poses, "basin_recall@1", HIT, "right_given_hit", "right_among_K", *LOSSES]
+    metrics = [(name, "share") for name in dict.fromkeys(shares)]
+    metrics += [*zip(MEDIANS, ("m", "deg"), strict=True), (SECONDS, "s")]
+    rows = {row.chain.label: row for row in asked.tables[0].rows}
+    used = [name for name in asked.record.tasks if any(name in table.tasks for table in asked.tables)]
+    return {
+        "id": id_of_chains(asked),
+        "title": asked.title,
+        "ranking": board.metric,
+        "at_hand": asked.truth is not None,
+        "metrics": [{"name": name, "heading": heading(name, unit), "unit": unit} for name, unit in metrics],
+        "shown": [*poses, *MEDIANS, SECONDS],
+        "stages": ["basin_recall@1", HIT, "right_given_hit", "right_without_hit", "right_among_K", *FAILURES],
+        "losses": list(LOSSES),
+        "outcomes": list(OUTCOMES),
+        "right": list(RIGHT),
+        "chains": {chain.label: _chain(chain, rows[chain.label]) for chain in asked.chains},
+        "tasks": {name: _task(asked, name, asked.record.tasks[name], trackers.get(name)) for name in used},
+        "tables": [_table(table, [name for name, _ in metrics]) for table in asked.tables],
+    }
+
+
+def located_payload(asked: ChainSetBoard, task: str) -> dict[str, Any]:
+    """The answers of all chains to the queries of a task, in the order of time."""
+    chains = {chain.label: chain for chain in asked.chains if task in chain.answers}
+    first = next(iter(chains.values())).answers[task]
+    return {
+        "queries": integers([a.query_timestamp_ns for a in first]),
+        "chains": {label: _answers(asked, chain, task) for label, chain in chains.items()},
+    }
+
+
+def _chain(chain: Chain, row: ChainRow) -> dict[str, Any]:
+    run = chain.run
+    return {
+        "retriever": run.retriever,
+        "tracker": run.tracker,
+        "top": run.top,
+        "floor": is_floor_chain(chain),
+        "oracle": run.retriever == ORACLE,
+        "marks": marks_of_row(row),
+    }
+
+
+def _task(asked: ChainSetBoard, name: str, task: ChainTask, trackers: str | None) -> dict[str, Any]:
+    sigma = task.median_sigma_translation_m
+    return {
+        "located": located_key(asked, name),
+        "candidates": candidates_key(asked, name),
+        "query": task.condition_query,
+        "gallery": task.condition_gallery,
+        "has_conditions": bool(task.condition_query or task.condition_gallery),
+        "trackers": trackers,
+        "finest_m": None if sigma is None else SIGMA_FACTOR * sigma,
+    }
+
+
+def _table(table: ChainTable, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "title": table.name,
+        "tasks": list(table.tasks),
+        "queries": table.queries,
+        "rows": [_row(row, table, names) for row in table.rows],
+    }
+
+
+def _row(row: ChainRow, table: ChainTable, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "method": row.chain.label,
+        "rank": row.rank,
+        "values": [row.values.get(name) for name in names],
+        "intervals": {n: [i.low, i.high] for n in names if (i := row.intervals.get(n)) is not None},
+        "basin": basin_words(row, table),
+        "failed": row.failed,
+        "broke": row.broke,
+        "missing": list(row.missing),
+    }
+
+
+def _answers(asked: ChainSetBoard, chain: Chain, task: str) -> dict[str, Any]:
+    rows = chain.answers[task]
+    whole = _numbers([a.seconds for a in rows])
+    retrieval = retrieval_seconds(asked, chain, task)
+    return {
+        "translation_error_m": _single([a.translation_error_m for a in rows]),
+        "rotation_error_deg": _single([a.rotation_error_deg for a in rows]),
+        "confidence": floats(_numbers([a.confidence for a in rows])),
+        "seconds": floats(whole),
+        "retrieval_seconds": None if retrieval is None else floats(retrieval),
+        "status": bytes_of([STATUSES.index(a.status) for a in rows]),
+        "outcome": bytes_of([OUTCOMES.index(a.outcome) for a in rows]),
+        "keyframe": integers([_NONE if a.ref_timestamp_ns is None else a.ref_timestamp_ns for a in rows]),
+        **{name: integers([_or_none(a, name) for a in rows]) for name in ("rank", "hit_rank", "right_rank", "asked")},
+        "messages": {row: answer.message for row, answer in enumerate(rows) if answer.message},
+    }
+
+
+def _or_none(answer: ChainAnswer, name: str) -> int:
+    value: int | None = getattr(answer, name)
+    return _NONE if value is None else value
+
+
+def _numbers(values: Sequence[float | None]) -> Array:
+    return np.array([np.nan if value is None else value for value in values])
+
+
+def _single(values: Sequence[float]) -> str:
+    """As float32; what is too large for it is infinite."""
+    with np.errstate(over="ignore"):
+        return floats(np.asarray(values, dtype=np.float32))

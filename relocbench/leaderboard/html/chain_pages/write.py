@@ -1,0 +1,102 @@
+"""Writing the pages of chains and what the page of a query loads.
+
+``data/chains/SET.js`` holds the tables of a dataset, ``data/located/SET/TASK.js`` the answers to each query, and
+``data/candidates/SET/TASK.js`` the keyframes that they were made of, where the dataset is at hand.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.chain_pages.candidates import (
+    asked_chains,
+    candidates_payload,
+    chosen_queries,
+    thumbnails_of,
+    views_of,
+)
+from relocbench.leaderboard.html.chain_pages.payloads import (
+    candidates_key,
+    chains_payload,
+    id_of_chains,
+    located_key,
+    located_payload,
+)
+from relocbench.leaderboard.html.data import write_data
+from relocbench.leaderboard.html.pages import write_page
+from relocbench.leaderboard.html.payloads import id_of
+from relocbench.leaderboard.html.thumbnails import Thumbnail, write_thumbnails
+from relocbench.leaderboard.relocalization.board import ChainBoard, ChainSetBoard
+from relocbench.leaderboard.tracking.model import Board
+from relocbench.progress import Reporter
+
+MOST_ROWS = 100_000
+"""answers of all chains up to which the pages hold the keyframes of all queries, not only of those with pictures"""
+
+
+def write_chain_pages(
+    board: ChainBoard, tracking: Board | None, site: Path, *, queries: int, reporter: Reporter
+) -> set[Path]:
+    """Write the page of each dataset's chains and that of a query; returns the paths of all files.
+
+    Args:
+        tracking: the trackers of the same results, to whose pairs the page of a query links.
+        site: the folder of the site.
+        queries: in each task, so many worst queries of each chain that is no floor, and so many drawn at random, have
+            pictures where the dataset is at hand.
+        reporter: receives the number of pictures that are done.
+
+    Raises:
+        PredictionError: rankings or trackers' answers are bad.
+        DatasetError: an image of a dataset cannot be read.
+    """
+    written: set[Path] = set()
+    thumbnails: list[Thumbnail] = []
+    for asked in board.sets:
+        written |= _write_set(board, asked, tracking, site, queries, thumbnails)
+    page = site / links.LOCATED_PAGE
+    write_page(page, __name__, "located.html.j2", page="located")
+    return written | {page} | write_thumbnails(thumbnails, reporter)
+
+
+def _write_set(
+    board: ChainBoard,
+    asked: ChainSetBoard,
+    tracking: Board | None,
+    site: Path,
+    count: int,
+    thumbnails: list[Thumbnail],
+) -> set[Path]:
+    of_set = id_of_chains(asked)
+    payload = chains_payload(board, asked, _trackers(asked, tracking))
+    written = {write_data(site, f"chains/{of_set}", payload)}
+    rows = sum(len(rows) for chain in asked.chains for rows in chain.answers.values())
+    for name in payload["tasks"]:
+        written.add(write_data(site, located_key(asked, name), located_payload(asked, name)))
+        if asked.truth is None:
+            continue
+        first = next(chain.answers[name] for chain in asked.chains if name in chain.answers)
+        times = [answer.query_timestamp_ns for answer in first]
+        halves = asked_chains(asked.truth, asked.chains, name)
+        chosen = chosen_queries(asked.chains, name, count)
+        kept = chosen if rows > MOST_ROWS else list(range(len(times)))
+        views = views_of(asked.truth, name, halves, times, chosen)
+        told = candidates_payload(asked.truth.truth(name), halves, times, kept, views)
+        written.add(write_data(site, candidates_key(asked, name), told))
+        thumbnails.extend(thumbnails_of(views, site, of_set))
+    page = site / links.relocalization_page(of_set)
+    write_page(page, __name__, "relocalization.html.j2", page="relocalization", asked=asked, of_set=of_set)
+    return written | {page}
+
+
+def _trackers(asked: ChainSetBoard, tracking: Board | None) -> dict[str, str]:
+    """The tasks that are pair sets of a dataset with results of trackers, and the id of that dataset."""
+    if tracking is None:
+        return {}
+    for dataset in tracking.datasets:
+        record = dataset.entry.record
+        if (record.name, record.fingerprint) == (asked.record.dataset, asked.record.dataset_fingerprint):
+            answered = {name for method in dataset.entry.methods for name in method.errors}
+            return {name: id_of(dataset) for name in asked.record.tasks if name in answered}
+    return {}

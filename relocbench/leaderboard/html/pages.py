@@ -1,0 +1,20 @@
+"""Writing a page of the site from a template."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from relocbench import version
+from relocbench.files import write_text
+from relocbench.pages import render
+
+
+def write_page(path: Path, module: str, template: str, **values: object) -> None:
+    """Fill a template that lies beside a module, and write it.
+
+    Args:
+        module: the ``__name__`` of that module.
+        template: such as ``set.html.j2``.
+        values: of the template, besides the version of relocbench.
+    """
+    write_text(path, render(module, template, version=version.__version__, **values))
