@@ -138,7 +138,7 @@ def _click(page: Any, chart: str, trace: int, point: int) -> None:
 
 
 def test_a_point_of_a_curve_lists_the_pairs_up_to_it_and_beside_them_all_others(page: Any, site: Path) -> None:
-    _open(page, site, f"table={ACROSS}&hide=identity,right&error=translation")
+    _open(page, site, f"table={ACROSS}&hide=%5B%22identity%22,%22right%22%5D&error=translation")
     _click(page, "curves", 0, 2)
     page.wait_for_selector("#pairs[open]")
     parts = page.locator("#pairs-part button")
@@ -185,7 +185,7 @@ def test_the_map_of_each_world_shows_its_pairs_and_opens_them(page: Any, site: P
 
 
 def test_errors_depend_on_what_is_recorded_and_a_point_opens_its_pair(page: Any, site: Path, swept: Path) -> None:
-    _open(page, site, f"table={ACROSS}&hide=identity,right&error=rotation")
+    _open(page, site, f"table={ACROSS}&hide=%5B%22identity%22,%22right%22%5D&error=rotation")
     assert "at most 12 d apart" in page.locator("#months-about").text_content()
     assert not page.locator("#months-panel").is_visible()
     _draw(page, "distance")
@@ -230,7 +230,7 @@ def test_matching_and_basins_are_drawn_also_of_methods_without_results(page: Any
 
 @pytest.mark.parametrize("page", ["dark"], indirect=True)
 def test_paper_has_what_was_chosen_and_light_colours(page: Any, site: Path) -> None:
-    _open(page, site, f"table={ACROSS}&hide=identity&methods-find=wr")
+    _open(page, site, f"table={ACROSS}&hide=%5B%22identity%22%5D&methods-find=wr")
     page.emulate_media(media="print")
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
     page.wait_for_selector("#probe .main-svg")  # what was never in sight is printed too

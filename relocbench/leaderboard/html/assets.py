@@ -10,7 +10,7 @@ from relocbench.errors import ConfigError
 from relocbench.files import write_bytes, write_text
 
 _OWN = (
-    *("site.css", "core.js", "tables.js", "charts.js", "start.js"),
+    *("site.css", "core.js", "tables.js", "charts.js", "legend.js", "heat.js", "start.js"),
     *("parts.js", "map.js", "against.js", "measured.js", "set.js"),
     *("warp.js", "pair.js", "pair.css"),
 )

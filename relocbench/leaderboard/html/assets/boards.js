@@ -1,4 +1,4 @@
-/* Parts of the pages of retrievers and of chains: lists, legends, curves, and maps of conditions. */
+/* Parts of the pages of retrievers and of chains: lists, curves, and bars. */
 "use strict";
 
 relocbench.boards = (() => {
@@ -46,41 +46,6 @@ relocbench.boards = (() => {
     if (!$("list-dialog").open) $("list-dialog").showModal();
   }
 
-  /** Buttons that take methods out of all charts; what is hidden stands in the address. */
-  function legend(labels, hidden, changed) {
-    $("hidden").textContent = someHidden(labels, hidden);
-    $("legend").replaceChildren(...labels.map((label) => {
-      const button = element("button", { type: "button", "aria-pressed": String(!hidden.has(label)) });
-      const l = look(label);
-      button.innerHTML = `<svg class="key" width="26" height="10" aria-hidden="true"><line x1="0" y1="5" x2="26" y2="5" stroke="${l.colour}" stroke-width="2.5" stroke-dasharray="${l.dash === "solid" ? "" : l.dash.replaceAll("px", "")}"/></svg>`;
-      button.append(label);
-      button.addEventListener("click", () => {
-        if (!hidden.delete(label)) hidden.add(label);
-        $("hidden").textContent = someHidden(labels, hidden);
-        state.set({ hide: JSON.stringify([...hidden]) });
-        button.setAttribute("aria-pressed", String(!hidden.has(label)));
-        changed();
-      });
-      return element("li", {}, button);
-    }));
-  }
-
-  const DRAWN = 8;
-
-  /**
-   * The labels that are not drawn: those that the address hides, or else what many methods leave no room for.
-   * The best are drawn; labels may hold commas, so that they stand in the address as JSON.
-   */
-  function hiddenLabels(labels, table, isFloor) {
-    const text = state.get("hide");
-    try { if (text) return new Set([].concat(JSON.parse(text))); } catch { /* no JSON */ }
-    if (labels.length <= DRAWN + 2) return new Set();
-    const best = new Set(table.rows.filter((row) => !isFloor(row.method)).slice(0, DRAWN).map((row) => row.method));
-    return new Set(labels.filter((label) => !best.has(label)));
-  }
-
-  const someHidden = (labels, hidden) => (hidden.size && labels.length > DRAWN + 2 ? `${labels.length - hidden.size} of ${labels.length} are drawn: a click on a name adds it or takes it away.` : "");
-
   const line = (label, more) => {
     const l = look(label);
     return { name: escape(label), meta: label, type: "scatter", line: { color: l.colour, dash: l.dash, width: 2 }, marker: { color: l.colour, symbol: l.marker, size: 6, maxdisplayed: 8 }, ...more };
@@ -109,29 +74,6 @@ relocbench.boards = (() => {
   });
 
   const upright = (x) => ({ type: "line", x0: x, x1: x, yref: "paper", y0: 0, y1: 1, line: { color: relocbench.css("--line-strong"), dash: "dot", width: 1 } });
-
-  /**
-   * A map of conditions against conditions, for one method or the difference of two.
-   * cells: [{row, column, value: (label) => share or null, open}]
-   */
-  function heat(id, cells, a, b, titles) {
-    const names = (key) => [...new Set(cells.map((one) => one[key]))].sort();
-    const rows = names("row"), columns = names("column");
-    const at = (row, column) => cells.filter((one) => one.row === row && one.column === column);
-    const valueOf = (one) => { const own = one.value(a), other = b ? one.value(b) : 0; return own === null || other === null ? null : 100 * (own - other); };
-    const z = rows.map((row) => columns.map((column) => {
-      const values = at(row, column).map(valueOf);
-      return values.length && !values.includes(null) ? values.reduce((s, v) => s + v, 0) / values.length : null;
-    }));
-    const height = (innerWidth > 640 ? 130 : 260) + 60 * rows.length;
-    $(id).style.minHeight = `${height}px`;
-    chart(id, [{
-      type: "heatmap", z, x: columns.map(escape), y: rows.map(escape), xgap: 2, ygap: 2,
-      colorscale: b ? [[0, "#b3561b"], [0.5, "#f4f4f4"], [1, "#2b5fb8"]] : "Cividis", showscale: innerWidth > 640, zmin: b ? -100 : 0, zmax: 100,
-      texttemplate: "%{z:.1f}", hovertemplate: "%{y} → %{x}: %{z:.1f} %<extra></extra>",
-    }], { height, xaxis: { title: { text: titles[0] }, type: "category" }, yaxis: { title: { text: titles[1] }, type: "category" } },
-    (event) => { const [y, x] = event.points[0].pointIndex || event.points[0].pointNumber; at(rows[y], columns[x])[0]?.open(); });
-  }
 
   /** Bars side by side for each method, as [{name, colour, pattern, values: {label: value}}], the first label on top. */
   function stacked(id, labels, parts, layout, template, click) {
@@ -163,5 +105,5 @@ relocbench.boards = (() => {
   /** The end of an image's path: its file and folder, which tell images of a list apart. */
   const shortName = (key) => key.split("/").slice(-2).join("/");
 
-  return { shortName, $, option, text, numeric, rank, redraw, cell, named, openList, legend, hiddenLabels, line, aside, cumulative, middle, curve, upright, heat, stacked, chooseTable };
+  return { shortName, $, option, text, numeric, rank, redraw, cell, named, openList, line, aside, cumulative, middle, curve, upright, stacked, chooseTable };
 })();

@@ -2,8 +2,8 @@
 "use strict";
 
 (async () => {
-  const { escape, number, state, load, floats, integers, bytes, chart } = relocbench;
-  const { $, option, text, numeric, rank, redraw, cell, named, openList, legend, hiddenLabels, cumulative, middle, curve, upright, heat, stacked, chooseTable } = relocbench.boards;
+  const { escape, number, state, load, floats, integers, bytes, chart, heat, legend, hiddenLabels } = relocbench;
+  const { $, option, text, numeric, rank, redraw, cell, named, openList, cumulative, middle, curve, upright, stacked, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
   const set = await load(`chains/${$("set").dataset.set}`);
   const labels = Object.keys(set.chains);

@@ -2,8 +2,8 @@
 "use strict";
 
 (async () => {
-  const { escape, number, state, load, floats, integers, bytes, chart } = relocbench;
-  const { shortName, $, option, text, numeric, rank, redraw, cell, named, openList, legend, hiddenLabels, line, aside, cumulative, curve, upright, heat, chooseTable } = relocbench.boards;
+  const { escape, number, state, load, floats, integers, bytes, chart, heat, legend, hiddenLabels } = relocbench;
+  const { shortName, $, option, text, numeric, rank, redraw, cell, named, openList, line, aside, cumulative, curve, upright, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
   const set = await load(`retrieval/${$("set").dataset.set}`);
   const labels = Object.keys(set.methods);

@@ -3,14 +3,13 @@
 "use strict";
 
 (async () => {
-  const { element, escape, number, state, load, floats, integers, bytes, look, chart } = relocbench;
+  const { element, escape, number, state, load, floats, integers, bytes, look, chart, heat, legend, hiddenLabels } = relocbench;
   const $ = (id) => document.getElementById(id);
   const site = relocbench.payload("site");
   const set = await load(`sets/${$("set").dataset.set}`);
   const [metres, degrees] = site.correct;
   const ranking = set.metrics.findIndex((metric) => metric.name === set.ranking);
   const seconds = set.metrics.length - 1;
-  const hidden = new Set(state.get("hide").split(",").filter(Boolean));
   const labels = Object.keys(set.methods);
   const decoded = new Map();
   const extra = load(`charts/${set.id}`);
@@ -204,43 +203,18 @@
   }
 
   function drawHeat() {
-    const a = $("heat-a").value, b = $("heat-b").value;
     const inTable = current().pair_sets;
     const tables = set.tables.filter((t) => !t.total && t.group === "all" && inTable.includes(t.pair_sets[0]));
-    const facts = set.pair_sets, names = (key) => [...new Set(tables.map((t) => facts[t.pair_sets[0]][key]))].sort();
-    const references = names("reference"), queries = names("query");
-    const valueOf = (t, label) => t.rows.find((row) => row.method === label)?.values[ranking] ?? null;
-    const cells = references.map((reference) => queries.map((query) => {
-      const values = tables.filter((t) => facts[t.pair_sets[0]].reference === reference && facts[t.pair_sets[0]].query === query)
-        .map((t) => { const one = valueOf(t, a), other = b ? valueOf(t, b) : 0; return one === null || other === null ? null : 100 * (one - other); });
-      return values.length && !values.includes(null) ? values.reduce((s, v) => s + v, 0) / values.length : null;
-    }));
-    chart("heat", [{
-      type: "heatmap", z: cells, x: queries.map(escape), y: references.map(escape), xgap: 2, ygap: 2,
-      colorscale: b ? [[0, "#b3561b"], [0.5, "#f4f4f4"], [1, "#2b5fb8"]] : "Cividis", showscale: innerWidth > 640, zmin: b ? -100 : 0, zmax: 100,
-      texttemplate: "%{z:.1f}", hovertemplate: "%{y} → %{x}: %{z:.1f} %<extra></extra>",
-    }], { height: 150 + 60 * references.length, xaxis: { title: { text: "query" }, type: "category" }, yaxis: { title: { text: "reference" }, type: "category" } },
-    async (event) => {
-      const [y, x] = event.points[0].pointIndex || event.points[0].pointNumber;
-      const chosen = tables.filter((t) => facts[t.pair_sets[0]].reference === references[y] && facts[t.pair_sets[0]].query === queries[x]);
-      const sets = (await Promise.all(chosen.map(dataOf))).flat();
-      openPairs(a, pairsOf(sets, { group: "all" }, a), `${references[y]} → ${queries[x]}`);
+    const cells = tables.map((t) => {
+      const { reference, query } = set.pair_sets[t.pair_sets[0]];
+      return { row: reference, column: query, value: (label) => t.rows.find((row) => row.method === label)?.values[ranking] ?? null };
     });
-  }
-
-  function drawLegend() {
-    $("legend").replaceChildren(...labels.map((label) => {
-      const button = element("button", { type: "button", "aria-pressed": String(!hidden.has(label)) });
-      button.innerHTML = relocbench.lineKey(label);
-      button.append(label);
-      button.addEventListener("click", () => {
-        hidden.has(label) ? hidden.delete(label) : hidden.add(label);
-        state.set({ hide: [...hidden].join(",") });
-        button.setAttribute("aria-pressed", String(!hidden.has(label)));
-        drawCharts();
-      });
-      return element("li", {}, button);
-    }));
+    const open = async (reference, query) => {
+      const label = $("heat-a").value, chosen = tables.filter((t) => set.pair_sets[t.pair_sets[0]].reference === reference && set.pair_sets[t.pair_sets[0]].query === query);
+      const sets = (await Promise.all(chosen.map(dataOf))).flat();
+      openPairs(label, pairsOf(sets, { group: "all" }, label), `${reference} → ${query}`);
+    };
+    heat("heat", cells.map((cell) => ({ ...cell, open: () => open(cell.row, cell.column) })), $("heat-a").value, $("heat-b").value, ["query", "reference"]);
   }
 
   function groups() {
@@ -250,6 +224,7 @@
 
   $("choose-table").replaceChildren(...titles.map((t) => option(t, t, state.get("table", titles.find((x) => x.startsWith("total")) || titles[0]))));
   groups();
+  const hidden = hiddenLabels(labels, current(), (label) => set.methods[label].floor);
   const chosen = labels.includes(state.get("method")) ? state.get("method") : labels.find((l) => !set.methods[l].floor) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
   $("heat-b").replaceChildren(option("", "nothing", ""), ...labels.map((l) => option(l, l, state.get("less"))));
@@ -260,9 +235,9 @@
   for (const [id, key] of [["heat-a", "method"], ["heat-b", "less"]]) $(id).addEventListener("change", () => { state.set({ [key]: $(id).value }); drawHeat(); });
   addEventListener("hashchange", () => location.reload());
   $("close").addEventListener("click", () => $("pairs").close());
-  document.addEventListener("relocbench-theme", () => { drawLegend(); drawCharts(); });
+  document.addEventListener("relocbench-theme", () => { legend(labels, hidden, drawCharts); drawCharts(); });
   drawTable(current());
-  drawLegend();
+  legend(labels, hidden, drawCharts);
   await new Promise((resolve) => setTimeout(resolve, 50)); // the table can be used before the errors are decoded
   await drawCharts();
   if (state.get("pairs") && shown[chosen]) openPairs(chosen, shown[chosen], current().title);
