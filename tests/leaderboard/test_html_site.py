@@ -127,7 +127,7 @@ def test_pages_of_methods_that_left_are_removed(boards: Boards, tmp_path: Path) 
     assert not list(tmp_path.glob("method-*.html"))
 
 
-@pytest.fixture(params=["light", "dark"])
+@pytest.fixture(params=["light"])
 def page(request: pytest.FixtureRequest) -> Iterator[Any]:
     """A page of a browser, which must report no error and ask for nothing beyond the disk."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -155,6 +155,7 @@ def _faults(page: Any) -> list[str]:
 
 @needs_browser
 @pytest.mark.slow
+@pytest.mark.parametrize("page", ["light", "dark"], indirect=True)
 def test_every_kind_of_page_opens_from_the_disk_and_is_accessible(page: Any, site: Path) -> None:
     kinds = ["index.html", "reading.html", "method-good.html", next(site.glob("set-*.html")).name]
     for name in kinds:
@@ -203,7 +204,6 @@ def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boa
 
 @needs_browser
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["light"], indirect=True)
 def test_a_method_that_misses_a_pair_set_has_no_curve_of_the_total(page: Any, site: Path) -> None:
     address = next(site.glob("set-*.html")).as_uri()
     drawn = "[...document.getElementById('curves').data].map((each) => each.meta)"
