@@ -49,7 +49,7 @@ def _open_worst_pair(page: Page) -> None:
 
 def _scroll_to_map(page: Page) -> None:
     """To the map of the drive, of a method that fails on some pairs."""
-    page.locator("#map-method").select_option("dso")
+    page.locator("#map-method").select_option("orb-pnp")
     page.locator("#map-section").scroll_into_view_if_needed()
     page.evaluate("window.scrollTo(0, document.getElementById('map-about').offsetTop - 120)")
     page.wait_for_timeout(1500)
