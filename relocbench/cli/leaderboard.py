@@ -114,6 +114,7 @@ def leaderboard(
     """
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+    from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard.formats import How, check_formats, write_formats
     from relocbench.leaderboard.html.rows import Boards
@@ -122,6 +123,7 @@ def leaderboard(
     from relocbench.leaderboard.retrieval.write import note_missing, retrieval_rows
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
+    check_in_no_dataset(out)
     given = {"--metric": metric, "--retrieval-metric": retrieval_metric}
     given["--relocalization-metric"] = relocalization_metric
     _check_metrics_apply(results, given)

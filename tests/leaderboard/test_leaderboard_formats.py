@@ -66,6 +66,25 @@ def test_json_counts_rows_sets_and_files(results: Path, tmp_path: Path) -> None:
     assert told["formats"] == ["csv"]
 
 
+def test_json_counts_all_files_of_the_pages_in_html(results: Path, tmp_path: Path) -> None:
+    done = relocbench("leaderboard", results, "--out", tmp_path / "b", "--format", "html", "--json", "-q")
+    told = json.loads(done.out)
+    there = {str(path) for path in (tmp_path / "b").rglob("*") if path.is_file() and path.name[0] != "."}
+    there.remove(str(tmp_path / "b" / "html" / "files.txt"))  # the list of these files
+    assert set(told["files"]) == there
+    assert told["counts"]["files_written"] == len(there) == len(told["files"])
+    assert Path(told["files"][0]).name == "index.html"
+
+
+def test_nothing_is_written_into_a_dataset(results: Path, tmp_path: Path) -> None:
+    for name in ("dataset.yaml", "manifest.csv"):
+        (tmp_path / name).touch()
+    for out in (tmp_path, tmp_path / "new" / "board"):
+        done = relocbench("leaderboard", results, "--out", out, "--no-plots")
+        assert (done.status, "--out lies inside the dataset" in done.complaint) == (2, True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset.yaml", "manifest.csv", "results"]
+
+
 def test_a_number_has_one_name_on_the_terminal_in_markdown_in_latex_and_in_csv(results: Path, tmp_path: Path) -> None:
     done = relocbench(
         "leaderboard", results, "--out", tmp_path, "--no-plots", "--format", "csv", "--format", "markdown",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,7 +22,7 @@ from relocbench.evaluation.submission.card import CARD, Answered, Card, read_car
 from relocbench.evaluation.submission.folder import RUN, answer_files, answer_folders, check_entries
 from relocbench.evaluation.submission.poses import PairSetAnswers, read_answered
 from relocbench.evaluation.submission.rankings import TaskLists, odd_lists, read_ranked
-from relocbench.evaluation.submission.resolving import Asked, resolve
+from relocbench.evaluation.submission.resolving import Asked, other_fingerprint, resolve
 from relocbench.evaluation.submission.suspicions import suspicions
 from relocbench.files import YamlPlaces, load_yaml
 from relocbench.progress import Reporter
@@ -250,8 +251,7 @@ def _check_lists(checked: Checked, name: str, answered: Answered, opened: Sequen
         there = ", ".join(o.name for o in opened)
         raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")
     if one.fingerprint != answered.fingerprint:
-        told = f"the fingerprint of '{name}' is {answered.fingerprint[:SHORT]}, the dataset given has "
-        raise PredictionError(told + one.fingerprint[:SHORT])
+        raise PredictionError(other_fingerprint(name, answered.fingerprint, one.fingerprint))
     if (folder / RUN).exists():
         with found.catching():
             run = load_yaml(folder / RUN, RetrievalRun, "the record of a retrieval run", PredictionError)
@@ -289,7 +289,8 @@ def _tell(checked: Checked, card: Card, places: YamlPlaces) -> None:
         if not answered.asked_once:
             checked.suspicions.append(f"{name}: was not asked once only, as the card says")
     for name in card.datasets:
-        seen = [split for split in card.weights.splits_seen if name.partition(".blind")[0] in split]
+        named = re.compile(rf"(?<![\w.+-]){re.escape(name.partition('.blind')[0])}(?![\w+-]|\.\w)")
+        seen = [split for split in card.weights.splits_seen if named.search(split)]
         if seen:
             checked.suspicions.append(f"{name}: training or tuning has seen '{seen[0]}', as the card says")
     if card.uses_times and any(tracked.asked.blind is not None for tracked in checked.tracked):

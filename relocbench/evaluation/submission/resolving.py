@@ -39,6 +39,13 @@ class Asked:
         return f"{told}; expected one of the {len(pair_set.asked)} pairs of the dataset"
 
 
+def other_fingerprint(name: str, claimed: str, true: str) -> str:
+    """What is wrong with the fingerprint that a card has of a dataset, in words."""
+    if claimed and true.startswith(claimed.lower()):
+        return f"the fingerprint of '{name}' is to be given in full, as its dataset.yaml has it: {true}"
+    return f"the fingerprint of '{name}' is {claimed[:SHORT]}, the dataset given has {true[:SHORT]}"
+
+
 def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Dataset]) -> Asked:
     """The dataset that answers belong to.
 
@@ -57,9 +64,7 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
     if own is not None and own.fingerprint != fingerprint:
         if source is None and question and own.question == question:
             return Asked(own, answered_on=fingerprint)
-        raise PredictionError(
-            f"the fingerprint of '{name}' is {fingerprint[:SHORT]}, the dataset given has {own.fingerprint[:SHORT]}"
-        )
+        raise PredictionError(other_fingerprint(name, fingerprint, own.fingerprint))
     if blind is not None and source is not None:
         keys = BlindKeys(source, blind.edition)
         if keys.name != blind:
