@@ -132,6 +132,8 @@ def test_equal_numbers_are_bold_alike_and_floors_infinities_and_gaps_never() -> 
     assert one[2:] == [r"\textbf{50.0} {\scriptsize {[}40.0, 60.0{]}}", r"$\infty$"]
     assert two[2:] == [r"\textbf{50.0}", r"$\infty$"]
     assert none[1:] == ["", "", ""]
+    assert "In italics, what is not ranked." in document([LatexTable("t", "l", ("method",), columns, lines)])
+    assert "italics" not in document([LatexTable("t", "l", ("method",), columns, lines[:3])])
     assert floor == [r"\textit{floor}", "", "90.0", "0.100"]
 
 
@@ -142,6 +144,19 @@ def test_any_text_is_shown_and_never_acts(text: str) -> None:
     ((heads, row),) = check_latex(document([table]))
     assert row[0] == escaped(text)
     assert len(heads) == 3
+
+
+def test_what_the_fonts_lack_and_what_they_would_join_is_written_otherwise() -> None:
+    assert escaped("Ħ ł ß 東 ſ") == "? ł ß ? ?"
+    assert escaped("a,,b ,,, --- 'x'") == "a,{},b ,{},{}, -{}-{}- {'}x{'}"
+
+
+def test_labels_of_names_that_differ_in_signs_alone_are_told_apart() -> None:
+    column, line = Column("a, %", "share", higher_is_better=True), Line(("m",), 1, (0.5,), (None,))
+    tables = [LatexTable(name, f"tab:{name}", ("method",), (column,), (line,)) for name in ("a_b", "a-b", "a+b")]
+    text = document(tables)
+    check_latex(text)
+    assert re.findall(r"label{(.*)}", text) == ["tab:a-b", "tab:a-b:2", "tab:a-b:3"]
 
 
 def test_names_with_special_characters_compile(tmp_path: Path) -> None:
