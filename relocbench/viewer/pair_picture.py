@@ -36,6 +36,8 @@ _LEAST_CONTRAST = 4.0
 """grey levels that are added to the local contrast, so that noise on a plain wall does not count like an edge"""
 _POINTS = 3000
 """points of the keyframe in the plans"""
+_LEGEND = 20
+"""characters of a line of the legend"""
 _LONGEST = 60
 """characters of a line of text"""
 
@@ -170,7 +172,7 @@ def _draw_plan(axes: Axes, reference: Reference, T_true: Array | None, T_answer:
     axes.set_title("from above, in the keyframe's frame")
     axes.set_xlabel("right, m")
     axes.set_ylabel("ahead, m")
-    axes.legend(loc="best", fontsize=8, framealpha=0.9)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=8, frameon=False, borderaxespad=0.0)
 
 
 def _draw_from_side(axes: Axes, reference: Reference, T_true: Array | None, T_answer: Array | None) -> None:
@@ -185,19 +187,27 @@ def _draw_poses(
     axes: Axes, reference: Reference, T_true: Array | None, T_answer: Array | None, plane: tuple[int, int], title: str
 ) -> None:
     """Camera centres with viewing directions over the keyframe's points, cut to the surroundings of the cameras."""
-    poses = [("keyframe", np.eye(4), _KEYFRAME, "o")]
-    poses += [] if T_true is None else [("query, true", invert(T_true), _TRUE, "s")]
-    poses += [] if T_answer is None else [(f"query by {title}", invert(T_answer), _ANSWER, "X")]
-    centres = np.array([T[:3, 3] for _, T, _, _ in poses])[:, plane]
+    # Later ones are smaller, and the truth is hollow: cameras at one place are all seen.
+    poses: list[tuple[str, Array, str, dict[str, Any], float]] = [
+        ("keyframe", np.eye(4), _KEYFRAME, {"marker": "o", "markersize": 10}, 4.0)
+    ]
+    if T_true is not None:
+        hollow = {"marker": "s", "markersize": 12, "markerfacecolor": "none", "markeredgewidth": 2}
+        poses.append(("query, true", invert(T_true), _TRUE, hollow, 2.5))
+    if T_answer is not None:
+        small = {"marker": "X", "markersize": 7, "markeredgecolor": "white", "markeredgewidth": 0.7}
+        name = textwrap.fill(f"query by {title}", _LEGEND)
+        poses.append((name, invert(T_answer), _ANSWER, small, 1.0))
+    centres = np.array([T[:3, 3] for _, T, *_ in poses])[:, plane]
     middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
     reach = max(1.0, 0.8 * float(np.max(np.ptp(centres, axis=0))))
     cloud = keyframe_points(reference, _POINTS).positions[:, plane]
     axes.scatter(cloud[:, 0], cloud[:, 1], s=2, color="#bbbbbb", linewidths=0, zorder=1)
-    for name, T_ref_cam, colour, marker in poses:
+    for order, (name, T_ref_cam, colour, marker, width) in enumerate(poses, start=2):
         at, ahead = T_ref_cam[:3, 3][list(plane)], T_ref_cam[:3, 2][list(plane)]
-        axes.plot(*at, marker, color=colour, label=name, markersize=7, markeredgecolor="white", zorder=3)
+        axes.plot(*at, linestyle="none", color=colour, label=name, zorder=order, **marker)
         tip = at + 0.35 * reach * ahead
-        axes.plot([at[0], tip[0]], [at[1], tip[1]], color=colour, linewidth=1.5, zorder=2)
+        axes.plot([at[0], tip[0]], [at[1], tip[1]], color=colour, linewidth=width, zorder=order)
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(middle[0] - reach, middle[0] + reach)
     axes.set_ylim(middle[1] - reach, middle[1] + reach)

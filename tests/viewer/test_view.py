@@ -19,9 +19,10 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.geometry import Camera, invert, make_transform, so3_exp, transform_from_tq
 from relocbench.tracking import Query, Reference
+from relocbench.viewer.answers import ShownAnswer
 from relocbench.viewer.choice import chosen_pairs
 from relocbench.viewer.frames import world_of_traversals
-from relocbench.viewer.pair_picture import warp_at
+from relocbench.viewer.pair_picture import draw_pair, warp_at
 from relocbench.viewer.pictures import as_pinhole
 
 OFF = make_transform(so3_exp([0.0, 0.01, 0.0]), [0.05, 0.0, 0.1])
@@ -268,6 +269,18 @@ def test_the_picture_of_a_pair_tells_its_numbers_and_is_the_same_each_time(
     first, again, other = ((tmp_path / f"{n}.png").read_bytes() for n in range(3))
     assert first == again
     assert first != other
+
+
+def test_an_answer_at_the_true_pose_leaves_the_true_camera_in_sight(dataset: Dataset) -> None:
+    pair_set = dataset.pair_set(ACROSS)
+    pair = _in_order(pair_set.asked)[3]
+    assert pair.T_query_ref is not None
+    green = []
+    for T in (pair.T_query_ref, OFF @ OFF @ pair.T_query_ref):
+        drawn = draw_pair(dataset, pair_set, pair, "m", ShownAnswer(T, 0.0, 0.0, None))
+        picture = cv2.imdecode(np.frombuffer(drawn, np.uint8), cv2.IMREAD_COLOR_RGB)
+        green.append(int((np.abs(picture.astype(int) - (0x00, 0x9E, 0x73)).max(axis=2) < 8).sum()))
+    assert green[0] > 0.7 * green[1], green
 
 
 def test_a_picture_says_where_a_method_did_not_answer(dataset: Dataset, results: Path, tmp_path: Path) -> None:
