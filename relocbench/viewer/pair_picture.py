@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +37,8 @@ _LEAST_CONTRAST = 4.0
 """grey levels that are added to the local contrast, so that noise on a plain wall does not count like an edge"""
 _POINTS = 3000
 """points of the keyframe in the plans"""
+_TITLE = 46
+"""characters of a line of a title"""
 _LEGEND = 20
 """characters of a line of the legend"""
 _LONGEST = 60
@@ -117,7 +120,9 @@ def draw_pair(dataset: Dataset, pair_set: PairSet, pair: Pair, method: str | Non
     T_answer = np.eye(4) if answer is None else answer.T_query_ref
     title = "" if method is None else _short(method)
     none = "" if answer is None else answer.words
-    with mpl.rc_context():
+    with mpl.rc_context(), warnings.catch_warnings():
+        # A sign that the font lacks is drawn as a box.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         mpl.rcdefaults()
         mpl.rcParams.update({"font.size": 9, "text.parse_math": False, "axes.titlesize": 10})
         figure = Figure(
@@ -125,10 +130,8 @@ def draw_pair(dataset: Dataset, pair_set: PairSet, pair: Pair, method: str | Non
         )
         FigureCanvasAgg(figure)
         panels = figure.subplots(3, 3)
-        _show(
-            panels[0, 0], reference.image, f"keyframe, {_short(str(dataset.traversal(pair_set.reference).condition))}"
-        )
-        _show(panels[0, 1], query.image, f"query, {_short(str(dataset.traversal(pair_set.query).condition))}")
+        _show(panels[0, 0], reference.image, _titled(f"keyframe, {dataset.traversal(pair_set.reference).condition}"))
+        _show(panels[0, 1], query.image, _titled(f"query, {dataset.traversal(pair_set.query).condition}"))
         truth = None if pair.T_query_ref is None else warp_at(reference, query, pair.T_query_ref)
         found = None if T_answer is None else warp_at(reference, query, T_answer)
         _show_warp(panels[1, 0], panels[2, 0], truth, "the true pose", "the truth is withheld")
@@ -152,10 +155,10 @@ def _show_warp(above: Axes, below: Axes, warp: Warp | None, title: str, why_not:
     if warp is None:
         for axes in (above, below):
             axes.set_axis_off()
-        above.set_title(f"keyframe warped by {title}")
+        above.set_title(_titled(f"keyframe warped by {title}"))
         above.text(0.5, 0.5, _wrapped(why_not), ha="center", va="center", transform=above.transAxes)
         return
-    _show(above, warp.image, f"keyframe warped by {title}")
+    _show(above, warp.image, _titled(f"keyframe warped by {title}"))
     drawn = below.imshow(warp.residual, cmap="magma", vmin=0, vmax=_LARGEST_RESIDUAL, interpolation="nearest")
     below.set_facecolor("#d0d0d0")
     below.set_xticks([])
@@ -253,6 +256,11 @@ def _levels(warp: Warp | None) -> str:
 
 def _short(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+
+
+def _titled(text: str) -> str:
+    """A title of at most two lines that stays above its panel."""
+    return textwrap.fill(text, _TITLE, max_lines=2, placeholder="…")
 
 
 def _wrapped(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,13 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
+from matplotlib.axes import Axes
 from rerun.chunk import RrdReader
 from small_dataset import ACROSS, WITHIN, make_small_dataset, photograph, render, small_camera, small_pose
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
+from relocbench.datasets.core.schema import Condition
 from relocbench.geometry import Camera, invert, make_transform, so3_exp, transform_from_tq
 from relocbench.tracking import Query, Reference
 from relocbench.viewer.answers import ShownAnswer
@@ -271,6 +274,26 @@ def test_the_picture_of_a_pair_tells_its_numbers_and_is_the_same_each_time(
     assert first != other
 
 
+def test_titles_in_any_script_and_of_any_length_are_drawn_without_a_warning(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[str] = []
+    pair_set = dataset.pair_set(ACROSS)
+    monkeypatch.setattr(Condition, "__str__", lambda self: f"雪 $x_1$, {'W' * 200}")
+    usual = Axes.set_title
+
+    def titled(axes: Axes, label: str) -> None:
+        drawn.append(label)
+        usual(axes, label)
+
+    monkeypatch.setattr(Axes, "set_title", titled)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        draw_pair(dataset, pair_set, pair_set.asked[0], "m" * 100, ShownAnswer(np.eye(4), 0.0, 0.0, None))
+    assert any("雪" in title for title in drawn)
+    assert all(len(line) <= 50 for title in drawn for line in title.splitlines())
+
+
 def test_an_answer_at_the_true_pose_leaves_the_true_camera_in_sight(dataset: Dataset) -> None:
     pair_set = dataset.pair_set(ACROSS)
     pair = _in_order(pair_set.asked)[3]
@@ -279,6 +302,7 @@ def test_an_answer_at_the_true_pose_leaves_the_true_camera_in_sight(dataset: Dat
     for T in (pair.T_query_ref, OFF @ OFF @ pair.T_query_ref):
         drawn = draw_pair(dataset, pair_set, pair, "m", ShownAnswer(T, 0.0, 0.0, None))
         picture = cv2.imdecode(np.frombuffer(drawn, np.uint8), cv2.IMREAD_COLOR_RGB)
+        assert picture is not None
         green.append(int((np.abs(picture.astype(int) - (0x00, 0x9E, 0x73)).max(axis=2) < 8).sum()))
     assert green[0] > 0.35 * green[1], green
 
@@ -322,3 +346,11 @@ def test_an_unknown_method_and_results_of_another_dataset_are_refused(
     inside = relocbench("view", dataset.root, "--out", dataset.root / "a.rrd")
     assert (inside.status, "lies inside the dataset" in inside.complaint) == (2, True)
     assert not list(tmp_path.glob("*.rrd"))
+
+
+def test_a_rejected_pair_is_told_to_be_one(tmp_path: Path) -> None:
+    dataset = make_small_dataset(tmp_path / "d", frames=3, size=(24, 18), rejected=1)
+    (lost,) = dataset.pair_set(ACROSS).rejected
+    done = relocbench("view", dataset.root, "--pair", *lost.key, "--out", tmp_path / "p.png")
+    assert done.status == 2
+    assert f"{lost.key[1]} of {ACROSS} was rejected (too few points agree)" in done.complaint
