@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from matplotlib.axes import Axes
+from rerun import RecordingStream
 from rerun.chunk import RrdReader
 from small_dataset import ACROSS, WITHIN, make_small_dataset, photograph, render, small_camera, small_pose
 
@@ -354,3 +355,18 @@ def test_a_rejected_pair_is_told_to_be_one(tmp_path: Path) -> None:
     done = relocbench("view", dataset.root, "--pair", *lost.key, "--out", tmp_path / "p.png")
     assert done.status == 2
     assert f"{lost.key[1]} of {ACROSS} was rejected (too few points agree)" in done.complaint
+
+
+def test_a_disk_that_is_full_leaves_one_line_and_no_file(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / ".old.0123abcd.part.rrd").write_bytes(b"what a killed command left")
+
+    def fails(*_: object, **__: object) -> None:
+        raise RuntimeError("the thread that writes has ended")
+
+    monkeypatch.setattr(RecordingStream, "flush", fails)
+    done = relocbench("view", dataset.root, "--out", tmp_path / "v.rrd", "--limit", 1, "-q")
+    assert done.status == 2
+    assert "v.rrd: could not be written to its end (the thread that writes has ended)" in done.complaint
+    assert list(tmp_path.iterdir()) == []
