@@ -87,6 +87,7 @@ def export(
     Example: relocbench export -d D --method dso --format mlad --out submission.zip
     """
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_dataset
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.errors import ConfigError
     from relocbench.evaluation.common.opening import check_outside
@@ -112,7 +113,11 @@ def export(
     check_outside(out, dataset)
     if format == "blind":
         with alone_writing_to(out):
-            typer.echo(export_blind(opened, out, 1 if edition is None else edition, reporter(quiet)).name)
+            blind = export_blind(opened, out, 1 if edition is None else edition, reporter(quiet))
+        if json:
+            print_json({"dataset": str(out), "name": blind.name, "fingerprint": blind.fingerprint}, of_dataset(blind))
+        else:
+            typer.echo(blind.name)
         return
     if retriever is not None:
         asked = [opened.pair_set(name).name for name in pair_set]

@@ -118,6 +118,7 @@ def leaderboard(
     """
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+    from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard.formats import How, check_formats, write_formats
     from relocbench.leaderboard.html.rows import Boards
@@ -126,6 +127,7 @@ def leaderboard(
     from relocbench.leaderboard.retrieval.write import note_missing, retrieval_rows
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
+    check_in_no_dataset(out)
     ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
     told, chosen = reporter(quiet), check_formats(formats, html)
     at_hand = DatasetsAtHand(results, dataset or (), told)

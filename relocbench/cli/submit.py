@@ -68,7 +68,11 @@ def submit_check(
     if new is not None:
         if submission is not None or dataset:
             raise ConfigError("--new writes a card and checks nothing; give it alone")
-        _write_template(new)
+        card = _write_template(new)
+        if json:
+            print_json({"card": str(card)}, {"files_written": 1})
+        else:
+            print(card)
         return
     if submission is None:
         raise ConfigError("nothing to check: give the folder of a submission, or --new FOLDER for a card to fill in")
@@ -149,7 +153,8 @@ def _options(dataset: list[Path], radius: float | None, *, blind_only: bool) -> 
     return SubmissionOptions(tuple(dataset), blind_only, SetOptions(radius_m=radius))
 
 
-def _write_template(folder: Path) -> None:
+def _write_template(folder: Path) -> Path:
+    """Write a card to fill in; returns its path. Raises ConfigError where there is one already."""
     from relocbench.errors import ConfigError
     from relocbench.evaluation.submission.card import CARD, TEMPLATE
     from relocbench.files import write_text
@@ -158,7 +163,7 @@ def _write_template(folder: Path) -> None:
     if path.exists() or path.is_symlink():
         raise ConfigError("is there already, and is not overwritten", path)
     write_text(path, TEMPLATE)
-    print(path)
+    return path
 
 
 def _print_checked(checked: Checked, *, quiet: bool) -> None:

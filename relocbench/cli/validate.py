@@ -69,7 +69,8 @@ def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) ->
     from relocbench.datasets.cross_view import is_cross_view
     from relocbench.datasets.cross_view.checking import validate_cross_view
     from relocbench.errors import PredictionError, RelocbenchError
-    from relocbench.evaluation.tracking.validation import is_results_folder, validate_prediction_files, validate_results
+    from relocbench.evaluation.tracking.validation import validate_prediction_files
+    from relocbench.leaderboard.validation import is_results_folder, validate_all_results
 
     if not path.exists():
         raise RelocbenchError("no such file or folder; expected a dataset, results or predictions", path)
@@ -87,7 +88,7 @@ def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) ->
             raise RelocbenchError("is a dataset; --dataset is for predictions and results", path)
         return "dataset", validate_dataset(path, reporter, quick=quick)
     if is_results_folder(path):
-        return "results", validate_results(path, against, reporter)
+        return "results", validate_all_results(path, against, reporter)
     if any(path.glob("*.txt")):
         return "predictions", validate_prediction_files(path, against)
     raise RelocbenchError("neither a dataset, nor results, nor predictions (PAIRSET.txt)", path)

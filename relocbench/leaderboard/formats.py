@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 from relocbench.errors import ConfigError, quoted
 from relocbench.files import write_text
+from relocbench.leaderboard.html.manifest import earlier_files
 from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 from relocbench.leaderboard.relocalization import latex as chain_latex
@@ -32,7 +33,7 @@ class How:
 
 
 Writer = Callable[[Boards, Path, How], list[Path]]
-"""writes boards into a folder and returns the files; of a site its first page"""
+"""writes boards into a folder and returns the files; of a site its first page comes first"""
 
 
 def _csv(boards: Boards, out: Path, how: How) -> list[Path]:
@@ -62,7 +63,8 @@ def _latex(boards: Boards, out: Path, how: How) -> list[Path]:
 
 
 def _html(boards: Boards, out: Path, how: How) -> list[Path]:
-    return [write_site(boards, out / "html", pairs=how.pairs, reporter=how.reporter)]
+    first = write_site(boards, out / "html", pairs=how.pairs, reporter=how.reporter)
+    return [first, *sorted(earlier_files(out / "html") - {first})]
 
 
 FORMATS: Mapping[str, Writer] = MappingProxyType({"csv": _csv, "markdown": _markdown, "latex": _latex, "html": _html})

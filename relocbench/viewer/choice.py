@@ -56,6 +56,10 @@ def one_pair(pair_sets: Sequence[PairSet], key: tuple[int, int]) -> tuple[PairSe
     found = [(s, s.by_key[key]) for s in pair_sets if key in s.by_key]
     where = ", ".join(s.name for s in pair_sets)
     if not found:
+        lost = next(((s, p) for s in pair_sets for p in s.rejected if p.key == key), None)
+        if lost is not None:
+            why = f" ({lost[1].reason})" if lost[1].reason else ""
+            raise DatasetError(f"the pair {key[0]} {key[1]} of {lost[0].name} was rejected{why}, and has no true pose")
         raise DatasetError(f"no accepted pair of the times {key[0]} and {key[1]} (keyframe, query) in {where}")
     if len(found) > 1:
         names = ", ".join(s.name for s, _ in found)

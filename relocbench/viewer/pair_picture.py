@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +37,10 @@ _LEAST_CONTRAST = 4.0
 """grey levels that are added to the local contrast, so that noise on a plain wall does not count like an edge"""
 _POINTS = 3000
 """points of the keyframe in the plans"""
+_TITLE = 46
+"""characters of a line of a title"""
+_LEGEND = 20
+"""characters of a line of the legend"""
 _LONGEST = 60
 """characters of a line of text"""
 
@@ -115,7 +120,9 @@ def draw_pair(dataset: Dataset, pair_set: PairSet, pair: Pair, method: str | Non
     T_answer = np.eye(4) if answer is None else answer.T_query_ref
     title = "" if method is None else _short(method)
     none = "" if answer is None else answer.words
-    with mpl.rc_context():
+    with mpl.rc_context(), warnings.catch_warnings():
+        # A sign that the font lacks is drawn as a box.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         mpl.rcdefaults()
         mpl.rcParams.update({"font.size": 9, "text.parse_math": False, "axes.titlesize": 10})
         figure = Figure(
@@ -123,10 +130,8 @@ def draw_pair(dataset: Dataset, pair_set: PairSet, pair: Pair, method: str | Non
         )
         FigureCanvasAgg(figure)
         panels = figure.subplots(3, 3)
-        _show(
-            panels[0, 0], reference.image, f"keyframe, {_short(str(dataset.traversal(pair_set.reference).condition))}"
-        )
-        _show(panels[0, 1], query.image, f"query, {_short(str(dataset.traversal(pair_set.query).condition))}")
+        _show(panels[0, 0], reference.image, _titled(f"keyframe, {dataset.traversal(pair_set.reference).condition}"))
+        _show(panels[0, 1], query.image, _titled(f"query, {dataset.traversal(pair_set.query).condition}"))
         truth = None if pair.T_query_ref is None else warp_at(reference, query, pair.T_query_ref)
         found = None if T_answer is None else warp_at(reference, query, T_answer)
         _show_warp(panels[1, 0], panels[2, 0], truth, "the true pose", "the truth is withheld")
@@ -150,10 +155,10 @@ def _show_warp(above: Axes, below: Axes, warp: Warp | None, title: str, why_not:
     if warp is None:
         for axes in (above, below):
             axes.set_axis_off()
-        above.set_title(f"keyframe warped by {title}")
+        above.set_title(_titled(f"keyframe warped by {title}"))
         above.text(0.5, 0.5, _wrapped(why_not), ha="center", va="center", transform=above.transAxes)
         return
-    _show(above, warp.image, f"keyframe warped by {title}")
+    _show(above, warp.image, _titled(f"keyframe warped by {title}"))
     drawn = below.imshow(warp.residual, cmap="magma", vmin=0, vmax=_LARGEST_RESIDUAL, interpolation="nearest")
     below.set_facecolor("#d0d0d0")
     below.set_xticks([])
@@ -170,7 +175,7 @@ def _draw_plan(axes: Axes, reference: Reference, T_true: Array | None, T_answer:
     axes.set_title("from above, in the keyframe's frame")
     axes.set_xlabel("right, m")
     axes.set_ylabel("ahead, m")
-    axes.legend(loc="best", fontsize=8, framealpha=0.9)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=8, frameon=False, borderaxespad=0.0)
 
 
 def _draw_from_side(axes: Axes, reference: Reference, T_true: Array | None, T_answer: Array | None) -> None:
@@ -185,19 +190,27 @@ def _draw_poses(
     axes: Axes, reference: Reference, T_true: Array | None, T_answer: Array | None, plane: tuple[int, int], title: str
 ) -> None:
     """Camera centres with viewing directions over the keyframe's points, cut to the surroundings of the cameras."""
-    poses = [("keyframe", np.eye(4), _KEYFRAME, "o")]
-    poses += [] if T_true is None else [("query, true", invert(T_true), _TRUE, "s")]
-    poses += [] if T_answer is None else [(f"query by {title}", invert(T_answer), _ANSWER, "X")]
-    centres = np.array([T[:3, 3] for _, T, _, _ in poses])[:, plane]
+    # Later ones are smaller, and the truth is hollow: cameras at one place are all seen.
+    poses: list[tuple[str, Array, str, dict[str, Any], float]] = [
+        ("keyframe", np.eye(4), _KEYFRAME, {"marker": "o", "markersize": 10}, 4.0)
+    ]
+    if T_true is not None:
+        hollow = {"marker": "s", "markersize": 12, "markerfacecolor": "none", "markeredgewidth": 2}
+        poses.append(("query, true", invert(T_true), _TRUE, hollow, 2.5))
+    if T_answer is not None:
+        small = {"marker": "X", "markersize": 7, "markeredgecolor": "white", "markeredgewidth": 0.7}
+        name = textwrap.fill(f"query by {title}", _LEGEND)
+        poses.append((name, invert(T_answer), _ANSWER, small, 1.0))
+    centres = np.array([T[:3, 3] for _, T, *_ in poses])[:, plane]
     middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
     reach = max(1.0, 0.8 * float(np.max(np.ptp(centres, axis=0))))
     cloud = keyframe_points(reference, _POINTS).positions[:, plane]
     axes.scatter(cloud[:, 0], cloud[:, 1], s=2, color="#bbbbbb", linewidths=0, zorder=1)
-    for name, T_ref_cam, colour, marker in poses:
+    for order, (name, T_ref_cam, colour, marker, width) in enumerate(poses, start=2):
         at, ahead = T_ref_cam[:3, 3][list(plane)], T_ref_cam[:3, 2][list(plane)]
-        axes.plot(*at, marker, color=colour, label=name, markersize=7, markeredgecolor="white", zorder=3)
+        axes.plot(*at, linestyle="none", color=colour, label=name, zorder=order, **marker)
         tip = at + 0.35 * reach * ahead
-        axes.plot([at[0], tip[0]], [at[1], tip[1]], color=colour, linewidth=1.5, zorder=2)
+        axes.plot([at[0], tip[0]], [at[1], tip[1]], color=colour, linewidth=width, zorder=order)
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(middle[0] - reach, middle[0] + reach)
     axes.set_ylim(middle[1] - reach, middle[1] + reach)
@@ -243,6 +256,11 @@ def _levels(warp: Warp | None) -> str:
 
 def _short(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+
+
+def _titled(text: str) -> str:
+    """A title of at most two lines that stays above its panel."""
+    return textwrap.fill(text, _TITLE, max_lines=2, placeholder="…")
 
 
 def _wrapped(text: str) -> str:

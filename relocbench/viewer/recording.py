@@ -22,7 +22,8 @@ from relocbench.datasets.core.images import jpeg_bytes
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.worlds import world_of_traversals
-from relocbench.files import atomic_write
+from relocbench.errors import ConfigError
+from relocbench.files import atomic_write, remove_parts
 from relocbench.geometry import Camera, invert, transform_to_tq
 from relocbench.pages.markdown import escaped
 from relocbench.progress import Reporter
@@ -44,6 +45,8 @@ _METHODS: tuple[Colour, ...] = (
     (0, 114, 178),
 )
 _TRUE, _REF, _RIG = (0, 158, 115), (200, 200, 200), (120, 120, 120)
+_PATIENCE_S = 10.0
+"""in which some more of a recording is written, if any is"""
 _PLANE_M = 0.6
 """metres from a camera's centre at which its image stands in the world"""
 
@@ -80,14 +83,22 @@ def write_recording(
         shown: from :func:`relocbench.viewer.choice.chosen_pairs`; not empty.
         answers: method -> pair set -> its answers.
         points: most points of a keyframe.
+
+    Raises:
+        ConfigError: the file cannot be written to its end.
+        DatasetError: an image, depth or description of the dataset is bad.
     """
+    remove_parts(out.parent, deep=False)
     with atomic_write(out, "wb") as stream:
         work = _Work(dataset, shown, answers, points, Path(stream.name))
         with reporter.stage("writing pairs", len(shown)) as advance:
             for one in shown:
                 work.add(one)
                 advance(1)
-        work.close()
+        try:
+            work.close()
+        except RuntimeError as bad:  # rerun writes in a thread of its own, and says why on standard error
+            raise ConfigError(f"could not be written to its end ({bad}); is there space left?", out) from None
     return work.written(out.stat().st_size)
 
 
@@ -102,7 +113,7 @@ class _Work:
         points: int,
         path: Path,
     ) -> None:
-        self.dataset, self.answers, self.points = dataset, answers, points
+        self.dataset, self.answers, self.points, self.path = dataset, answers, points, path
         self.colours = {name: _METHODS[i % len(_METHODS)] for i, name in enumerate(answers)}
         self.sets = {one.pair_set.name: one.pair_set for one in shown}
         self.worlds = world_of_traversals(dataset, self.sets.values())
@@ -150,7 +161,16 @@ class _Work:
         self.without_pose += T_world_ref is None
 
     def close(self) -> None:
-        self.rec.flush()
+        """Write what is left. Raises RuntimeError where nothing more can be written, as on a full disk."""
+        written = -1
+        while True:  # rerun's thread that writes may end without telling those who wait for it
+            try:
+                self.rec.flush(timeout_sec=_PATIENCE_S)
+                break
+            except RuntimeError:
+                before, written = written, self.path.stat().st_size
+                if written == before:
+                    raise
         self.rec.disconnect()
 
     def written(self, size: int) -> Written:

@@ -176,6 +176,8 @@ def _small_demo(monkeypatch: pytest.MonkeyPatch) -> None:
             ["export", "-d", "DATASET", "--results", "RESULTS", "-m", "identity", "-f", "mlad", "--out", "OUT/a.zip"],
             {"files_written", "pair_sets"},
         ),
+        (["export", "-d", "DATASET", "-f", "blind", "--out", "OUT/b"], {"pairs", "pair_sets"}),
+        (["submit-check", "--new", "OUT/s"], {"files_written"}),
     ],
 )
 def test_other_ways_of_asking_print_one_object_too(

@@ -66,6 +66,25 @@ def test_json_counts_rows_sets_and_files(results: Path, tmp_path: Path) -> None:
     assert told["formats"] == ["csv"]
 
 
+def test_json_counts_all_files_of_the_pages_in_html(results: Path, tmp_path: Path) -> None:
+    done = relocbench("leaderboard", results, "--out", tmp_path / "b", "--format", "html", "--json", "-q")
+    told = json.loads(done.out)
+    there = {str(path) for path in (tmp_path / "b").rglob("*") if path.is_file() and path.name[0] != "."}
+    there.remove(str(tmp_path / "b" / "html" / "files.txt"))  # the list of these files
+    assert set(told["files"]) == there
+    assert told["counts"]["files_written"] == len(there) == len(told["files"])
+    assert Path(told["files"][0]).name == "index.html"
+
+
+def test_nothing_is_written_into_a_dataset(results: Path, tmp_path: Path) -> None:
+    for name in ("dataset.yaml", "manifest.csv"):
+        (tmp_path / name).touch()
+    for out in (tmp_path, tmp_path / "new" / "board"):
+        done = relocbench("leaderboard", results, "--out", out, "--no-plots")
+        assert (done.status, "--out lies inside the dataset" in done.complaint) == (2, True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset.yaml", "manifest.csv", "results"]
+
+
 def test_a_number_has_one_name_on_the_terminal_in_markdown_in_latex_and_in_csv(results: Path, tmp_path: Path) -> None:
     done = relocbench(
         "leaderboard", results, "--out", tmp_path, "--no-plots", "--format", "csv", "--format", "markdown",
@@ -113,6 +132,8 @@ def test_equal_numbers_are_bold_alike_and_floors_infinities_and_gaps_never() -> 
     assert one[2:] == [r"\textbf{50.0} {\scriptsize {[}40.0, 60.0{]}}", r"$\infty$"]
     assert two[2:] == [r"\textbf{50.0}", r"$\infty$"]
     assert none[1:] == ["", "", ""]
+    assert "In italics, what is not ranked." in document([LatexTable("t", "l", ("method",), columns, lines)])
+    assert "italics" not in document([LatexTable("t", "l", ("method",), columns, lines[:3])])
     assert floor == [r"\textit{floor}", "", "90.0", "0.100"]
 
 
@@ -123,6 +144,19 @@ def test_any_text_is_shown_and_never_acts(text: str) -> None:
     ((heads, row),) = check_latex(document([table]))
     assert row[0] == escaped(text)
     assert len(heads) == 3
+
+
+def test_what_the_fonts_lack_and_what_they_would_join_is_written_otherwise() -> None:
+    assert escaped("Ħ ł ß 東 ſ") == "? ł ß ? ?"
+    assert escaped("a,,b ,,, --- 'x'") == "a,{},b ,{},{}, -{}-{}- {'}x{'}"
+
+
+def test_labels_of_names_that_differ_in_signs_alone_are_told_apart() -> None:
+    column, line = Column("a, %", "share", higher_is_better=True), Line(("m",), 1, (0.5,), (None,))
+    tables = [LatexTable(name, f"tab:{name}", ("method",), (column,), (line,)) for name in ("a_b", "a-b", "a+b")]
+    text = document(tables)
+    check_latex(text)
+    assert re.findall(r"label{(.*)}", text) == ["tab:a-b", "tab:a-b:2", "tab:a-b:3"]
 
 
 def test_names_with_special_characters_compile(tmp_path: Path) -> None:

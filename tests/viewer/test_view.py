@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,16 +13,20 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
+from matplotlib.axes import Axes
+from rerun import RecordingStream
 from rerun.chunk import RrdReader
 from small_dataset import ACROSS, WITHIN, make_small_dataset, photograph, render, small_camera, small_pose
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
+from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.core.worlds import world_of_traversals
 from relocbench.geometry import Camera, invert, make_transform, so3_exp, transform_from_tq
 from relocbench.tracking import Query, Reference
+from relocbench.viewer.answers import ShownAnswer
 from relocbench.viewer.choice import chosen_pairs
-from relocbench.viewer.pair_picture import warp_at
+from relocbench.viewer.pair_picture import draw_pair, warp_at
 from relocbench.viewer.pictures import as_pinhole
 
 OFF = make_transform(so3_exp([0.0, 0.01, 0.0]), [0.05, 0.0, 0.1])
@@ -270,6 +275,39 @@ def test_the_picture_of_a_pair_tells_its_numbers_and_is_the_same_each_time(
     assert first != other
 
 
+def test_titles_in_any_script_and_of_any_length_are_drawn_without_a_warning(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[str] = []
+    pair_set = dataset.pair_set(ACROSS)
+    monkeypatch.setattr(Condition, "__str__", lambda self: f"雪 $x_1$, {'W' * 200}")
+    usual = Axes.set_title
+
+    def titled(axes: Axes, label: str) -> None:
+        drawn.append(label)
+        usual(axes, label)
+
+    monkeypatch.setattr(Axes, "set_title", titled)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        draw_pair(dataset, pair_set, pair_set.asked[0], "m" * 100, ShownAnswer(np.eye(4), 0.0, 0.0, None))
+    assert any("雪" in title for title in drawn)
+    assert all(len(line) <= 50 for title in drawn for line in title.splitlines())
+
+
+def test_an_answer_at_the_true_pose_leaves_the_true_camera_in_sight(dataset: Dataset) -> None:
+    pair_set = dataset.pair_set(ACROSS)
+    pair = _in_order(pair_set.asked)[3]
+    assert pair.T_query_ref is not None
+    green = []
+    for T in (pair.T_query_ref, OFF @ OFF @ pair.T_query_ref):
+        drawn = draw_pair(dataset, pair_set, pair, "m", ShownAnswer(T, 0.0, 0.0, None))
+        picture = cv2.imdecode(np.frombuffer(drawn, np.uint8), cv2.IMREAD_COLOR_RGB)
+        assert picture is not None
+        green.append(int((np.abs(picture.astype(int) - (0x00, 0x9E, 0x73)).max(axis=2) < 8).sum()))
+    assert green[0] > 0.35 * green[1], green
+
+
 def test_a_picture_says_where_a_method_did_not_answer(dataset: Dataset, results: Path, tmp_path: Path) -> None:
     pair = _in_order(dataset.pair_set(ACROSS).asked)[0]
     asked = ["view", dataset.root, "--pair", *pair.key, "--results", results, "--method", "off"]
@@ -309,3 +347,26 @@ def test_an_unknown_method_and_results_of_another_dataset_are_refused(
     inside = relocbench("view", dataset.root, "--out", dataset.root / "a.rrd")
     assert (inside.status, "lies inside the dataset" in inside.complaint) == (2, True)
     assert not list(tmp_path.glob("*.rrd"))
+
+
+def test_a_rejected_pair_is_told_to_be_one(tmp_path: Path) -> None:
+    dataset = make_small_dataset(tmp_path / "d", frames=3, size=(24, 18), rejected=1)
+    (lost,) = dataset.pair_set(ACROSS).rejected
+    done = relocbench("view", dataset.root, "--pair", *lost.key, "--out", tmp_path / "p.png")
+    assert done.status == 2
+    assert f"{lost.key[1]} of {ACROSS} was rejected (too few points agree)" in done.complaint
+
+
+def test_a_disk_that_is_full_leaves_one_line_and_no_file(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / ".old.0123abcd.part.rrd").write_bytes(b"what a killed command left")
+
+    def fails(*_: object, **__: object) -> None:
+        raise RuntimeError("the thread that writes has ended")
+
+    monkeypatch.setattr(RecordingStream, "flush", fails)
+    done = relocbench("view", dataset.root, "--out", tmp_path / "v.rrd", "--limit", 1, "-q")
+    assert done.status == 2
+    assert "v.rrd: could not be written to its end (the thread that writes has ended)" in done.complaint
+    assert list(tmp_path.iterdir()) == []

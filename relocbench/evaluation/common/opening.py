@@ -36,6 +36,13 @@ def check_outside(out: Path, dataset: Path, option: str = "--out") -> None:
         raise ConfigError(f"{option} lies inside the dataset, which results would change; choose another folder", out)
 
 
+def check_in_no_dataset(out: Path) -> None:
+    """Raise ConfigError if a folder that is written to is a dataset, or lies inside one."""
+    for folder in (out.resolve(), *out.resolve().parents):
+        if (folder / "manifest.csv").is_file() and (folder / "dataset.yaml").is_file():
+            raise ConfigError(f"--out lies inside the dataset {folder}; choose another folder", out)
+
+
 def _refuse_places(folder: Path) -> None:
     """Raise DatasetError if the folder holds places by several views instead of pairs."""
     from relocbench.datasets.cross_view import is_cross_view

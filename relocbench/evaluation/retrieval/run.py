@@ -29,7 +29,7 @@ from relocbench.evaluation.retrieval.records import (
     TaskRun,
     write_set_record,
 )
-from relocbench.evaluation.tracking.run import Overwrite, made_by, now, refuse_mixture
+from relocbench.evaluation.tracking.run import Overwrite, made_by, now, refuse_mixture, refuse_submitted
 from relocbench.execution import Run, default_workers
 from relocbench.files import alone_in, remove_parts
 from relocbench.methods import MethodSpec
@@ -76,6 +76,7 @@ def run_retriever(
     """
     folder = results.method(spec.label)
     record = _new_record(asked, spec, seed, keep)
+    refuse_submitted(folder)
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
     asking = None
     if overwrite == "always":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -302,7 +303,8 @@ def _tell(checked: Checked, card: Card, places: YamlPlaces) -> None:
         if not answered.asked_once:
             checked.suspicions.append(f"{name}: was not asked once only, as the card says")
     for name in card.datasets:
-        seen = [split for split in card.weights.splits_seen if name.partition(".blind")[0] in split]
+        named = re.compile(rf"(?<![\w.+-]){re.escape(name.partition('.blind')[0])}(?![\w+-]|\.\w)")
+        seen = [split for split in card.weights.splits_seen if named.search(split)]
         if seen:
             checked.suspicions.append(f"{name}: training or tuning has seen '{seen[0]}', as the card says")
     if card.uses_times and any(blind is not None for blind in checked.blind_exports):

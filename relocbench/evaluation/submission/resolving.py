@@ -60,6 +60,13 @@ class AskedLists:
         return self.blind.gallery(task) if self.blind is not None else {one.key: one.key for one in task.gallery}
 
 
+def other_fingerprint(name: str, claimed: str, true: str) -> str:
+    """What is wrong with the fingerprint that a card has of a dataset, in words."""
+    if claimed and true.startswith(claimed.lower()):
+        return f"the fingerprint of '{name}' is to be given in full, as its dataset.yaml has it: {true}"
+    return f"the fingerprint of '{name}' is {claimed[:SHORT]}, the dataset given has {true[:SHORT]}"
+
+
 def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Dataset]) -> Asked:
     """The dataset that answers belong to.
 
@@ -78,9 +85,7 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
     if own is not None and own.fingerprint != fingerprint:
         if source is None and question and own.question == question:
             return Asked(own, answered_on=fingerprint)
-        raise PredictionError(
-            f"the fingerprint of '{name}' is {fingerprint[:SHORT]}, the dataset given has {own.fingerprint[:SHORT]}"
-        )
+        raise PredictionError(other_fingerprint(name, fingerprint, own.fingerprint))
     if blind is not None and source is not None:
         keys = BlindKeys(source, blind.edition)
         _check_export(blind, keys.name, source.fingerprint)
@@ -106,8 +111,7 @@ def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, Ope
     blind = blind_name(name)
     source = next((images for _, images in sets.values() if blind is not None and images.name == blind.dataset), None)
     if name in sets and sets[name][0] != fingerprint:
-        told = f"the fingerprint of '{name}' is {fingerprint[:SHORT]}, the dataset given has "
-        raise PredictionError(told + sets[name][0][:SHORT])
+        raise PredictionError(other_fingerprint(name, fingerprint, sets[name][0]))
     if blind is not None and source is not None:
         keys = BlindImages(source, blind.edition)
         _check_export(blind, keys.name, source.fingerprint)

@@ -17,6 +17,8 @@ _FEW = 5
 _CLOSE_M, _CLOSE_DEG = 0.01, 0.1
 _FAR_M = 1000.0
 _OF_SIGMA = 0.5
+_SHORTEST_S = 1e-5
+"""in which nothing looks at an image"""
 
 
 def suspicions(of: PairSetAnswers) -> Iterator[str]:
@@ -24,6 +26,9 @@ def suspicions(of: PairSetAnswers) -> Iterator[str]:
     given = [a for a in of.answers.values() if a.status == "ok"]
     if of.poses and not any(a.seconds is not None for a in given):
         yield "no answer has seconds"
+    seconds = [a.seconds for a in given if a.seconds is not None]
+    if len(seconds) >= _FEW and max(seconds) < _SHORTEST_S:
+        yield f"no answer took longer than {max(seconds):.3g} s"
     confidences = [a.confidence for a in given if a.confidence is not None]
     if of.poses and not confidences:
         yield "no answer has a confidence"

@@ -73,14 +73,15 @@ def run_method(
             starts over.
 
     Raises:
-        PredictionError: the folder holds answers of this label that were made with other parameters or versions, or
-            another process is writing to it.
+        PredictionError: the folder holds answers of this label that were submitted, or were made with other parameters
+            or versions, or another process is writing to it.
         MethodError: answers are to be replaced, but the method cannot be made.
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
     shown = shown_to(spec, run)
     record = new_record(dataset, spec, run, shown, seed)
+    refuse_submitted(folder)
     if overwrite == "always":
         # A method that cannot be made, say because of a mistyped path of weights, must not cost earlier answers.
         if _has_answers(folder) and (fault := construction_fault(spec, run)):
@@ -270,6 +271,13 @@ def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
         "workers": workers,
         "start": now(),
     }
+
+
+def refuse_submitted(folder: MethodResults) -> None:
+    """Raise PredictionError if the folder holds what was handed in with a card, which no run may replace."""
+    if folder.run_yaml.exists() and folder.run_record().submitted:
+        told = f"holds a submission, which no run replaces; give this run another label than '{folder.label}'"
+        raise PredictionError(told, folder.run_yaml)
 
 
 def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:

@@ -27,6 +27,7 @@ from relocbench.evaluation.tracking.verification import (
 from relocbench.files import read_csv, read_journal
 from relocbench.progress import Reporter
 
+_OTHERS = ("retrieval.yaml", "relocalization.yaml")
 _AGAIN = "run `relocbench evaluate` again to score"
 
 
@@ -53,7 +54,7 @@ class _Expected:
         return None if self.record is None else self.record.fingerprint
 
 
-def is_results_folder(path: Path) -> bool:
+def is_tracking_folder(path: Path) -> bool:
     """Whether a folder has the layout of ``relocbench evaluate``, for several datasets, for one, or for one method."""
     if any((path / name).exists() for name in ("run.yaml", "dataset.yaml", "scores.yaml")):
         return True
@@ -71,7 +72,7 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
         record = _dataset_record(root.parent, found) if (root.parent / "dataset.yaml").exists() else None
         folders = [(MethodResults(root), record)]
     else:
-        tops = [root] if (root / "dataset.yaml").exists() else sorted(p for p in root.glob("*@*") if p.is_dir())
+        tops = [root] if (root / "dataset.yaml").exists() else sorted(p for p in root.glob("*@*") if _is_trackers(p))
         folders = []
         for top in tops:
             record = _dataset_record(top, found)
@@ -79,7 +80,7 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
                 with found.catching():
                     check_record(record, dataset, top / "dataset.yaml")
             folders += [(MethodResults(p), record) for p in sorted(top.iterdir()) if p.is_dir() and p.name[0] != "."]
-        if not folders:
+        if not folders and (tops or not any(root.glob("*@*"))):
             found.note("holds no method's results yet", root)
     with reporter.stage("checking results", len(folders)) as advance:
         for folder, record in folders:
@@ -90,6 +91,12 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
             _check_method(folder, _Expected(record, theirs), found)
             advance(1)
     return found
+
+
+def _is_trackers(top: Path) -> bool:
+    """Whether a ``NAME@FINGERPRINT`` folder is one of trackers, and not of retrievers or chains, which have no record
+    of a dataset but one of their own."""
+    return top.is_dir() and ((top / "dataset.yaml").exists() or not any((top / name).exists() for name in _OTHERS))
 
 
 def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:

@@ -7,8 +7,9 @@ theirs must not act.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import isfinite
 
 from relocbench.leaderboard.common.text import number
@@ -88,14 +89,28 @@ class LatexTable:
 def escaped(text: str) -> str:
     """Text that LaTeX shows literally; characters that the usual fonts lack become question marks."""
     shown = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    plain = "".join(_SPECIAL.get(c, c if c.isascii() or (c.isalpha() and ord(c) < 0x180) else "?") for c in shown)
-    return re.sub("-(?=-)", "-{}", plain)  # hyphens in a row would be joined to a dash
+    plain = "".join(_SPECIAL.get(c, c if c.isascii() or _is_in_fonts(c) else "?") for c in shown)
+    return re.sub("([-,])(?=\\1)", r"\1{}", plain)  # in a row they would be joined, to a dash or a quotation mark
+
+
+def _is_in_fonts(letter: str) -> bool:
+    """Whether the encoding T1 has a letter that is not ASCII."""
+    return letter.isalpha() and ord(letter) < 0x180 and letter not in "ĦħĸĿŀŉŦŧſ"
 
 
 def document(tables: Sequence[LatexTable]) -> str:
     """All tables, below a comment that says what they need."""
     head = "% Needs \\usepackage{booktabs,graphicx,textcomp} and \\usepackage[T1]{fontenc}.\n"
-    return "\n".join([head, *map(table_text, tables)])
+    return "\n".join([head, *map(table_text, _with_labels_of_their_own(tables))])
+
+
+def _with_labels_of_their_own(tables: Sequence[LatexTable]) -> Iterator[LatexTable]:
+    """The tables; a label that is another's once it has letters and hyphens alone gets a number."""
+    seen: Counter[str] = Counter()
+    for table in tables:
+        plain = _label(table.label)
+        seen[plain] += 1
+        yield table if seen[plain] == 1 else replace(table, label=f"{plain}:{seen[plain]}")
 
 
 def table_text(table: LatexTable) -> str:
@@ -167,8 +182,9 @@ def _caption(table: LatexTable) -> str:
     shares = "Shares are in percent." if any(c.unit == "share" for c in table.columns) else ""
     ranged = any(interval is not None for line in table.lines for interval in line.intervals)
     intervals = "In small print, 95\\,\\% intervals." if ranged else ""
+    floors = "" if all(line.competes for line in table.lines) else "In italics, what is not ranked."
     parts = [f"{escaped(table.title)}.", escaped(table.note), "; ".join(definitions) + "." if definitions else ""]
-    return " ".join(part for part in [*parts, shares, intervals, "Best in bold."] if part)
+    return " ".join(part for part in [*parts, shares, intervals, "Best in bold.", floors] if part)
 
 
 def _label(text: str) -> str:

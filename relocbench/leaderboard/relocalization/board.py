@@ -177,7 +177,7 @@ def _set(
     dataset = at_hand.find(lambda one: (one.name, one.fingerprint) == whose)
     truth = None if dataset is None else ChainTruth(dataset, folder)
     tasks = {n: r for n, r in record.tasks.items() if split is None or n in record.splits[split]}
-    chains = tuple(_chain(each, record, tasks, truth) for each in folder.chains())
+    chains = tuple(load_chain(each, record, tasks, truth) for each in folder.chains())
     used = {n: r for n, r in tasks.items() if any(n in chain.answers for chain in chains)}
     if not used:
         return None
@@ -204,7 +204,10 @@ def _means(tasks: Mapping[str, ChainTask]) -> dict[str, tuple[str, ...]]:
     return {name: of for name, of in kept.items() if name == "mean over all tasks" or of != whole}
 
 
-def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask], truth: ChainTruth | None) -> Chain:
+def load_chain(
+    folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask], truth: ChainTruth | None
+) -> Chain:
+    """Read the results of one chain. Raises PredictionError unless they are whole, scored and follow from files."""
     run = folder.run_record()
     if run.fingerprint != asked.fingerprint:
         raise PredictionError(

@@ -300,16 +300,17 @@ def _methods_of(
         truth = truth_of(copy, at_hand)
         first = first or truth
         for folder in copy.methods():
-            method = _method(folder, copy.record, tasks, truth)
+            method = load_retriever(folder, copy.record, tasks, truth)
             label = distinct_label(method.label, found, copy.record.fingerprint)
             method = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
             found[method.label], folders[method.label] = method, folder
     return tuple(found[label] for label in sorted(found)), folders, first
 
 
-def _method(
+def load_retriever(
     folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, TaskRecord], truth: RetrievalTruth | None
 ) -> Retriever:
+    """Read the results of one retriever. Raises PredictionError unless they are whole, scored and follow from files."""
     run = folder.run_record()
     if run.fingerprint != asked.fingerprint:
         raise PredictionError(

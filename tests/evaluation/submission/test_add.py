@@ -152,6 +152,16 @@ def test_labels_of_rows_that_were_run_here_stay_theirs(town: Dataset, tmp_path: 
     assert contents(results) == before
 
 
+@pytest.mark.parametrize("overwrite", ["always", "never"])
+def test_no_run_takes_the_place_of_a_submission(town: Dataset, tmp_path: Path, overwrite: str) -> None:
+    assert adding(submit(tmp_path / "s", town), tmp_path / "r", town).status == 0
+    before = contents(tmp_path / "r")
+    words = ("evaluate", "-d", town.root, "-m", "my-method=identity", "-o", tmp_path / "r", "-j", 0, "-q")
+    outcome = relocbench(*words, "--overwrite", overwrite)
+    assert (outcome.status, "holds a submission, which no run replaces" in outcome.complaint) == (2, True)
+    assert contents(tmp_path / "r") == before
+
+
 def test_one_method_may_have_rows_on_several_datasets(town: Dataset, tmp_path: Path) -> None:
     village = make_small_dataset(tmp_path / "village", frames=3, size=(24, 18), name="village")
     assert adding(submit(tmp_path / "s", town), tmp_path / "r", town).status == 0

@@ -335,8 +335,30 @@ def test_what_is_odd_about_tables_and_cards_is_named(town: Dataset, tmp_path: Pa
         "was not asked once only, as the card says",
         f"training or tuning has seen '{town.name}, test', as the card says",
     ]
+    for pair_set in town.pair_sets():
+        answer(root / town.name, pair_set, guess, seconds=lambda pair: 0, confidence=lambda pair: pair.key[0] % 7)
+    assert check(root, town).suspicions[0].endswith("no answer took longer than 0 s")
     (root / town.name / f"{WITHIN}.txt").unlink()
     assert any("has no predictions (.txt)" in fault for fault in faults(check(root, town)))
+
+
+@pytest.mark.parametrize(
+    ("split", "named"),
+    [("NAME", True), ("NAME, test", True), ("test of NAME.", True), ("NAMES, test", False), ("old-NAME-2", False)],
+)
+def test_a_split_of_a_dataset_whose_name_is_longer_is_not_held_against_anybody(
+    town: Dataset, tmp_path: Path, split: str, named: bool
+) -> None:
+    weights = {"files": "w", "trained_on": "t", "splits_seen": [split.replace("NAME", town.name)]}
+    odd = check(submit(tmp_path / "s", town, weights=weights), town).suspicions
+    assert any("has seen" in told for told in odd) == named
+
+
+def test_the_beginning_of_a_fingerprint_is_asked_for_in_full(town: Dataset, tmp_path: Path) -> None:
+    root = submit(tmp_path / "s", town)
+    change_card(root, lambda card: card["datasets"][town.name].update(fingerprint=town.fingerprint[:12]))
+    (told,) = faults(check(root, town))
+    assert f"is to be given in full, as its dataset.yaml has it: {town.fingerprint}" in told
 
 
 def test_a_blind_export_has_no_times_to_use(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
