@@ -68,10 +68,25 @@ class Branch(nn.Module):
         Raises:
             ValueError: the images have another shape.
         """
+        return self.last_map_from(self.map_after(images, 0), 0)
+
+    def map_after(self, images: Tensor, blocks: int) -> Tensor:
+        """The map after ``layer3`` and so many blocks of ``layer4``, of images as in :meth:`last_map`.
+
+        Raises:
+            ValueError: the images have another shape, or attention lies in front of the blocks.
+        """
         if images.ndim != 4 or images.shape[1] != 3:
             raise ValueError(f"images are {tuple(images.shape)}, expected (B, 3, H, W)")
+        if blocks and "layer3" in self.attention:
+            raise ValueError(f"attention after layer3 lies in front of the {blocks} blocks of layer4")
         x = self.backbone.to_layer3((images - self.mean) / self.deviation)
-        x = self.backbone.to_layer4(self._attend("layer3", x))
+        return self.backbone.through_last_blocks(x, 0, blocks)
+
+    def last_map_from(self, x: Tensor, blocks: int) -> Tensor:
+        """The last map (B, C, h, w) of a map of :meth:`map_after` with the same number of blocks."""
+        x = self._attend("layer3", x) if not blocks else x
+        x = self.backbone.through_last_blocks(x, blocks, len(self.backbone.last_blocks))
         return self._attend("layer4", x)
 
     def parts(self, last_map: Tensor) -> Parts:
@@ -114,9 +129,14 @@ class LpnNetwork(nn.Module):
         Raises:
             ValueError: the network does not have the view, or the images have another shape.
         """
-        branch = self.branch(view)
-        last_map = branch.last_map(images)
-        parts = branch.parts(last_map)
+        return self._output(view, self.branch(view).last_map(images))
+
+    def forward_from(self, view: View, x: Tensor, blocks: int) -> ViewOutput:
+        """The output for maps of ``Branch.map_after`` of one view's images."""
+        return self._output(view, self.branch(view).last_map_from(x, blocks))
+
+    def _output(self, view: View, last_map: Tensor) -> ViewOutput:
+        parts = self.branch(view).parts(last_map)
         embeddings, logits = cast(HeadOutput, self.heads(parts.features))
         return ViewOutput(embeddings, logits, last_map.amax((-2, -1)), parts.masks)
 
