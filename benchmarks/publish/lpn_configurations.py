@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import fnmatch
 import io
 import json
 import os
@@ -156,10 +157,20 @@ def trained(wanted: Sequence[tuple[str, int]], given: argparse.Namespace) -> dic
 
 
 def settings_of(name: str, settings: Sequence[str]) -> list[str]:
-    """The settings that apply to a configuration, without epochs of stages that it does not have."""
+    """The settings that apply to a configuration, later ones over earlier ones, without those that have the names of
+    others in front (``lpn-heatmap*.rate=1e-3``) and without epochs of stages that it does not have."""
     stages = {stage.name for stage in configuration(name).stages}
-    keys = {setting: setting.partition("=")[0] for setting in settings}
-    return [s for s in settings if not keys[s].startswith("epochs.") or keys[s].removeprefix("epochs.") in stages]
+    out = {}
+    for setting in settings:
+        key, _, value = setting.partition("=")
+        owner, _, rest = key.partition(".")
+        if owners := fnmatch.filter(CONFIGURATIONS, owner):
+            if name not in owners:
+                continue
+            key = rest
+        if not key.startswith("epochs.") or key.removeprefix("epochs.") in stages:
+            out[key] = value
+    return [f"{key}={value}" for key, value in out.items()]
 
 
 def ask(
@@ -356,7 +367,8 @@ def arguments() -> argparse.Namespace:
         action="append",
         default=[],
         dest="settings",
-        help="key=value of the trainer; epochs.STAGE applies to configurations with that stage",
+        help="key=value of the trainer; epochs.STAGE applies to configurations with that stage, NAME.key=value to "
+        "those whose names match NAME (lpn-heatmap*.rate=1e-3)",
     )
     parser.add_argument("--backbone-weights", help="file of torchvision's ResNet or of another training; or: imagenet")
     parser.add_argument("--out", nargs="+", default=["leaderboard/retrieval"], help="a folder for each test set's page")

@@ -49,7 +49,7 @@ def description(options: TrainOptions, data: PlaceData, trained: LpnNetwork, ste
         facts={
             "places": f"{data.places}, {counts} images",
             "backbone's first weights": started,
-            "learning rates": f"backbone {options.backbone_rate:g}, all else {options.rate:g}",
+            "learning rates": _rates(options),
             **_frozen(options),
         },
         steps=f"{steps}, of {options.batch} images a view; {stages}",
@@ -63,3 +63,8 @@ def _frozen(options: TrainOptions) -> dict[str, str]:
         return {}
     versions = ", ".join(f"{options.versions[view]} of each {view} image" for view in options.views)
     return {"frozen": f"{options.frozen_part}, with its statistics; augmented versions: {versions}"}
+
+
+def _rates(options: TrainOptions) -> str:
+    masks = "" if options.partition_rate == options.rate else f"partition {options.partition_rate:g}, "
+    return f"backbone {options.backbone_rate:g}, {masks}all else {options.rate:g}"

@@ -191,7 +191,8 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         self.network = network.to(self.device).to(memory_format=torch.channels_last)
         self.network.train()
         trained = enter(self.network, self._scheduled.stage, self._frozen_modules())
-        rates = {group: self.options.backbone_rate if group == "backbone" else self.options.rate for group in trained}
+        own = {"backbone": self.options.backbone_rate, "partition": self.options.partition_rate}
+        rates = {group: own.get(group, self.options.rate) for group in trained}
         self.optimiser = torch.optim.SGD(
             [{"params": ps, "lr": rates[group], "full_rate": rates[group]} for group, ps in trained.items()],
             lr=1.0,  # each group has its own

@@ -64,6 +64,8 @@ class TrainOptions(Options):
     """learning rate of the backbone; null: the configuration's (LPN: 1e-4), or 3e-3 if its weights are random"""
     rate: float | None = None
     """learning rate of everything else; null: the configuration's (LPN: 1e-3), or 3e-3 if the backbone is random"""
+    partition_rate: float | None = None
+    """learning rate of what computes masks or a soft partition; null: ``rate``"""
     momentum: float = 0.9
     """Nesterov momentum"""
     weight_decay: float = 5e-4
@@ -132,7 +134,7 @@ class TrainOptions(Options):
             raise OptionError("frozen", self.frozen, "nothing, unless backbone_weights or start names trained weights")
         share(self, "decay_after decay flip")
         share_below_1(self, "momentum")
-        require(self, "backbone_rate rate", lambda rate: rate is None or rate > 0, "more than 0")
+        require(self, "backbone_rate rate partition_rate", lambda rate: rate is None or rate > 0, "more than 0")
         if self.paired:
             require(self, "batch", lambda batch: batch % 2 == 0, "an even number where paired is true")
             require(
@@ -172,10 +174,12 @@ class TrainOptions(Options):
         return tuple(replace(stage, epochs=self.epochs.get(stage.name, stage.epochs)) for stage in left)
 
     def with_rates(self) -> TrainOptions:
-        """The options with both rates filled in where they are null."""
+        """The options with all rates filled in where they are null."""
         usual, drawn = configuration(self.configuration), not (self.backbone_weights or self.start)
         backbone, new = (_SCRATCH_RATE, _SCRATCH_RATE) if drawn else (usual.backbone_rate, usual.rate)
-        return replace(self, backbone_rate=self.backbone_rate or backbone, rate=self.rate or new)
+        rate = self.rate or new
+        partition_rate = self.partition_rate or rate
+        return replace(self, backbone_rate=self.backbone_rate or backbone, rate=rate, partition_rate=partition_rate)
 
 
 def usual_options(name: str) -> TrainOptions:
