@@ -7,6 +7,7 @@ the shapes of the weights do not depend on it. A ResNet's tensors have torchvisi
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC, abstractmethod
 from typing import Literal, cast
 
@@ -53,6 +54,16 @@ class Backbone(nn.Module, ABC):
         if not 0 <= blocks <= len(self.last_blocks):
             raise OptionError("frozen_blocks", blocks, f"0 to {len(self.last_blocks)} with this backbone")
         return [*self.first_modules, *self.last_blocks[:blocks]]
+
+    def digest(self, blocks: int) -> bytes:
+        """A digest of the weights and statistics of :meth:`frozen_modules`."""
+        out = hashlib.sha256(type(self).__name__.encode())
+        for module in self.frozen_modules(blocks):
+            for name, tensor in sorted(module.state_dict().items()):
+                if tensor.is_floating_point():
+                    out.update(f"{name} {tuple(tensor.shape)}".encode())
+                    out.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+        return out.digest()
 
     @abstractmethod
     def to_layer3(self, images: Tensor) -> Tensor:

@@ -145,6 +145,11 @@ class LpnNetwork(nn.Module):
         branch = self.branch(view)
         return self.heads.embed(branch.parts(branch.last_map(images)).features)
 
+    def embed_from(self, view: View, x: Tensor, blocks: int) -> Tensor:
+        """The embeddings (B, P, D) for maps of ``Branch.map_after`` of one view's images."""
+        branch = self.branch(view)
+        return self.heads.embed(branch.parts(branch.last_map_from(x, blocks)).features)
+
     @torch.no_grad()
     def describe(self, view: View, images: Tensor, turns: Turns = 1) -> Tensor:
         """The descriptors (B, P * D), of unit norm, of images together with their mirror images (``descriptor``), in
@@ -163,10 +168,17 @@ class LpnNetwork(nn.Module):
         Raises:
             ValueError: the network does not have the view.
         """
+        return cast(Branch, self.branches[self.branch_name(view)])
+
+    def branch_name(self, view: View) -> str:
+        """The name of a view's branch; raises as :meth:`branch` does."""
         if view not in VIEWS or (view == "street" and self.options.street == "none"):
             raise ValueError(f"this network has no view '{view}'")
-        separate = view == "street" and self.options.street == "separate"
-        return cast(Branch, self.branches["street" if separate else "air"])
+        return "street" if view == "street" and self.options.street == "separate" else "air"
+
+    def named_branches(self) -> list[tuple[str, Branch]]:
+        """All branches with their names."""
+        return [(name, cast(Branch, branch)) for name, branch in self.branches.items()]
 
 
 def copy_weights(source: LpnNetwork, target: LpnNetwork) -> None:

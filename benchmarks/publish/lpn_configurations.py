@@ -39,6 +39,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lpn_order import Pair, agreement, pairs, scatter
 
 from baselines.lpn.configurations import CONFIGURATIONS, FROM_ABOVE, REPLACED_PARTITION_LOSS, configuration
 from baselines.lpn.training.card import differences
@@ -254,14 +255,12 @@ def page(
     given: argparse.Namespace,
     test: CrossViewSet,
     chance: dict[str, float],
+    ends: Sequence[tuple[str, str, str, str]] = (),
 ) -> str:
     """The text of ``lpn_configurations.md`` for a test set."""
-    trainer = trainer_named("lpn")
-    options = options_from_dict(
-        TrainOptions, chosen_options(trainer, FIRST, settings_of(FIRST, given.settings))
-    ).with_rates()
-    if given.backbone_weights:
-        options = replace(options, backbone_weights=str(given.backbone_weights))
+    settings = settings_of(FIRST, given.settings)
+    settings += [f"backbone_weights={given.backbone_weights}"] if given.backbone_weights else []
+    options = options_from_dict(TrainOptions, chosen_options(trainer_named("lpn"), FIRST, settings)).with_rates()
     counts = {task.name: (len(task.queries), len(task.gallery)) for task in test.tasks()}
     started = start_of(options).told
     return render(
@@ -286,8 +285,64 @@ def page(
         seeds=len(given.seed),
         compared=[f"{d} {m}" for d in DIRECTIONS for m in COMPARED],
         ahead=[(name, [_told(of[d][m]) for d in DIRECTIONS for m in COMPARED]) for name, of in ahead.items()],
+        scatter=scatter_to_first(rows) if len(given.seed) > 1 else [],
+        order=order_of(rows) if len(given.seed) > 1 else None,
+        ends=ends,
         rows=rows,
     )
+
+
+def scatter_to_first(rows: Sequence[Row]) -> list[tuple[str, list[str]]]:
+    """For each system, the standard errors of how far it is ahead of ``lpn`` in R@1, in percentage points."""
+    values = _values_of_trained(rows)
+    if FIRST not in values:
+        return []
+    first = values.pop(FIRST)
+    return [(name, [f"{100 * each:.2f}" for each in scatter(of, first)]) for name, of in values.items()]
+
+
+def order_of(rows: Sequence[Row]) -> dict[str, Any] | None:
+    """How far the order of the systems in R@1 is that of the log; None for fewer than three of the log's."""
+    values = _values_of_trained(rows)
+    logged = {row.name: row.logged[0] for row in rows if row.logged}
+    agreed = agreement(values, logged)
+    if agreed is None:
+        return None
+    of_pairs = pairs(values, logged)
+    told = [(name, [_pair(each) for each in getattr(of_pairs, name)]) for name in of_pairs._fields]
+    return {"agreement": agreed, "pairs": told, "count": sum(len(each) for each in of_pairs)}
+
+
+def _values_of_trained(rows: Sequence[Row]) -> dict[str, Array]:
+    return {row.name: row.by_seed_and_place(LOGGED, WITH_INTERVAL) for row in rows if row.seeds}
+
+
+def _pair(pair: Pair) -> tuple[str, str, str, str]:
+    return pair.first, pair.second, f"{pair.apart:+.2f}", _told(pair.difference)
+
+
+def ends_of(given: argparse.Namespace) -> list[tuple[str, str, str, str]]:
+    """Where the trainings of each system ended: steps of the last stage's log, loss, and images told right, in percent.
+
+    Values are means over the seeds of the last rows of ``log.csv``, over as many steps as one row has.
+    """
+    out = []
+    for name in dict.fromkeys(trained_by(name) for name in given.config):
+        last = [_last_row(Path(given.scratch) / f"{name}-seed{seed}" / "log.csv") for seed in given.seed]
+        if not all(last):
+            continue
+        right = [float(value) for row in last for key, value in row.items() if key.startswith("right/")]
+        loss = np.mean([float(row["instance"]) for row in last])
+        out.append((name, last[0]["step"], f"{loss:.2f}", f"{100 * np.mean(right):.0f}"))
+    return out
+
+
+def _last_row(path: Path) -> dict[str, str]:
+    """The last row of a log; empty where there is none."""
+    if not path.exists():
+        return {}
+    with path.open(newline="", encoding="utf-8") as stream:
+        return ([{}, *csv.DictReader(stream)])[-1]
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -400,7 +455,8 @@ def main() -> int:
             rows = rows_of(given, weights, found)
             ahead = differences_to_first(rows)
             record = ask(given, folder, {name: name for name in FLOORS}).record
-            text = page(rows, ahead, given, found, {d: float(record.tasks[d].chance["R@1"]) for d in DIRECTIONS})
+            chance = {d: float(record.tasks[d].chance["R@1"]) for d in DIRECTIONS}
+            text = page(rows, ahead, given, found, chance, ends_of(given))
             write_text(out / "lpn_configurations.md", text)
             write_text(out / "lpn_configurations.csv", table(rows))
             print(text)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from baselines.lpn.images import as_network_takes_them
 from baselines.lpn.losses import total_loss
-from baselines.lpn.network import Branch, LpnNetwork, View, ViewOutput, copy_weights
+from baselines.lpn.network import LpnNetwork, View, ViewOutput, copy_weights
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.stages import enter
 from baselines.lpn.training.batches import Batch, PlaceBatches
@@ -22,7 +22,7 @@ from baselines.lpn.training.options import TrainOptions
 from baselines.lpn.training.remembered_maps import MapsOfFrozen
 from baselines.lpn.training.schedule import Schedule, ScheduledStage
 from baselines.lpn.weights import About, save_weights
-from baselines.options import plain
+from baselines.options import OptionError, plain
 from baselines.training.card import Description, weights_card
 from baselines.training.log import Row
 from baselines.training.loop import TrainingLoop, percentages
@@ -203,10 +203,18 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         return list(trained)
 
     def _frozen_modules(self) -> list[nn.Module]:
-        if self.options.frozen == "nothing":
+        options, branches = self.options, [branch for _, branch in self.network.named_branches()]
+        if options.frozen == "nothing":
             return []
-        branches = [cast(Branch, branch) for branch in self.network.branches.values()]
-        return [m for branch in branches for m in branch.backbone.frozen_modules(self.options.frozen_blocks)]
+        whole = options.frozen_blocks == len(branches[0].backbone.last_blocks)
+        if whole and options.loss.decorrelation.weight > 0 and not options.network.attention.after:
+            raise OptionError(
+                "frozen_blocks",
+                options.frozen_blocks,
+                "fewer where loss.decorrelation.weight is above 0: it teaches the last map, in front of which nothing "
+                f"would learn in '{self.name}'",
+            )
+        return [module for branch in branches for module in branch.backbone.frozen_modules(options.frozen_blocks)]
 
     def _about(self, step: int, scores: Mapping[str, Any] | None, stage: str = "") -> About:
         """What the weights file says; ``stage`` names the stage if it is not the last one."""

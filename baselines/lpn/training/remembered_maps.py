@@ -162,7 +162,7 @@ class MapsOfFrozen:
             "size": o.size,
             "augmentation": [o.pad, o.flip, o.satellite_turn_deg if view == "satellite" else 0.0],
             "blocks": self._blocks,
-            "weights": _digest_of(self._branch(view), self._blocks),
+            "weights": self._branch(view).backbone.digest(self._blocks).hex(),
         }
         digest = hashlib.sha256(json.dumps(decides).encode()).hexdigest()[:16]
         return tuple(self._folder / f"{view}-{digest}-{number:03d}.npy" for number in range(o.versions[view]))
@@ -196,14 +196,3 @@ def _evaluating(network: LpnNetwork) -> Iterator[None]:
     finally:
         for module in learning:
             module.training = True
-
-
-def _digest_of(branch: Branch, blocks: int) -> str:
-    """A digest of the weights that a map passes."""
-    digest = hashlib.sha256()
-    for module in branch.backbone.frozen_modules(blocks):
-        for name, tensor in sorted(module.state_dict().items()):
-            if tensor.is_floating_point():
-                digest.update(name.encode())
-                digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()

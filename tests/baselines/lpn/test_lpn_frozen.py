@@ -15,7 +15,8 @@ from safetensors import safe_open
 
 from baselines.lpn.configurations import CONFIGURATIONS, FROM_ABOVE
 from baselines.lpn.images import as_bytes, as_network_takes_them
-from baselines.lpn.network import LpnNetwork
+from baselines.lpn.network import Branch, LpnNetwork
+from baselines.lpn.retriever import Lpn
 from baselines.lpn.training.augmentation import augmented
 from baselines.lpn.training.batches import PlaceBatches
 from baselines.lpn.training.initial_weights import initial_network
@@ -202,3 +203,37 @@ def test_mistakes_are_told_in_one_line(tmp_path: Path, resnet: Path) -> None:
         train(tmp_path / "b", resnet, maps=str(shared))
     with safe_open(tmp_path / "a" / "weights.safetensors", "pt") as file:
         assert list(file.keys())
+
+
+def test_a_decorrelation_that_nothing_would_learn_from_is_refused(tmp_path: Path, resnet: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"frozen_blocks is 1, expected fewer where loss\.decorrelation\.weight is above"
+    ):
+        train(tmp_path / "out", resnet, "lpn-dwdr", frozen_blocks=1)
+
+
+def test_retrievers_that_share_maps_answer_as_they_do_alone(
+    tmp_path: Path, resnet: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two systems behind one frozen backbone, and one whose backbone is another."""
+    monkeypatch.setattr("baselines.lpn.shared_maps._kept", {})
+    computed: list[int] = []
+    real = Branch.map_after
+
+    def counted(self: Branch, images: torch.Tensor, blocks: int) -> torch.Tensor:
+        computed.append(len(images))
+        return real(self, images, blocks)
+
+    monkeypatch.setattr(Branch, "map_after", counted)
+    images = [each.image for each in made_places().images]
+    a = train(tmp_path / "a", resnet).weights
+    b = train(tmp_path / "b", resnet, "global-average", seed=1).weights
+    c = train(tmp_path / "c", resnet, frozen="nothing").weights
+    alone = [Lpn(weights=path, batch=5).describe(images) for path in (a, b, c)]
+    for number, (path, expected) in enumerate(zip((a, b, c), alone, strict=True)):
+        computed.clear()
+        shared = Lpn(weights=path, batch=5, shared_blocks=0)
+        assert np.allclose(shared.describe(images), expected, atol=1e-5)
+        assert sum(computed) == (0 if number == 1 else 2 * len(images))
+    with pytest.raises(ConfigError, match="expected 0 to 1 with this backbone"):
+        Lpn(weights=a, shared_blocks=2)
