@@ -99,6 +99,30 @@ PAGES = (
             *_EVALUATION,
             *_RETRIEVERS,
         ),
+    Page(
+        "leaderboard/retrieval/frozen/lpn_configurations.md",
+        "make leaderboard-retrieval",
+        (
+            "tools/publish_retrieval.sh",
+            "benchmarks/publish/lpn_configurations.py",
+            "benchmarks/publish/lpn_order.py",
+            "relocbench/datasets/cross_view",
+            "baselines/training",
+            *_EVALUATION,
+            *_RETRIEVERS,
+        ),
+    Page(
+        "leaderboard/retrieval/last_block/lpn_configurations.md",
+        "make leaderboard-retrieval",
+        (
+            "tools/publish_retrieval.sh",
+            "benchmarks/publish/lpn_configurations.py",
+            "benchmarks/publish/lpn_order.py",
+            "relocbench/datasets/cross_view",
+            "baselines/training",
+            *_EVALUATION,
+            *_RETRIEVERS,
+        ),
     ),
     Page(
         "leaderboard/retrieval/real/retrieval.md",

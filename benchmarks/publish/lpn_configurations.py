@@ -174,6 +174,13 @@ def settings_of(name: str, settings: Sequence[str]) -> list[str]:
     return [f"{key}={value}" for key, value in out.items()]
 
 
+def options_of(name: str, given: argparse.Namespace) -> TrainOptions:
+    """The options of a configuration's training."""
+    settings = settings_of(name, given.settings)
+    settings += [f"backbone_weights={given.backbone_weights}"] if given.backbone_weights else []
+    return options_from_dict(TrainOptions, chosen_options(trainer_named("lpn"), name, settings)).with_rates()
+
+
 def ask(
     given: argparse.Namespace, test: Path, methods: dict[str, str], settings: Sequence[str] = ()
 ) -> RetrievalReport:
@@ -184,6 +191,7 @@ def ask(
         set=tuple(settings),
         out=Path(given.scratch) / "results",
         pair_sets=DIRECTIONS,
+        workers=0,  # retrievers of one process share the maps of a frozen backbone
     )
     return evaluate_retrievers(options, reporter(given.quiet))
 
@@ -226,6 +234,8 @@ def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], tes
         settings += [f"{label}.config={name}" for label in labels] + [
             f"{label}.device={given.device or 'cpu'}" for label in labels
         ]
+        if (options := options_of(name, given)).frozen != "nothing":
+            settings += [f"{label}.shared_blocks={options.remembered_blocks}" for label in labels]
         found = answers(ask(given, test.root, labels, settings), test)
         system = CONFIGURATIONS[name]
         logged = (system.logged.r_at_1, system.logged.ap) if system.logged else None
@@ -258,9 +268,7 @@ def page(
     ends: Sequence[tuple[str, str, str, str]] = (),
 ) -> str:
     """The text of ``lpn_configurations.md`` for a test set."""
-    settings = settings_of(FIRST, given.settings)
-    settings += [f"backbone_weights={given.backbone_weights}"] if given.backbone_weights else []
-    options = options_from_dict(TrainOptions, chosen_options(trainer_named("lpn"), FIRST, settings)).with_rates()
+    options = options_of(FIRST, given)
     counts = {task.name: (len(task.queries), len(task.gallery)) for task in test.tasks()}
     started = start_of(options).told
     return render(

@@ -7,7 +7,6 @@ import json
 import shutil
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ from baselines.lpn.network import LpnNetwork
 from baselines.lpn.weights import About, save_weights
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import PredictionError
-from relocbench.evaluation.retrieval.evaluate import RetrievalOptions
 from relocbench.metrics import crossed_difference, mean_interval, paired_difference
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
@@ -53,7 +51,7 @@ def to_learn_from(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.fixture
 def given(places: Path, tmp_path: Path) -> argparse.Namespace:
-    return argparse.Namespace(scratch=str(tmp_path / "scratch"), quiet=True)
+    return argparse.Namespace(scratch=str(tmp_path / "scratch"), quiet=True, settings=[], backbone_weights=None)
 
 
 def run(values: list[float], drone: list[float] | None = None) -> page.ByPlace:
@@ -161,7 +159,6 @@ def test_the_page_has_intervals_and_differences(
         save_weights(path, LpnNetwork(3, network, torch.Generator().manual_seed(seed)).eval(), about)
         return path
 
-    monkeypatch.setattr(page, "RetrievalOptions", partial(RetrievalOptions, workers=0))
     monkeypatch.setattr(page, "weights_of", drawn)
     monkeypatch.setattr(page, "FLOORS", ("random", "colour-histogram"))  # so small images have no features of ORB
     words: list[Any] = ["lpn_configurations.py", "--train", to_learn_from, "--test", places]

@@ -85,18 +85,23 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         self._enter(number, make(self.options, self.schedule.stages[number].stage, number, self._data.places))
 
     def run_to_end(self) -> TrainingReport:
-        """See ``TrainingLoop``; maps of a frozen backbone are computed first.
+        """See ``TrainingLoop``; maps of a frozen backbone are computed first. Raises also as ``remember_maps`` does."""
+        if self.step < self.steps:
+            self.remember_maps()
+        return super().run_to_end()
+
+    def remember_maps(self) -> None:
+        """Have batches of maps in place of images where the backbone is frozen; those that are missing are computed.
 
         Raises:
             ConfigError: they would take too much room.
-            MethodError: a file of them is damaged, or the training breaks down.
+            MethodError: a file of them is damaged.
         """
-        if self.options.frozen != "nothing" and self.step < self.steps:
+        if self.options.frozen != "nothing":
             folder = Path(self.options.maps) if self.options.maps else self.run.out / "maps"
             maps = MapsOfFrozen(self.network, self._data, self.options, folder, self.device)
             self.run.reporter.note(maps.told)
             self._place_batches.maps = maps.remembered(self.run.reporter)
-        return super().run_to_end()
 
     @property
     def stage_steps(self) -> range:
