@@ -184,7 +184,7 @@ class GlobalAverage(Lpn):
         trained_share: TrainedShare = 1.0,
         device: str = "cpu",
     ) -> None:
-        super().__init__(weights, self.name, batch, 0, turns, unlabelled, trained_share, device)
+        super().__init__(weights, self.name, batch, 0, turns, unlabelled, trained_share, device=device)
 
 
 def _check_fits(found: NetworkOptions, asked: NetworkOptions, holds: str, name: str, path: Path) -> None:

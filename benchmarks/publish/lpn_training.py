@@ -30,7 +30,7 @@ from relocbench.retrieval import ImageView, PlaceData, PlaceImage
 from relocbench.training import TrainingRun
 
 SIDE, PLACES = 128, 240
-CASES = (
+CASES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("lpn", {}),
     ("lpn", {"frozen": "layer3"}),
     ("lpn", {"frozen": "layer3", "frozen_blocks": 4}),
@@ -43,7 +43,8 @@ def image(place: int, view: str) -> Image:
     """Smooth noise (SIDE, SIDE, 3)."""
     noise = np.random.default_rng([place, len(view)]).normal(size=(SIDE, SIDE, 3)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 3.0)
-    return np.clip(127 + 90 * smooth / smooth.std(), 0, 255).astype(np.uint8)
+    grey: Image = np.clip(127 + 90 * smooth / smooth.std(), 0, 255).astype(np.uint8)
+    return grey
 
 
 def places() -> PlaceData:
@@ -78,7 +79,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=9)
     steps = parser.parse_args().steps
     torch.set_num_threads(1)
-    found = []
+    found: list[dict[str, Any]] = []
     for name, frozen in CASES:
         seconds = float(np.median(seconds_of(name, frozen, steps)))
         words = " ".join(f"{key}={value}" for key, value in frozen.items()) or "nothing frozen"
