@@ -281,7 +281,7 @@ def page(
         chance=[(d, f"{100 * chance[d]:.2f}") for d in DIRECTIONS],
         options=options,
         started=started,
-        settings=given.settings,
+        settings=[setting for setting in given.settings if not setting.startswith("maps=")],  # a folder's name
         differences=differences(options, started),
         replaced=REPLACED_PARTITION_LOSS,
         level=f"{LEVEL:.0%}".replace("%", " %"),
