@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Reproduce the results in leaderboard/retrieval/: datasets and trainings in a scratch folder, tables in the repository.
 #   tools/publish_retrieval.sh SCRATCH [SAMPLE]
-# SAMPLE holds sample_drone.jpg and sample_satellite.jpg. It takes more than an hour on two cores; a second run does
+# SAMPLE holds sample_drone.jpg and sample_satellite.jpg. It takes some hours on two cores; a second run does
 # what is missing.
 set -euo pipefail
 mkdir -p "${1:?usage: tools/publish_retrieval.sh SCRATCH [SAMPLE]}"
@@ -35,18 +35,18 @@ relocbench build-dataset cross-view --split test --seed 1 --places 400 --drone-v
 configurations=(global-average lpn lpn-dmli lpn-rpp lpn-heatmap lpn-heatmap-scratch lpn-heatmap-log lpn-heatmap-power)
 python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test test-400 ${sample:+"$sample"} --scratch frozen \
   --out "$repository/leaderboard/retrieval/frozen" ${sample:+"$repository/leaderboard/retrieval/frozen/real"} \
-  --config "${configurations[@]}" --seed 0 1 2 3 4 --backbone-weights imagenet --set network.backbone=efficientnet-lite0 \
+  --config "${configurations[@]}" --backbone-weights imagenet --set network.backbone=efficientnet-lite0 \
   --set size=128 --set frozen=layer3 --set frozen_blocks=5 --set versions.drone=2 --set versions.satellite=10 --set maps=maps \
   --set rate=1e-2 --set network.dropout=0.25 --set epochs.all=60 --set epochs.classifier=30 --set epochs.refined=25 \
   --set epochs.heatmap=60 --set 'lpn-heatmap*.network.heatmap.heat=mean' \
-  --device cpu --workers 0
+  --jobs 2 --workers 0
 
 # The decorrelation of channels teaches the last map: the last block of the backbone learns, too.
 python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test test-400 ${sample:+"$sample"} --scratch last-block \
   --out "$repository/leaderboard/retrieval/last_block" ${sample:+"$repository/leaderboard/retrieval/last_block/real"} \
-  --config lpn lpn-dwdr --seed 0 1 2 3 4 --backbone-weights imagenet --set network.backbone=efficientnet-lite0 \
+  --config lpn lpn-dwdr --backbone-weights imagenet --set network.backbone=efficientnet-lite0 \
   --set size=128 --set frozen=layer3 --set frozen_blocks=4 --set versions.drone=2 --set versions.satellite=10 --set maps=maps \
-  --set rate=3e-2 --set backbone_rate=3e-3 --set network.dropout=0.25 --set epochs.all=15 --device cpu --workers 0
+  --set rate=3e-2 --set backbone_rate=3e-3 --set network.dropout=0.25 --set epochs.all=15 --jobs 2 --workers 0
 
 if [ -n "$sample" ]; then
   asked=(-m random -m colour-histogram -m orb-bow)
