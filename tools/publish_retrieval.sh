@@ -41,13 +41,6 @@ python "$repository/benchmarks/publish/lpn_configurations.py" --train train --te
   --set epochs.heatmap=60 --set 'lpn-heatmap*.network.heatmap.heat=mean' \
   --jobs 2 --workers 0
 
-# The decorrelation of channels teaches the last map: the last block of the backbone learns, too.
-python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test test-400 ${sample:+"$sample"} --scratch last-block \
-  --out "$repository/leaderboard/retrieval/last_block" ${sample:+"$repository/leaderboard/retrieval/last_block/real"} \
-  --config lpn lpn-dwdr --backbone-weights imagenet --set network.backbone=efficientnet-lite0 \
-  --set size=128 --set frozen=layer3 --set frozen_blocks=4 --set versions.drone=2 --set versions.satellite=10 --set maps=maps \
-  --set rate=3e-2 --set backbone_rate=3e-3 --set network.dropout=0.25 --set epochs.all=15 --jobs 2 --workers 0
-
 if [ -n "$sample" ]; then
   asked=(-m random -m colour-histogram -m orb-bow)
   for seed in 0 1 2; do

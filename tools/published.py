@@ -102,7 +102,7 @@ PAGES = (
                 *_RETRIEVERS,
             ),
         )
-        for run in ("", "frozen/", "last_block/")
+        for run in ("", "frozen/")
     ),
     Page(
         "leaderboard/retrieval/real/retrieval.md",
