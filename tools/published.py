@@ -88,17 +88,21 @@ PAGES = (
             *_RETRIEVERS,
         ),
     ),
-    Page(
-        "leaderboard/retrieval/lpn_configurations.md",
-        "make leaderboard-retrieval",
-        (
-            "tools/publish_retrieval.sh",
-            "benchmarks/publish/lpn_configurations.py",
-            "relocbench/datasets/cross_view",
-            "baselines/training",
-            *_EVALUATION,
-            *_RETRIEVERS,
-        ),
+    *(
+        Page(
+            f"leaderboard/retrieval/{run}lpn_configurations.md",
+            "make leaderboard-retrieval",
+            (
+                "tools/publish_retrieval.sh",
+                "benchmarks/publish/lpn_configurations.py",
+                "benchmarks/publish/lpn_order.py",
+                "relocbench/datasets/cross_view",
+                "baselines/training",
+                *_EVALUATION,
+                *_RETRIEVERS,
+            ),
+        )
+        for run in ("", "frozen/")
     ),
     Page(
         "leaderboard/retrieval/real/retrieval.md",

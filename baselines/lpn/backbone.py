@@ -7,6 +7,7 @@ the shapes of the weights do not depend on it. A ResNet's tensors have torchvisi
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC, abstractmethod
 from typing import Literal, cast
 
@@ -18,6 +19,7 @@ from torchvision.models.resnet import Bottleneck  # type: ignore[import-untyped]
 from baselines.efficientnet_lite import DEVIATION, MEAN, STAGES, EfficientNetLite0
 from baselines.initialisation import draw_weights
 from baselines.lpn.options import BackboneName
+from baselines.options import OptionError
 
 _KEPT = ("conv1", "bn1", "layer1", "layer2", "layer3", "layer4")
 _LAYER3 = 4
@@ -33,14 +35,50 @@ class Backbone(nn.Module, ABC):
     """of red, green and blue in [0, 1], by which images were normalised in the training of published weights"""
     deviation: tuple[float, ...] = (0.229, 0.224, 0.225)
 
+    @property
+    @abstractmethod
+    def first_modules(self) -> list[nn.Module]:
+        """What an image passes up to ``layer3``."""
+
+    @property
+    @abstractmethod
+    def last_blocks(self) -> list[nn.Module]:
+        """The blocks of ``layer4``, in order."""
+
+    def frozen_modules(self, blocks: int) -> list[nn.Module]:
+        """What does not learn where the backbone is frozen up to ``layer3`` and so many blocks of ``layer4``.
+
+        Raises:
+            OptionError: ``layer4`` has fewer blocks.
+        """
+        if not 0 <= blocks <= len(self.last_blocks):
+            raise OptionError("frozen_blocks", blocks, f"0 to {len(self.last_blocks)} with this backbone")
+        return [*self.first_modules, *self.last_blocks[:blocks]]
+
+    def digest(self, blocks: int) -> bytes:
+        """A digest of the weights and statistics of :meth:`frozen_modules`."""
+        out = hashlib.sha256(type(self).__name__.encode())
+        for module in self.frozen_modules(blocks):
+            for name, tensor in sorted(module.state_dict().items()):
+                if tensor.is_floating_point():
+                    out.update(f"{name} {tuple(tensor.shape)}".encode())
+                    out.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+        return out.digest()
+
     @abstractmethod
     def to_layer3(self, images: Tensor) -> Tensor:
         """The map (B, C3, H / 16, W / 16) after ``layer3`` of normalised images (B, 3, H, W)."""
 
-    @abstractmethod
     def to_layer4(self, x: Tensor) -> Tensor:
         """The map (B, C4, H / 16, W / 16) after ``layer4`` of one after ``layer3``; half that size with
         ``last_stride`` 2."""
+        return self.through_last_blocks(x, 0, len(self.last_blocks))
+
+    def through_last_blocks(self, x: Tensor, first: int, last: int) -> Tensor:
+        """The map after the blocks ``first`` to ``last`` - 1 of ``layer4``, of the map in front of them."""
+        for block in self.last_blocks[first:last]:
+            x = block(x)
+        return x
 
     def forward(self, images: Tensor) -> Tensor:
         """The map after ``layer4`` of normalised images."""
@@ -78,15 +116,20 @@ class ResNetBackbone(Backbone):
         self.to_empty(device="cpu")
         draw_weights(self, generator, "fan_out")
 
+    @property
+    def first_modules(self) -> list[nn.Module]:
+        return [self.get_submodule(name) for name in _KEPT[:-1]]
+
+    @property
+    def last_blocks(self) -> list[nn.Module]:
+        return list(self.get_submodule("layer4").children())
+
     def to_layer3(self, images: Tensor) -> Tensor:
         x = nn.functional.relu(self._stage("bn1", self._stage("conv1", images)))
         x = nn.functional.max_pool2d(x, 3, stride=2, padding=1)
         for stage in ("layer1", "layer2", "layer3"):
             x = self._stage(stage, x)
         return x
-
-    def to_layer4(self, x: Tensor) -> Tensor:
-        return self._stage("layer4", x)
 
     def _stage(self, name: str, x: Tensor) -> Tensor:
         return cast(Tensor, self.get_submodule(name)(x))
@@ -102,11 +145,16 @@ class EfficientNetBackbone(Backbone):
         self.encoder = EfficientNetLite0(generator, last_stride=last_stride)
         self.channels = {"layer3": STAGES[_LAYER3].channels, "layer4": STAGES[-1].channels}
 
+    @property
+    def first_modules(self) -> list[nn.Module]:
+        return [self.encoder.stem, *self.encoder.stages[: _LAYER3 + 1]]
+
+    @property
+    def last_blocks(self) -> list[nn.Module]:
+        return [block for stage in self.encoder.stages[_LAYER3 + 1 :] for block in stage.children()]
+
     def to_layer3(self, images: Tensor) -> Tensor:
         return self.encoder.through(cast(Tensor, self.encoder.stem(images)), 0, _LAYER3)
-
-    def to_layer4(self, x: Tensor) -> Tensor:
-        return self.encoder.through(x, _LAYER3 + 1, len(STAGES) - 1)
 
 
 def _keep_size(layer4: nn.Sequential) -> None:

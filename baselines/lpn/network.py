@@ -68,10 +68,25 @@ class Branch(nn.Module):
         Raises:
             ValueError: the images have another shape.
         """
+        return self.last_map_from(self.map_after(images, 0), 0)
+
+    def map_after(self, images: Tensor, blocks: int) -> Tensor:
+        """The map after ``layer3`` and so many blocks of ``layer4``, of images as in :meth:`last_map`.
+
+        Raises:
+            ValueError: the images have another shape, or attention lies in front of the blocks.
+        """
         if images.ndim != 4 or images.shape[1] != 3:
             raise ValueError(f"images are {tuple(images.shape)}, expected (B, 3, H, W)")
+        if blocks and "layer3" in self.attention:
+            raise ValueError(f"attention after layer3 lies in front of the {blocks} blocks of layer4")
         x = self.backbone.to_layer3((images - self.mean) / self.deviation)
-        x = self.backbone.to_layer4(self._attend("layer3", x))
+        return self.backbone.through_last_blocks(x, 0, blocks)
+
+    def last_map_from(self, x: Tensor, blocks: int) -> Tensor:
+        """The last map (B, C, h, w) of a map of :meth:`map_after` with the same number of blocks."""
+        x = self._attend("layer3", x) if not blocks else x
+        x = self.backbone.through_last_blocks(x, blocks, len(self.backbone.last_blocks))
         return self._attend("layer4", x)
 
     def parts(self, last_map: Tensor) -> Parts:
@@ -114,9 +129,14 @@ class LpnNetwork(nn.Module):
         Raises:
             ValueError: the network does not have the view, or the images have another shape.
         """
-        branch = self.branch(view)
-        last_map = branch.last_map(images)
-        parts = branch.parts(last_map)
+        return self._output(view, self.branch(view).last_map(images))
+
+    def forward_from(self, view: View, x: Tensor, blocks: int) -> ViewOutput:
+        """The output for maps of ``Branch.map_after`` of one view's images."""
+        return self._output(view, self.branch(view).last_map_from(x, blocks))
+
+    def _output(self, view: View, last_map: Tensor) -> ViewOutput:
+        parts = self.branch(view).parts(last_map)
         embeddings, logits = cast(HeadOutput, self.heads(parts.features))
         return ViewOutput(embeddings, logits, last_map.amax((-2, -1)), parts.masks)
 
@@ -124,6 +144,11 @@ class LpnNetwork(nn.Module):
         """The embeddings (B, P, D) of images, without the classifier; arguments are those of ``forward``."""
         branch = self.branch(view)
         return self.heads.embed(branch.parts(branch.last_map(images)).features)
+
+    def embed_from(self, view: View, x: Tensor, blocks: int) -> Tensor:
+        """The embeddings (B, P, D) for maps of ``Branch.map_after`` of one view's images."""
+        branch = self.branch(view)
+        return self.heads.embed(branch.parts(branch.last_map_from(x, blocks)).features)
 
     @torch.no_grad()
     def describe(self, view: View, images: Tensor, turns: Turns = 1) -> Tensor:
@@ -143,10 +168,17 @@ class LpnNetwork(nn.Module):
         Raises:
             ValueError: the network does not have the view.
         """
+        return cast(Branch, self.branches[self.branch_name(view)])
+
+    def branch_name(self, view: View) -> str:
+        """The name of a view's branch; raises as :meth:`branch` does."""
         if view not in VIEWS or (view == "street" and self.options.street == "none"):
             raise ValueError(f"this network has no view '{view}'")
-        separate = view == "street" and self.options.street == "separate"
-        return cast(Branch, self.branches["street" if separate else "air"])
+        return "street" if view == "street" and self.options.street == "separate" else "air"
+
+    def named_branches(self) -> list[tuple[str, Branch]]:
+        """All branches with their names."""
+        return [(name, cast(Branch, branch)) for name, branch in self.branches.items()]
 
 
 def copy_weights(source: LpnNetwork, target: LpnNetwork) -> None:

@@ -8,6 +8,7 @@ of the number of parts, so that a dot product is the mean cosine of the parts.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, cast
 
@@ -15,15 +16,17 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field
+from torch import Tensor
 
 from baselines.device import to_device
 from baselines.lpn.averaging import move_towards_imagenet
 from baselines.lpn.configurations import configuration
-from baselines.lpn.descriptor import Turns, parts_of
+from baselines.lpn.descriptor import Turns, descriptors, over_symmetries, parts_of
 from baselines.lpn.dmli import aligned_distance
 from baselines.lpn.images import as_bytes, as_network_takes_them, resized
 from baselines.lpn.network import LpnNetwork, View
 from baselines.lpn.options import NetworkOptions
+from baselines.lpn.shared_maps import SharedMaps
 from baselines.lpn.view_means import ViewMeans, unlabelled_files
 from baselines.lpn.weights import load_weights
 from relocbench.errors import MethodError
@@ -50,6 +53,9 @@ class Lpn:
             not be known; descriptors are then relative to the mean of their view.
         trained_share: where the backbone stands between ImageNet's weights (0), from which its training must have
             started, and the trained ones (1): less than 1 keeps more of what it knew of photographs.
+        shared_blocks: keep the maps of images after ``layer3`` and so many blocks of ``layer4`` for other retrievers
+            of this process that give it, too, and have the same weights up to there, as those that were trained behind
+            one frozen backbone; null: keep none.
         device: where the network runs.
 
     Raises:
@@ -69,6 +75,7 @@ class Lpn:
         turns: Turns = 1,
         unlabelled: Path | None = None,
         trained_share: TrainedShare = 1.0,
+        shared_blocks: Annotated[int, Field(ge=0)] | None = None,
         device: str = "cpu",
     ) -> None:
         if weights is None:
@@ -84,6 +91,7 @@ class Lpn:
         self._trained_share = trained_share
         self._network = to_device(network, device).to(memory_format=torch.channels_last)
         self._device = torch.device(device)
+        self._shared = None if shared_blocks is None else SharedMaps(self._network, shared_blocks)
         self._batch = batch
         top = asked.rerank_top if asked is not None else self.about.rerank_top
         self.rerank_top = top if rerank is None else rerank
@@ -135,11 +143,14 @@ class Lpn:
             for start in range(0, len(of_view), self._batch):
                 numbers = of_view[start : start + self._batch]
                 squares = as_bytes([resized(images[number].image, self.about.size) for number in numbers])
-                found = self._network.describe(
-                    cast(View, view), as_network_takes_them(squares, self._device), self._turns
-                )
+                found = self._descriptors(cast(View, view), as_network_takes_them(squares, self._device))
                 rows[numbers] = found.float().cpu().numpy()
         return rows
+
+    def _descriptors(self, view: View, images: Tensor) -> Tensor:
+        if self._shared is None:
+            return self._network.describe(view, images, self._turns)
+        return descriptors(over_symmetries(partial(self._shared.embed, view), images, self._turns))
 
     def rerank(self, query: Descriptors, candidates: Descriptors) -> Descriptors:
         """The negative aligned distance (``dmli``) of each candidate (K, P * D) from the query (P * D,)."""
@@ -173,7 +184,7 @@ class GlobalAverage(Lpn):
         trained_share: TrainedShare = 1.0,
         device: str = "cpu",
     ) -> None:
-        super().__init__(weights, self.name, batch, 0, turns, unlabelled, trained_share, device)
+        super().__init__(weights, self.name, batch, 0, turns, unlabelled, trained_share, device=device)
 
 
 def _check_fits(found: NetworkOptions, asked: NetworkOptions, holds: str, name: str, path: Path) -> None:

@@ -7,6 +7,7 @@ from the weights of the one before (``network.copy_weights``), whose partition m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -58,11 +59,11 @@ def group_of(name: str) -> Group:
     return group
 
 
-def enter(network: nn.Module, stage: Stage) -> dict[Group, list[nn.Parameter]]:
+def enter(network: nn.Module, stage: Stage, frozen: Sequence[nn.Module] = ()) -> dict[Group, list[nn.Parameter]]:
     """Prepare a network for a stage; call it after ``network.train()``.
 
-    Groups that are not trained are frozen: they have no derivatives, batch normalisation uses and keeps its statistics,
-    and there is no dropout.
+    Groups that are not trained, and modules that are ``frozen`` in all stages, have no derivatives, batch normalisation
+    uses and keeps its statistics, and there is no dropout.
 
     Returns:
         The parameters to be trained, by group; groups without parameters are omitted.
@@ -71,10 +72,14 @@ def enter(network: nn.Module, stage: Stage) -> dict[Group, list[nn.Parameter]]:
     for name, module in network.named_modules():
         if (group := _group_or_none(name)) is not None:
             module.training = group in stage.trained
+    for module in frozen:
+        module.eval()
+    kept = {id(parameter) for module in frozen for parameter in module.parameters()}
     for name, parameter in network.named_parameters():
         group = group_of(name)
-        parameter.requires_grad_(group in stage.trained)
-        if group in stage.trained:
+        learns = group in stage.trained and id(parameter) not in kept
+        parameter.requires_grad_(learns)
+        if learns:
             trained.setdefault(group, []).append(parameter)
     return trained
 

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import fnmatch
 import io
 import json
 import os
@@ -38,6 +39,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lpn_order import Pair, agreement, pairs, scatter
 
 from baselines.lpn.configurations import CONFIGURATIONS, FROM_ABOVE, REPLACED_PARTITION_LOSS, configuration
 from baselines.lpn.training.card import differences
@@ -156,10 +158,27 @@ def trained(wanted: Sequence[tuple[str, int]], given: argparse.Namespace) -> dic
 
 
 def settings_of(name: str, settings: Sequence[str]) -> list[str]:
-    """The settings that apply to a configuration, without epochs of stages that it does not have."""
+    """The settings that apply to a configuration, later ones over earlier ones, without those that have the names of
+    others in front (``lpn-heatmap*.rate=1e-3``) and without epochs of stages that it does not have."""
     stages = {stage.name for stage in configuration(name).stages}
-    keys = {setting: setting.partition("=")[0] for setting in settings}
-    return [s for s in settings if not keys[s].startswith("epochs.") or keys[s].removeprefix("epochs.") in stages]
+    out = {}
+    for setting in settings:
+        key, _, value = setting.partition("=")
+        owner, _, rest = key.partition(".")
+        if owners := fnmatch.filter(CONFIGURATIONS, owner):
+            if name not in owners:
+                continue
+            key = rest
+        if not key.startswith("epochs.") or key.removeprefix("epochs.") in stages:
+            out[key] = value
+    return [f"{key}={value}" for key, value in out.items()]
+
+
+def options_of(name: str, given: argparse.Namespace) -> TrainOptions:
+    """The options of a configuration's training."""
+    settings = settings_of(name, given.settings)
+    settings += [f"backbone_weights={given.backbone_weights}"] if given.backbone_weights else []
+    return options_from_dict(TrainOptions, chosen_options(trainer_named("lpn"), name, settings)).with_rates()
 
 
 def ask(
@@ -172,6 +191,7 @@ def ask(
         set=tuple(settings),
         out=Path(given.scratch) / "results",
         pair_sets=DIRECTIONS,
+        workers=0,  # retrievers of one process share the maps of a frozen backbone
     )
     return evaluate_retrievers(options, reporter(given.quiet))
 
@@ -214,6 +234,8 @@ def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], tes
         settings += [f"{label}.config={name}" for label in labels] + [
             f"{label}.device={given.device or 'cpu'}" for label in labels
         ]
+        if (options := options_of(name, given)).frozen != "nothing":
+            settings += [f"{label}.shared_blocks={options.remembered_blocks}" for label in labels]
         found = answers(ask(given, test.root, labels, settings), test)
         system = CONFIGURATIONS[name]
         logged = (system.logged.r_at_1, system.logged.ap) if system.logged else None
@@ -243,14 +265,10 @@ def page(
     given: argparse.Namespace,
     test: CrossViewSet,
     chance: dict[str, float],
+    ends: Sequence[tuple[str, str, str, str]] = (),
 ) -> str:
     """The text of ``lpn_configurations.md`` for a test set."""
-    trainer = trainer_named("lpn")
-    options = options_from_dict(
-        TrainOptions, chosen_options(trainer, FIRST, settings_of(FIRST, given.settings))
-    ).with_rates()
-    if given.backbone_weights:
-        options = replace(options, backbone_weights=str(given.backbone_weights))
+    options = options_of(FIRST, given)
     counts = {task.name: (len(task.queries), len(task.gallery)) for task in test.tasks()}
     started = start_of(options).told
     return render(
@@ -263,7 +281,7 @@ def page(
         chance=[(d, f"{100 * chance[d]:.2f}") for d in DIRECTIONS],
         options=options,
         started=started,
-        settings=given.settings,
+        settings=[setting for setting in given.settings if not setting.startswith("maps=")],  # a folder's name
         differences=differences(options, started),
         replaced=REPLACED_PARTITION_LOSS,
         level=f"{LEVEL:.0%}".replace("%", " %"),
@@ -275,8 +293,64 @@ def page(
         seeds=len(given.seed),
         compared=[f"{d} {m}" for d in DIRECTIONS for m in COMPARED],
         ahead=[(name, [_told(of[d][m]) for d in DIRECTIONS for m in COMPARED]) for name, of in ahead.items()],
+        scatter=scatter_to_first(rows) if len(given.seed) > 1 else [],
+        order=order_of(rows) if len(given.seed) > 1 else None,
+        ends=ends,
         rows=rows,
     )
+
+
+def scatter_to_first(rows: Sequence[Row]) -> list[tuple[str, list[str]]]:
+    """For each system, the standard errors of how far it is ahead of ``lpn`` in R@1, in percentage points."""
+    values = _values_of_trained(rows)
+    if FIRST not in values:
+        return []
+    first = values.pop(FIRST)
+    return [(name, [f"{100 * each:.2f}" for each in scatter(of, first)]) for name, of in values.items()]
+
+
+def order_of(rows: Sequence[Row]) -> dict[str, Any] | None:
+    """How far the order of the systems in R@1 is that of the log; None for fewer than three of the log's."""
+    values = _values_of_trained(rows)
+    logged = {row.name: row.logged[0] for row in rows if row.logged}
+    agreed = agreement(values, logged)
+    if agreed is None:
+        return None
+    of_pairs = pairs(values, logged)
+    told = [(name, [_pair(each) for each in getattr(of_pairs, name)]) for name in of_pairs._fields]
+    return {"agreement": agreed, "pairs": told, "count": sum(len(each) for each in of_pairs)}
+
+
+def _values_of_trained(rows: Sequence[Row]) -> dict[str, Array]:
+    return {row.name: row.by_seed_and_place(LOGGED, WITH_INTERVAL) for row in rows if row.seeds}
+
+
+def _pair(pair: Pair) -> tuple[str, str, str, str]:
+    return pair.first, pair.second, f"{pair.apart:+.2f}", _told(pair.difference)
+
+
+def ends_of(given: argparse.Namespace) -> list[tuple[str, str, str, str]]:
+    """Where the trainings of each system ended: steps of the last stage's log, loss, and images told right, in percent.
+
+    Values are means over the seeds of the last rows of ``log.csv``, over as many steps as one row has.
+    """
+    out = []
+    for name in dict.fromkeys(trained_by(name) for name in given.config):
+        last = [_last_row(Path(given.scratch) / f"{name}-seed{seed}" / "log.csv") for seed in given.seed]
+        if not all(last):
+            continue
+        right = [float(value) for row in last for key, value in row.items() if key.startswith("right/")]
+        loss = np.mean([float(row["instance"]) for row in last])
+        out.append((name, last[0]["step"], f"{loss:.2f}", f"{100 * np.mean(right):.0f}"))
+    return out
+
+
+def _last_row(path: Path) -> dict[str, str]:
+    """The last row of a log; empty where there is none."""
+    if not path.exists():
+        return {}
+    with path.open(newline="", encoding="utf-8") as stream:
+        return ([{}, *csv.DictReader(stream)])[-1]
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -356,7 +430,8 @@ def arguments() -> argparse.Namespace:
         action="append",
         default=[],
         dest="settings",
-        help="key=value of the trainer; epochs.STAGE applies to configurations with that stage",
+        help="key=value of the trainer; epochs.STAGE applies to configurations with that stage, NAME.key=value to "
+        "those whose names match NAME (lpn-heatmap*.rate=1e-3)",
     )
     parser.add_argument("--backbone-weights", help="file of torchvision's ResNet or of another training; or: imagenet")
     parser.add_argument("--out", nargs="+", default=["leaderboard/retrieval"], help="a folder for each test set's page")
@@ -388,7 +463,8 @@ def main() -> int:
             rows = rows_of(given, weights, found)
             ahead = differences_to_first(rows)
             record = ask(given, folder, {name: name for name in FLOORS}).record
-            text = page(rows, ahead, given, found, {d: float(record.tasks[d].chance["R@1"]) for d in DIRECTIONS})
+            chance = {d: float(record.tasks[d].chance["R@1"]) for d in DIRECTIONS}
+            text = page(rows, ahead, given, found, chance, ends_of(given))
             write_text(out / "lpn_configurations.md", text)
             write_text(out / "lpn_configurations.csv", table(rows))
             print(text)

@@ -7,7 +7,6 @@ import json
 import shutil
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +22,11 @@ from baselines.lpn.network import LpnNetwork
 from baselines.lpn.weights import About, save_weights
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import PredictionError
-from relocbench.evaluation.retrieval.evaluate import RetrievalOptions
 from relocbench.metrics import crossed_difference, mean_interval, paired_difference
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 import lpn_configurations as page
+import lpn_order as order
 
 PLACES, DRONES, DISTRACTORS = 12, 2, 2
 D, S = page.DIRECTIONS
@@ -52,7 +51,7 @@ def to_learn_from(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.fixture
 def given(places: Path, tmp_path: Path) -> argparse.Namespace:
-    return argparse.Namespace(scratch=str(tmp_path / "scratch"), quiet=True)
+    return argparse.Namespace(scratch=str(tmp_path / "scratch"), quiet=True, settings=[], backbone_weights=None)
 
 
 def run(values: list[float], drone: list[float] | None = None) -> page.ByPlace:
@@ -160,7 +159,6 @@ def test_the_page_has_intervals_and_differences(
         save_weights(path, LpnNetwork(3, network, torch.Generator().manual_seed(seed)).eval(), about)
         return path
 
-    monkeypatch.setattr(page, "RetrievalOptions", partial(RetrievalOptions, workers=0))
     monkeypatch.setattr(page, "weights_of", drawn)
     monkeypatch.setattr(page, "FLOORS", ("random", "colour-histogram"))  # so small images have no features of ORB
     words: list[Any] = ["lpn_configurations.py", "--train", to_learn_from, "--test", places]
@@ -194,3 +192,74 @@ def test_the_page_compares_only_where_there_is_something_to_compare(places: Path
         told = "A single seed does not tell how much trainings scatter: nothing is told apart." in text
         assert told == ("| other | +100.00 | +100.00 | +100.00 | +100.00 |" in text) == (base in rows)
         assert "degrees of freedom" not in text
+
+
+def test_settings_are_of_all_systems_or_of_those_with_a_name() -> None:
+    given = ["rate=1", "epochs.refined=2", "lpn-heatmap*.rate=3", "lpn-heatmap.network.heatmap.heat=mean"]
+    given += ["network.width=8"]
+    assert page.settings_of("lpn", given) == ["rate=1", "network.width=8"]
+    assert page.settings_of("lpn-rpp", given) == ["rate=1", "epochs.refined=2", "network.width=8"]
+    assert page.settings_of("lpn-heatmap-log", given) == ["rate=3", "network.width=8"]
+    assert page.settings_of("lpn-heatmap", given) == ["rate=3", "network.heatmap.heat=mean", "network.width=8"]
+
+
+def made_values(means: list[float], places: int = 200, seeds: int = 3, scatter: float = 0.0) -> dict[str, Any]:
+    """(S, P) values of systems a, b, c, ... that differ by their means; trainings scatter by ``scatter``."""
+    rng = np.random.default_rng(3)
+    at_places = rng.normal(0, 0.1, places)
+    return {
+        name: mean + at_places + rng.normal(0, scatter, (seeds, 1)) + rng.normal(0, 0.02, (seeds, places))
+        for name, mean in zip("abcdefgh", means, strict=False)
+    }
+
+
+def test_the_agreement_of_two_orders_and_its_interval() -> None:
+    logged = {"a": 50.0, "b": 60.0, "c": 70.0, "d": 80.0}
+    same = order.agreement(made_values([0.1, 0.2, 0.3, 0.4, 0.9]), logged)
+    assert same is not None
+    assert (same.systems, same.tau, same.low, same.high) == (4, 1, 1, 1)
+    assert same.p == pytest.approx(2 / 24)  # of all orders, this and its reverse
+    reverse = order.agreement(made_values([0.4, 0.3, 0.2, 0.1]), logged)
+    assert reverse is not None
+    assert reverse.tau == -1
+    unsure = order.agreement(made_values([0.3, 0.3, 0.3, 0.3], scatter=0.1), logged)
+    assert unsure is not None
+    assert unsure.low < 0 < unsure.high
+    assert unsure.low <= unsure.tau <= unsure.high
+    assert order.agreement(made_values([0.1, 0.2]), logged) is None
+
+
+def test_pairs_of_the_log_are_told_apart_in_its_order_or_the_opposite_or_not() -> None:
+    values = made_values([0.1, 0.3, 0.2, 0.2004])
+    found = order.pairs(values, {"a": 50.0, "b": 60.0, "c": 70.0, "d": 70.0})
+    assert [(each.first, each.second) for each in found.same] == [("b", "a"), ("c", "a"), ("d", "a")]
+    assert [(each.first, each.second, each.apart) for each in found.opposite] == [
+        ("c", "b", 10.0),
+        ("d", "b", 10.0),
+    ]
+    assert found.open == []  # c and d are equal in the log
+    assert found.same[0].difference == crossed_difference(values["b"], values["a"])
+    scattered = order.pairs(made_values([0.1, 0.12], scatter=0.2), {"a": 1.0, "b": 2.0})
+    assert [len(each) for each in scattered] == [0, 0, 1]
+
+
+def test_the_scatter_of_trainings_and_that_of_places_are_told_one_from_the_other() -> None:
+    rng = np.random.default_rng(0)
+    places = rng.normal(0, 0.3, 400)
+    first = np.zeros((20, 400))
+    by_places = order.scatter(places + first, first)
+    assert by_places.places == pytest.approx(0.3 / 20, rel=0.1)
+    assert by_places.seeds == pytest.approx(0)
+    by_seeds = order.scatter(rng.normal(0, 0.1, (20, 1)) + first, first)
+    assert by_seeds.places == pytest.approx(0)
+    assert by_seeds.one_training == pytest.approx(0.1, rel=0.4)
+    assert by_seeds.seeds == pytest.approx(by_seeds.one_training / np.sqrt(20))
+
+
+def test_where_trainings_ended_is_read_from_their_logs(tmp_path: Path) -> None:
+    for seed, loss in ((0, 2.0), (1, 4.0)):
+        log = tmp_path / f"lpn-seed{seed}" / "log.csv"
+        log.parent.mkdir()
+        log.write_text(f"step,instance,right/drone,right/satellite\n20,9.0,0.1,0.1\n40,{loss},0.5,1.0\n")
+    asked = argparse.Namespace(config=["lpn", "lpn-dmli", "lpn-rpp"], seed=[0, 1], scratch=str(tmp_path))
+    assert page.ends_of(asked) == [("lpn", "40", "3.00", "75")]

@@ -5,6 +5,9 @@ images of each view are gone through round after round, each in a random order o
 views: the drone and satellite images of a batch show different places, as in the authors' loader. Paired batches (DWDR)
 show the same place by drone and by satellite in each row: the first half of the rows follows the rounds of the
 satellite's images, the second half those of the drone's, and the partner is drawn from the place's images.
+
+Where the backbone is frozen, batches have remembered maps of its images, each of a version drawn at random, in place of
+images.
 """
 
 from __future__ import annotations
@@ -20,14 +23,15 @@ from baselines.lpn.images import as_bytes, resized
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.training.augmentation import augmented
 from baselines.lpn.training.options import TrainOptions
+from baselines.lpn.training.remembered_maps import RememberedMaps
 from baselines.training.random_streams import shuffled_round
 from relocbench.errors import ConfigError
 from relocbench.retrieval import PlaceData
 
 Batch = dict[View, tuple[Tensor, Tensor]]
-"""by view: images (B, 3, S, S) uint8 and places (B,) int64"""
+"""by view: images (B, 3, S, S) uint8, or remembered maps (B, C, h, w) float16, and places (B,) int64"""
 
-_ROUND, _PARTNER, _AUGMENT = range(3)
+_ROUND, _PARTNER, _AUGMENT, _VERSION = range(4)
 
 
 class PlaceBatches(Dataset[Batch]):
@@ -39,7 +43,9 @@ class PlaceBatches(Dataset[Batch]):
 
     def __init__(self, data: PlaceData, options: TrainOptions, steps: int = 0) -> None:
         self._data, self._options, self.steps = data, options, steps
+        self.maps: RememberedMaps | None = None
         self._of_view = {view: self._images(view) for view in options.views}
+        self._row_of = {number: row for numbers in self._of_view.values() for row, number in enumerate(numbers)}
         if len({data.images[i].place for numbers in self._of_view.values() for i in numbers}) < 2:
             raise ConfigError("places to learn from: expected two or more, with images of the views asked for")
         self._of_place: dict[View, dict[int, list[int]]] = {}
@@ -95,12 +101,17 @@ class PlaceBatches(Dataset[Batch]):
 
     def _read(self, view: View, numbers: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
         options = self._options
+        places = torch.tensor([self._data.images[number].place for number in numbers])
+        if self.maps is not None:
+            rng = np.random.default_rng([options.seed, step, _VERSION, VIEWS.index(view)])
+            versions = rng.integers(self.maps.versions(view), size=len(numbers))
+            rows = [self._row_of[number] for number in numbers]
+            return self.maps.read(view, list(zip(rows, versions.tolist(), strict=True))), places
         images = []
         for row, number in enumerate(numbers):
             rng = np.random.default_rng([options.seed, step, _AUGMENT, VIEWS.index(view), row])
             square = resized(self._data.images[number].image.read(), options.size)
             images.append(augmented(square, view, options, rng))
-        places = torch.tensor([self._data.images[number].place for number in numbers])
         return as_bytes(images), places
 
     def _draw(self, view: View, draw: int) -> int:

@@ -25,6 +25,8 @@ def differences(options: TrainOptions, started: str) -> list[str]:
         out.append(f"images of {options.size} instead of {_PUBLISHED_SIZE} pixels")
     if "ImageNet: " not in started:
         out.append("backbone not started from known ImageNet weights")
+    if options.frozen_part:
+        out.append(f"{options.frozen_part} frozen")
     return out
 
 
@@ -47,9 +49,22 @@ def description(options: TrainOptions, data: PlaceData, trained: LpnNetwork, ste
         facts={
             "places": f"{data.places}, {counts} images",
             "backbone's first weights": started,
-            "learning rates": f"backbone {options.backbone_rate:g}, all else {options.rate:g}",
+            "learning rates": _rates(options),
+            **_frozen(options),
         },
         steps=f"{steps}, of {options.batch} images a view; {stages}",
         groups="query -> gallery | queries",
         validated_by="By retrieval among places of the training set that were held out.",
     )
+
+
+def _frozen(options: TrainOptions) -> dict[str, str]:
+    if not options.frozen_part:
+        return {}
+    versions = ", ".join(f"{options.versions[view]} of each {view} image" for view in options.views)
+    return {"frozen": f"{options.frozen_part}, with its statistics; augmented versions: {versions}"}
+
+
+def _rates(options: TrainOptions) -> str:
+    masks = "" if options.partition_rate == options.rate else f"partition {options.partition_rate:g}, "
+    return f"backbone {options.backbone_rate:g}, {masks}all else {options.rate:g}"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from baselines.lpn.images import as_network_takes_them
 from baselines.lpn.losses import total_loss
@@ -19,17 +19,20 @@ from baselines.lpn.training.card import description
 from baselines.lpn.training.curves import draw_curves
 from baselines.lpn.training.initial_weights import initial_network, random_network, start_of
 from baselines.lpn.training.options import TrainOptions
+from baselines.lpn.training.remembered_maps import MapsOfFrozen
 from baselines.lpn.training.schedule import Schedule, ScheduledStage
 from baselines.lpn.weights import About, save_weights
-from baselines.options import plain
+from baselines.options import OptionError, plain
 from baselines.training.card import Description, weights_card
 from baselines.training.log import Row
 from baselines.training.loop import TrainingLoop, percentages
 from baselines.training.random_streams import derived_seed
 from relocbench.retrieval import PlaceData
-from relocbench.training import TrainingRun, ValidateRetriever, ValidationScores
+from relocbench.training import TrainingReport, TrainingRun, ValidateRetriever, ValidationScores
 
 _DROPOUT = 1
+_NO_INFLUENCE = ("maps", "maps_limit")
+"""options that do not change what is learnt"""
 
 
 class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
@@ -58,7 +61,7 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         self._start = start_of(options)
         identity = {
             "name": "lpn",
-            "options": plain(options),
+            "options": {name: value for name, value in plain(options).items() if name not in _NO_INFLUENCE},
             "files": self._start.digests,
             "data": dict(data.described),
             "places": data.places,
@@ -80,6 +83,25 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         number = self.schedule.stage_at(step)
         make = random_network if step else initial_network
         self._enter(number, make(self.options, self.schedule.stages[number].stage, number, self._data.places))
+
+    def run_to_end(self) -> TrainingReport:
+        """See ``TrainingLoop``; maps of a frozen backbone are computed first. Raises also as ``remember_maps`` does."""
+        if self.step < self.steps:
+            self.remember_maps()
+        return super().run_to_end()
+
+    def remember_maps(self) -> None:
+        """Have batches of maps in place of images where the backbone is frozen; those that are missing are computed.
+
+        Raises:
+            ConfigError: they would take too much room.
+            MethodError: a file of them is damaged.
+        """
+        if self.options.frozen != "nothing":
+            folder = Path(self.options.maps) if self.options.maps else self.run.out / "maps"
+            maps = MapsOfFrozen(self.network, self._data, self.options, folder, self.device)
+            self.run.reporter.note(maps.told)
+            self._place_batches.maps = maps.remembered(self.run.reporter)
 
     @property
     def stage_steps(self) -> range:
@@ -111,11 +133,18 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
             torch.manual_seed(derived_seed(self.options.seed, _DROPOUT, self.step))
             for view, (images, _) in batch.items():
                 with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half):
-                    output = self.network(view, as_network_takes_them(images, self.device))
-                outputs[view] = ViewOutput(*(None if x is None else cast(Tensor, x).float() for x in output))  # type: ignore[arg-type]
+                    output = self._output(view, images)
+                outputs[view] = ViewOutput(*(None if x is None else x.float() for x in output))  # type: ignore[arg-type]
         places = {view: of_view.to(self.device) for view, (_, of_view) in batch.items()}
         value = total_loss(outputs, places, self.options.system.loss_in(self._scheduled.stage))
         return value.total, value.parts
+
+    def _output(self, view: View, images: Tensor) -> ViewOutput:
+        """The network's output for images, or for remembered maps of them."""
+        if images.dtype != torch.float16:
+            return cast(ViewOutput, self.network(view, as_network_takes_them(images, self.device)))
+        maps = images.to(self.device, non_blocking=True).float().contiguous(memory_format=torch.channels_last)
+        return self.network.forward_from(view, maps, self.options.remembered_blocks)
 
     @property
     def remedy(self) -> str:
@@ -166,8 +195,9 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         self._number = number
         self.network = network.to(self.device).to(memory_format=torch.channels_last)
         self.network.train()
-        trained = enter(self.network, self._scheduled.stage)
-        rates = {group: self.options.backbone_rate if group == "backbone" else self.options.rate for group in trained}
+        trained = enter(self.network, self._scheduled.stage, self._frozen_modules())
+        own = {"backbone": self.options.backbone_rate, "partition": self.options.partition_rate}
+        rates = {group: own.get(group, self.options.rate) for group in trained}
         self.optimiser = torch.optim.SGD(
             [{"params": ps, "lr": rates[group], "full_rate": rates[group]} for group, ps in trained.items()],
             lr=1.0,  # each group has its own
@@ -176,6 +206,20 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
             weight_decay=self.options.weight_decay,
         )
         return list(trained)
+
+    def _frozen_modules(self) -> list[nn.Module]:
+        options, branches = self.options, [branch for _, branch in self.network.named_branches()]
+        if options.frozen == "nothing":
+            return []
+        whole = options.frozen_blocks == len(branches[0].backbone.last_blocks)
+        if whole and options.loss.decorrelation.weight > 0 and not options.network.attention.after:
+            raise OptionError(
+                "frozen_blocks",
+                options.frozen_blocks,
+                "fewer where loss.decorrelation.weight is above 0: it teaches the last map, in front of which nothing "
+                f"would learn in '{self.name}'",
+            )
+        return [module for branch in branches for module in branch.backbone.frozen_modules(options.frozen_blocks)]
 
     def _about(self, step: int, scores: Mapping[str, Any] | None, stage: str = "") -> About:
         """What the weights file says; ``stage`` names the stage if it is not the last one."""

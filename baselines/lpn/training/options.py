@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import Literal, cast
 
 from baselines.lpn.configurations import Configuration, configuration
 from baselines.lpn.losses import LossOptions
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.options import NetworkOptions
 from baselines.lpn.stages import Stage
-from baselines.options import OptionError, Options, at_least, require, share, share_below_1
+from baselines.options import OptionError, Options, at_least, one_of, require, share, share_below_1
 
 _SCRATCH_RATE = 3e-3
 """learning rate of all weights if the backbone starts from random weights; the recipe's rates are for pretrained ones.
@@ -48,10 +48,24 @@ class TrainOptions(Options):
     starts from random weights"""
     start: str = ""
     """file of an LPN network to start from; configurations of several stages then omit the first one"""
+    frozen: Literal["nothing", "layer3"] = "nothing"
+    """``layer3``: the backbone keeps its first weights and statistics up to and including ``layer3``, of which maps are
+    remembered (``versions``), so that a step only computes what follows"""
+    frozen_blocks: int = 0
+    """with ``frozen``: number of first blocks of ``layer4`` that are frozen, too"""
+    versions: dict[View, int] = field(default_factory=lambda: {"drone": 12, "satellite": 48, "street": 12})
+    """with ``frozen``: number of augmented versions of each image, by view, of which maps are remembered; each step
+    takes one of them at random"""
+    maps: str = ""
+    """with ``frozen``: folder of the remembered maps, which other trainings can share; empty: ``maps`` in the output"""
+    maps_limit: float = 8.0
+    """with ``frozen``: room in GB that the maps may take"""
     backbone_rate: float | None = None
     """learning rate of the backbone; null: the configuration's (LPN: 1e-4), or 3e-3 if its weights are random"""
     rate: float | None = None
     """learning rate of everything else; null: the configuration's (LPN: 1e-3), or 3e-3 if the backbone is random"""
+    partition_rate: float | None = None
+    """learning rate of what computes masks or a soft partition; null: ``rate``"""
     momentum: float = 0.9
     """Nesterov momentum"""
     weight_decay: float = 5e-4
@@ -109,9 +123,18 @@ class TrainOptions(Options):
                 f"{usual.network.partition} in configuration '{self.configuration}'; choose another configuration",
             )
         require(self, "size", lambda size: size >= _ALIGNMENT, f"{_ALIGNMENT} pixels or more")
+        at_least(self, 0, "frozen_blocks maps_limit")
+        one_of(self, "frozen", "nothing", "layer3")
+        require(
+            self, "versions", lambda versions: all(count >= 1 for count in versions.values()), "1 or more of each view"
+        )
+        if self.frozen == "nothing" and self.frozen_blocks:
+            raise OptionError("frozen_blocks", self.frozen_blocks, "0 where frozen is nothing")
+        if self.frozen != "nothing" and not (self.backbone_weights or self.start):
+            raise OptionError("frozen", self.frozen, "nothing, unless backbone_weights or start names trained weights")
         share(self, "decay_after decay flip")
         share_below_1(self, "momentum")
-        require(self, "backbone_rate rate", lambda rate: rate is None or rate > 0, "more than 0")
+        require(self, "backbone_rate rate partition_rate", lambda rate: rate is None or rate > 0, "more than 0")
         if self.paired:
             require(self, "batch", lambda batch: batch % 2 == 0, "an even number where paired is true")
             require(
@@ -129,6 +152,21 @@ class TrainOptions(Options):
         return replace(configuration(self.configuration), network=self.network, loss=self.loss)
 
     @property
+    def remembered_blocks(self) -> int:
+        """The number of blocks of ``layer4`` that remembered maps have passed; none where attention, which learns, is
+        in front of them."""
+        return 0 if "layer3" in self.network.attention.after else self.frozen_blocks
+
+    @property
+    def frozen_part(self) -> str:
+        """What is frozen, in words; empty if nothing is."""
+        if self.frozen == "nothing":
+            return ""
+        return f"backbone up to {self.frozen}" + (
+            f" and {self.frozen_blocks} first blocks of layer4" if self.frozen_blocks else ""
+        )
+
+    @property
     def stages(self) -> tuple[Stage, ...]:
         """The stages to be trained, with the epochs of these options."""
         stages = configuration(self.configuration).stages
@@ -136,10 +174,12 @@ class TrainOptions(Options):
         return tuple(replace(stage, epochs=self.epochs.get(stage.name, stage.epochs)) for stage in left)
 
     def with_rates(self) -> TrainOptions:
-        """The options with both rates filled in where they are null."""
+        """The options with all rates filled in where they are null."""
         usual, drawn = configuration(self.configuration), not (self.backbone_weights or self.start)
         backbone, new = (_SCRATCH_RATE, _SCRATCH_RATE) if drawn else (usual.backbone_rate, usual.rate)
-        return replace(self, backbone_rate=self.backbone_rate or backbone, rate=self.rate or new)
+        rate = self.rate or new
+        partition_rate = self.partition_rate or rate
+        return replace(self, backbone_rate=self.backbone_rate or backbone, rate=rate, partition_rate=partition_rate)
 
 
 def usual_options(name: str) -> TrainOptions:
