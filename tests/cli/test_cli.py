@@ -128,7 +128,7 @@ def test_every_kind_of_dataset_explains_its_options(kind: str) -> None:
         (["build-dataset", "generic", "{d}", "{d}", "--out", "{t}/o"], "is given twice"),
         (["methods", "absent"], "no method 'absent'; installed trackers: "),
         (["build-dataset", "tum", "{d}", "--out", "{t}/o"], "no kind 'tum' (did you mean 'tum-rgbd'?)"),
-        (["leaderboard", "{d}/absent", "--out", "{d}/board"], "absent: no such folder"),
+        (["leaderboard", "{d}/absent", "--out", "{t}/board"], "absent: no such folder"),
         (["inspect", "{d}/absent"], "absent: no such folder"),
         (["build-dataset", "kitti", "{d}/absent", "--sequence", "06", "--out", "{t}/o"], "absent"),
         (["build-dataset", "kitti", "{d}", "--sequence", "06", "--pair-step", "1,x", "--out", "{t}/o"], "--pair-step"),

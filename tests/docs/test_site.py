@@ -18,7 +18,7 @@ PAGES = (
     "index.html",
     "tutorials/your-method.html",
     "tutorials/notebook.html",
-    "leaderboard/weather/cross_weather.html",
+    "leaderboard/leaderboard.html",
     "api/geometry.html",
 )
 CHROMIUM = os.environ.get("RELOCBENCH_BROWSER") or shutil.which("chromium") or shutil.which("chromium-browser")
@@ -49,6 +49,7 @@ def browser() -> Iterator[Any]:
 def visit(browser: Any, address: str, **options: Any) -> tuple[Any, list[str]]:
     """A page, and what it asked of others than files or complained of until now."""
     page = browser.new_context(**options).new_page()
+    page.set_default_timeout(120_000)  # beside other work
     faults: list[str] = []
     page.on("request", lambda it: None if it.url.startswith(("file:", "data:", "blob:")) else faults.append(it.url))
     page.on("requestfailed", lambda it: faults.append(f"not found: {it.url}"))
