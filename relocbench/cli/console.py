@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -114,17 +115,40 @@ def reporter(quiet: bool) -> Reporter:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on standard output; columns after the first are aligned right."""
+    """A table on standard output; columns after the first are aligned right.
+
+    Where it is wider than the terminal, its headings are broken into lines between their words.
+    """
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        # Piped into a file or a pager a table keeps its width instead of being squeezed into 80 columns.
+        console = Console(highlight=False, markup=False, width=max(console.width, 200))
+    table = _table(title, columns, rows)
+    if (
+        console.is_terminal
+        and console.measure(table, options=console.options.update(width=10_000)).maximum > console.width
+    ):
+        table = _table(title, [in_lines(name) for name in columns], rows)
+    console.print(table)
+
+
+def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     table = Table(title=title or None, title_justify="left", header_style="bold")
     for index, name in enumerate(columns):
         table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*map(printable, row))
-    # Piped into a file or a pager a table keeps its width instead of being squeezed into 80 columns.
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, markup=False, width=max(console.width, 200))
-    console.print(table)
+    return table
+
+
+def in_lines(heading: str, most: int = 12) -> str:
+    """A heading in lines of at most ``most`` characters, where its words allow: ``median_`` above ``seconds``."""
+    lines = [""]
+    for word in re.split(r"(?<=[_@ ,])(?=[^ ,])", heading):
+        if lines[-1] and len((lines[-1] + word).rstrip()) > most:
+            lines.append("")
+        lines[-1] += word
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def print_json(values: Mapping[str, Any], counts: Mapping[str, int]) -> None:

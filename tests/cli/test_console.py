@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from relocbench.cli.console import Pace
+from relocbench.cli.console import Pace, in_lines, print_table
 
 
 def done_at(workers: int, first_s: float, unit_s: float, total: int) -> list[float]:
@@ -66,3 +66,28 @@ def test_nothing_is_said_while_only_the_first_units_are_done() -> None:
     assert pace.left(5.0) is None
     pace.advance(1, 20.0)
     assert pace.left(20.0) is None
+
+
+@pytest.mark.parametrize(
+    ("heading", "lines"),
+    [
+        ("rank", ["rank"]),
+        ("coverage, %", ["coverage, %"]),
+        ("median_translation_error_m", ["median_", "translation_", "error_m"]),
+        ("recall@(0.25m,2deg), %", ["recall@", "(0.25m,", "2deg), %"]),
+        ("median_seconds / p95_seconds", ["median_", "seconds /", "p95_seconds"]),
+        ("aheadingwithoutanywords", ["aheadingwithoutanywords"]),
+    ],
+)
+def test_a_heading_is_broken_between_its_words(heading: str, lines: list[str]) -> None:
+    assert in_lines(heading).split("\n") == lines
+
+
+def test_only_a_table_wider_than_its_terminal_has_broken_headings(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    for width, broken in ((100, False), (30, True)):
+        monkeypatch.setenv("COLUMNS", str(width))
+        print_table("", ["method", "median_translation_error_m"], [["dso", "0.5"]])
+        assert ("translation_error" not in capsys.readouterr().out) == broken
