@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.calibration import Calibration
 from baselines.correlation import GreyImage, correlations, strong_pixels
@@ -15,6 +16,8 @@ from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, r
 from relocbench.tracking import Array, Query, Reference, TrackResult
 
 _SMALLEST_SIGMA = 0.03  # metres; a smaller standard deviation says no more about errors of 0.25 m
+SHOWN_INLIERS, SHOWN_OTHERS = 50, 25
+"""matches at most that an answer tells; all have no room in its info"""
 _MINIMAL = 4  # three points leave up to four solutions, a fourth one decides
 
 
@@ -105,7 +108,8 @@ class Pnp(ABC, Generic[Prepared]):
         threshold = self.reprojection_threshold_px
         start = ransac_pose(matches, query.camera, threshold, self.max_iterations, self.confidence, self.seed)
         if start is None:
-            return TrackResult.failure("no pose agrees with the matches", matches=len(matches))
+            told = told_matches(matches, np.zeros(0, dtype=np.int64))
+            return TrackResult.failure("no pose agrees with the matches", matches=len(matches), shown_matches=told)
         refined = refine_pose(start, matches, query.camera, threshold)
         inliers = len(refined.inliers)
         translation_sigma, rotation_sigma = refined.sigmas
@@ -115,6 +119,7 @@ class Pnp(ABC, Generic[Prepared]):
             "reprojection_rms_px": _finite_or_none(refined.rms_px),
             "translation_sigma_m": _finite_or_none(translation_sigma),
             "rotation_sigma_deg": _finite_or_none(float(np.rad2deg(rotation_sigma))),
+            "shown_matches": told_matches(matches, refined.inliers),
         }
         if inliers < self.min_inliers:
             return TrackResult.failure(f"{inliers} inliers, {self.min_inliers} needed", **info)
@@ -132,6 +137,22 @@ class Pnp(ABC, Generic[Prepared]):
         info |= {"rival_inliers": rival, **evidence}
         confidence = None if self.calibration is None else self.calibration.confidence(evidence)
         return TrackResult(refined.T_query_ref, confidence=confidence, info=info)
+
+
+def told_matches(matches: Matches2D3D, inliers: NDArray[np.intp]) -> list[list[float]]:
+    """Some matches as ``info["shown_matches"]`` has them, so that pages can draw them: evenly chosen, inliers first.
+
+    Each is ``[u, v of the keyframe, u, v of the query, 1 for an inlier, else 0]``, in tenths of pixels.
+    """
+    if matches.reference_pixels is None:
+        return []
+    others = np.setdiff1d(np.arange(len(matches)), inliers)
+    out = []
+    for index, most, agrees in ((np.sort(inliers), SHOWN_INLIERS, 1), (others, SHOWN_OTHERS, 0)):
+        some = index[np.linspace(0, len(index) - 1, min(most, len(index))).round().astype(np.int64)]
+        both = np.hstack([matches.reference_pixels[some], matches.pixels[some]]).round(1)
+        out += [[*pixels, agrees] for pixels in both.tolist()]
+    return out
 
 
 def _correlation(T_query_ref: Array, strong: StrongPixels, query: Query) -> float:

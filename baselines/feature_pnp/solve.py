@@ -35,6 +35,8 @@ class Matches2D3D:
     """(N,) size, in image pixels, of a pyramid pixel of the coarser of the two keypoints; at least 1"""
     depth_direction: Array
     """(N, 3) metres; the displacement of the point by one standard deviation of its depth"""
+    reference_pixels: Array | None = None
+    """(N, 2) pixels of the keyframe that the points come from, where they are told; nothing is computed from them"""
 
     def __len__(self) -> int:
         return len(self.points)

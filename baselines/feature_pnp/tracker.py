@@ -94,6 +94,7 @@ class FeaturePnp(Pnp[PreparedReference]):
             pixels=found.uv[of_query],
             scale=np.maximum(reference.features.scale[of_reference], found.scale[of_query]),
             depth_direction=reference.depth_direction[of_reference],
+            reference_pixels=reference.features.uv[of_reference],
         )
 
 

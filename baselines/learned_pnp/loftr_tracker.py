@@ -108,4 +108,5 @@ class LoftrPnp(Pnp[PreparedImage]):
             pixels=there[lifted.index],
             scale=np.full(len(lifted.index), scale),
             depth_direction=lifted.depth_direction,
+            reference_pixels=here[lifted.index],
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,6 +31,7 @@ from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 
 HOSTILE = "<script>document.title = 'taken over'</script><img src=x onerror=alert(1)>"
+MATCHED = {"shown_matches": [[10, 20, 30.5, 40, 1], [50, 60, 70, 80, 0], [100, 100, 110, 100, 1]]}
 FAULT = make_transform(so3_exp([0.0, np.radians(4.0), 0.0]), [0.25, 0.0, 0.0])
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
@@ -57,7 +59,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     add_answers(root / "results", dataset, "identity", "identity", lambda pair: np.eye(4))
     add_answers(root / "results", dataset, "right", "right", lambda pair: pair.T_query_ref)
-    add_answers(root / "results", dataset, "wrong", "wrong", wrong, message=HOSTILE)
+    add_answers(root / "results", dataset, "wrong", "wrong", wrong, message=HOSTILE, info=json.dumps(MATCHED))
     add_answers(root / "results", dataset, "far", "far", lambda pair: make_transform(np.eye(3), [80.0, 0.0, 0.0]))
     return root / "results"
 
@@ -234,6 +236,21 @@ def test_a_list_opens_a_pair_whose_warp_at_the_truth_agrees_best(page: Any, site
     page.locator("[data-pose=truth]").click()
     assert page.locator("[data-pose=truth]").get_attribute("aria-pressed") == "true"
     assert _alpha(page) > 0.6
+    assert page.told == []
+
+
+@needs_browser
+@pytest.mark.slow
+def test_matches_are_drawn_of_methods_that_tell_them(page: Any, site: Path) -> None:
+    _open_list(page, site, "wrong")
+    page.locator("#matches svg").wait_for()
+    lines = page.locator("#matches line")
+    assert lines.count() == 3
+    assert lines.first.get_attribute("stroke-dasharray")
+    assert [lines.last.get_attribute(name) for name in ("x1", "y1", "x2", "y2")] == ["100", "100", "278", "100"]
+    assert "2 agree" in page.locator("#matches-about").inner_text()
+    page.locator("#method").select_option("right")
+    page.wait_for_selector("#matches-section", state="hidden")
     assert page.told == []
 
 

@@ -19,12 +19,13 @@ Answering = Callable[[Pair], NDArray[np.float64] | None]
 
 
 def add_answers(
-    results: Path, dataset: Dataset, label: str, target: str, answer: Answering, *, message: str = ""
+    results: Path, dataset: Dataset, label: str, target: str, answer: Answering, *, message: str = "", info: str = ""
 ) -> None:
     """Write predictions, answers and scores of a method that gives ``answer`` to each pair, None where it fails.
 
     Args:
         message: what it says where it fails.
+        info: what it says of every answer, JSON.
     """
     folder = dataset_results(results, dataset).method(label)
     record = RunRecord(method=label, target=target, dataset=dataset.name, fingerprint=dataset.fingerprint)
@@ -33,7 +34,7 @@ def add_answers(
         poses = {pair.key: answer(pair) for pair in pair_set.asked}
         lines = [PoseLine(*key, pose) for key, pose in poses.items() if pose is not None]
         write_pose_lines(folder.predictions(pair_set.name), lines)
-        failed = [Answer(key, "failed", 0.5, None, message) for key, pose in poses.items() if pose is None]
-        answered = [Answer(key, "ok", 0.5, 0.9) for key, pose in poses.items() if pose is not None]
+        failed = [Answer(key, "failed", 0.5, None, message, info) for key, pose in poses.items() if pose is None]
+        answered = [Answer(key, "ok", 0.5, 0.9, "", info) for key, pose in poses.items() if pose is not None]
         write_answers(folder.answers(pair_set.name), sorted([*failed, *answered], key=lambda one: one.key))
     score_method(dataset, dataset.pair_sets(), folder)

@@ -12,7 +12,7 @@ from relocbench.files import write_bytes, write_text
 _OWN = (
     *("site.css", "core.js", "tables.js", "charts.js", "legend.js", "heat.js", "start.js"),
     *("parts.js", "map.js", "against.js", "measured.js", "set.js"),
-    *("warp.js", "pair.js", "pair.css"),
+    *("warp.js", "matches.js", "pair.js", "pair.css"),
 )
 _EXPORT = re.compile(r"export\{[^{}]*?(\w+) as default[^{}]*\};?")
 _NOTICES = """\

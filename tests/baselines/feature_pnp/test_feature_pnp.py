@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from baselines.feature_pnp import OrbPnp, SiftPnp
 from baselines.feature_pnp.features import Features, detect, match, spread_evenly
 from baselines.feature_pnp.keyframe_depth import inverse_depth_at, reach_of
+from baselines.feature_pnp.pnp import SHOWN_INLIERS, SHOWN_OTHERS
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
+from relocbench.evaluation.common.info_text import INFO_CHARACTERS, info_text
 from relocbench.geometry import Camera, apply, invert, rotation_angle, se3_exp
 from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
 
@@ -215,6 +217,24 @@ def test_too_few_inliers_is_a_stated_failure() -> None:
     result = tracker.track(tracker.prepare(reference()), query())
     assert not result.answered
     assert "300 needed" in result.message
+
+
+@TRACKERS
+def test_some_matches_are_told_in_pixels_of_both_images(tracker: OrbPnp | SiftPnp) -> None:
+    result = tracker.track(tracker.prepare(reference()), query())
+    told = np.array(result.info["shown_matches"])
+    agrees = told[:, 4] == 1
+    assert SHOWN_INLIERS == np.count_nonzero(agrees) <= result.info["inliers"]
+    assert np.count_nonzero(~agrees) <= SHOWN_OTHERS
+    depth = reference().depth
+    assert depth is not None
+    u, v = np.rint(told[:, :2]).astype(int).T
+    rays, _ = PINHOLE.unproject(told[:, :2])
+    points = rays / rays[:, 2:] * depth[v, u][:, None]
+    seen, _ = PINHOLE.project(apply(T_QUERY_REF, points))
+    apart = np.linalg.norm(seen - told[:, 2:4], axis=1)
+    assert np.median(apart[agrees]) < 2.0
+    assert len(info_text(result.info)) < INFO_CHARACTERS
 
 
 def matches_of(points: Array, camera: Camera, pose: Array, outliers: int = 0, seed: int = 0) -> Matches2D3D:

@@ -30,7 +30,7 @@
         methods[label] = {
           t, r, both: t.map((value, i) => Math.max(value / metres, r[i] / degrees)), confidence: floats(m.confidence),
           seconds: floats(m.seconds), status: bytes(m.status), poses: floats(answers.methods[label].poses),
-          messages: answers.methods[label].messages, floor: set.methods[label]?.floor,
+          messages: answers.methods[label].messages, matches: answers.methods[label].matches, floor: set.methods[label]?.floor,
         };
       }
       const rows = answers.rows || Array.from({ length: errors.pairs }, (_, i) => i);
@@ -197,6 +197,7 @@
   async function drawPictures(own) {
     const { of, row } = now, shown = of.pictured.has(row);
     $("pictures").hidden = $("thumbs").hidden = !shown;
+    $("matches-section").hidden = true;
     document.querySelector(".pair-grid").classList.toggle("numbers-only", !shown);
     $("none").replaceChildren();
     if (!shown) {
@@ -220,6 +221,17 @@
     put("query", images[1]);
     put("query-large", images[1]);
     drawWarp();
+    drawMatches(reference, query);
+  }
+
+  function drawMatches(reference, query) {
+    const { of, row, label } = now, told = of.methods[label].matches[of.places.get(row)];
+    $("matches-section").hidden = !told;
+    if (!told) return;
+    const agree = told.filter((match) => match[4]).length;
+    const words = `${told.length} matches that ${label} tells of this pair: ${agree} agree with the best pose that it found (full lines), ${told.length - agree} do not (dashed).`;
+    $("matches-about").textContent = words;
+    relocbench.drawMatches($("matches"), reference, query, told, words);
   }
 
   function drawWarp() {

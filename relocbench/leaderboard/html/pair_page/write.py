@@ -7,7 +7,7 @@ each image that a chosen pair shows, whichever pairs show it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,10 @@ from relocbench.datasets.core.pairfile import PairKey, read_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.execution import run_units
+from relocbench.geometry import Camera
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import floats, write_data
+from relocbench.leaderboard.html.pair_page.matches import shown_matches
 from relocbench.leaderboard.html.pair_page.pictures import depth_payload, image_payload
 from relocbench.leaderboard.html.payloads import answers_key, id_of, is_floor
 from relocbench.leaderboard.tracking.load import Method
@@ -125,29 +127,52 @@ def _answers_payload(
     only = None if len(keys) == len(methods[0].errors[name]) else frozenset(keys)
     places = {row: place for place, row in enumerate(kept)}
     shown = [] if pair_set is None else [places[row] for row in chosen]
+    cameras = {} if at_hand is None or pair_set is None else _cameras(at_hand, pair_set, keys, shown)
     return {
         "rows": None if only is None else list(kept),
         "truth": None if pair_set is None else _poses([pair_set.by_key[key].T_query_ref for key in keys]),
-        "methods": {method.label: _answers(method, name, keys, only) for method in methods},
+        "methods": {method.label: _answers(method, name, keys, only, cameras) for method in methods},
         "pictured": shown,
         "images": {} if pair_set is None else _folders(pair_set),
         "set": id_of(dataset),
     }
 
 
-def _answers(method: Method, name: str, keys: Sequence[PairKey], only: frozenset[PairKey] | None) -> dict[str, Any]:
+def _answers(
+    method: Method,
+    name: str,
+    keys: Sequence[PairKey],
+    only: frozenset[PairKey] | None,
+    cameras: Mapping[int, tuple[Camera, Camera]],
+) -> dict[str, Any]:
+    """The poses of a method, its messages, and the matches that it tells of pairs with pictures, by their places."""
     if method.results is None:
-        return {"poses": _poses([None] * len(keys)), "messages": {}}
+        return {"poses": _poses([None] * len(keys)), "messages": {}, "matches": {}}
     path = method.results.predictions(name)
     lines = read_pose_lines(path, PredictionError, allow_non_finite=True, only=only)
     found = {line.key: line.T_query_ref for line in lines}
     table = method.results.answers(name)
     answers = read_answers(table, only) if table.exists() else {}
     messages = {place: answers[key].message for place, key in enumerate(keys) if key in answers}
+    matches = {
+        place: shown_matches(answers[keys[place]].info, *both)
+        for place, both in cameras.items()
+        if keys[place] in answers
+    }
     return {
         "poses": _poses([found.get(key) for key in keys]),
         "messages": {place: message for place, message in messages.items() if message},
+        "matches": {place: some for place, some in matches.items() if some},
     }
+
+
+def _cameras(
+    at_hand: Dataset, pair_set: PairSet, keys: Sequence[PairKey], shown: Sequence[int]
+) -> dict[int, tuple[Camera, Camera]]:
+    """The cameras of the keyframe and the query of pairs with pictures, by their places."""
+    reference, query = at_hand.traversal(pair_set.reference), at_hand.traversal(pair_set.query)
+    camera = pair_set.camera
+    return {p: (reference.camera(camera, keys[p][0]), query.camera(camera, keys[p][1])) for p in shown}
 
 
 def _poses(poses: Sequence[Array | None]) -> str:
