@@ -220,6 +220,8 @@
     put("reference", images[0]);
     put("query", images[1]);
     put("query-large", images[1]);
+    $("reference-file").textContent = reference.file ? `: ${reference.file}` : "";
+    $("query-file").textContent = query.file ? `: ${query.file}` : "";
     drawWarp();
     drawMatches(reference, query);
   }

@@ -97,6 +97,7 @@
         { title: "confidence", data: "confidence", render: numeric("") },
         { title: "seconds", data: "seconds", render: numeric("s") },
         { title: "distance, m", data: "distance", render: numeric("m") },
+        { title: "angle, °", data: "angle", render: numeric("deg") },
         { title: "status", data: "status", className: "text", render: text },
       ],
       paging: true, pageLength: 50, lengthChange: false, deferRender: true, info: true,

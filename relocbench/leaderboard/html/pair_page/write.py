@@ -226,9 +226,18 @@ def _write_picture(job: _Job) -> set[Path]:
     traversal = job.dataset.traversal(picture.traversal)
     if not picture.is_keyframe:
         query = traversal.query(picture.camera, picture.timestamp_ns)
-        return {write_data(job.site, _key(job, "images"), image_payload(query.image, query.camera))}
+        payload = image_payload(query.image, query.camera) | _file_of(job)
+        return {write_data(job.site, _key(job, "images"), payload)}
     keyframe = traversal.reference(picture.camera, picture.timestamp_ns)
     return {
-        write_data(job.site, _key(job, "images"), image_payload(keyframe.image, keyframe.camera)),
+        write_data(job.site, _key(job, "images"), image_payload(keyframe.image, keyframe.camera) | _file_of(job)),
         write_data(job.site, _key(job, "depths"), depth_payload(keyframe)),
     }
+
+
+def _file_of(job: _Job) -> dict[str, str]:
+    """Where the image itself is in the dataset. It is named and not linked: a site may be moved, and its bytes are
+    the same wherever it is written."""
+    picture, layout = job.picture, job.dataset.traversal(job.picture.traversal).layout
+    path = layout.find_image(picture.camera, picture.timestamp_ns)
+    return {} if path is None else {"file": path.relative_to(job.dataset.root).as_posix()}
