@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from browser_pages import browser, page  # noqa: F401  fixtures
 from hypothesis import HealthCheck, settings
 
 _compiled: tempfile.TemporaryDirectory[str] | None = None

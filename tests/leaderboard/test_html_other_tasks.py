@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser_pages import needs_browser, serious_faults
 from chains_for_tests import lists
 from small_dataset import ACROSS, make_small_dataset
 from small_views import make_small_views
@@ -42,8 +42,6 @@ PLACE = "<script>alert(1)"
 HERE = "retrievers_for_tests"
 S2D = "satellite-drone"
 NEAR = "near+knows.top2"
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 
 
 @pytest.fixture(scope="module")
@@ -274,43 +272,6 @@ def test_a_method_page_has_its_results_as_a_retriever_and_in_chains(site: Path) 
     assert "relocbench evaluate-retrieval" in page
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with api.sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield found
-        found.close()
-
-
-@pytest.fixture(params=["light"])
-def page(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
-    """A page that must report no error and ask for nothing beyond the disk; ``dark`` is one of a phone."""
-    told: list[str] = []
-
-    def refuse(dialog: Any) -> None:
-        told.append("a dialog opened")
-        dialog.dismiss()
-
-    size = {"width": 390, "height": 844} if request.param == "dark" else {"width": 1280, "height": 900}
-    found = browser.new_page(color_scheme=request.param, viewport=size)
-    found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
-    found.on("pageerror", lambda error: told.append(str(error)))
-    found.on("dialog", refuse)
-    allowed = ("file:", "data:", "blob:")
-    found.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
-    found.told = told
-    yield found
-    found.close()
-
-
-def _faults(page: Any) -> list[str]:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
-    assert page.told == []
-    found = axe.Axe().run(page, options={"preload": False}).response["violations"]
-    return [f"{v['id']}: {v['nodes'][0]['html']}" for v in found if v["impact"] in ("serious", "critical")]
-
-
 def _open(page: Any, site: Path, pattern: str, state: str = "") -> None:
     (found,) = site.glob(pattern)
     page.goto("about:blank")
@@ -323,7 +284,7 @@ def _open(page: Any, site: Path, pattern: str, state: str = "") -> None:
     ("page", "pattern", "charts"),
     [
         ("light", "retrieval-*0.2m*.html", ("recall", "distance", "heat")),
-        ("dark", "relocalization-*.html", ("losses", "curves", "clock", "heat")),
+        ("dark phone", "relocalization-*.html", ("losses", "curves", "clock", "heat")),
     ],
     indirect=["page"],
 )
@@ -335,13 +296,13 @@ def test_pages_open_from_the_disk_fit_their_window_and_are_accessible(
         page.locator(f"#{chart}").scroll_into_view_if_needed()
         page.wait_for_selector(f"#{chart} .main-svg")
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    assert _faults(page) == []
+    assert serious_faults(page) == []
     page.locator("#methods button.cell").first.click()
     page.locator("#list a").first.click()
     page.wait_for_selector("#numbers tr")
     page.wait_for_function("document.images.length && [...document.images].every((image) => image.naturalWidth)")
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    assert _faults(page) == []
+    assert serious_faults(page) == []
 
 
 @needs_browser

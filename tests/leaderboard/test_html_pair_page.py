@@ -6,13 +6,13 @@ import base64
 import json
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from answered_dataset import add_answers
+from browser_pages import needs_browser, serious_faults
 from command_line import relocbench
 from numpy.typing import NDArray
 from small_dataset import ACROSS, WITHIN, make_small_dataset
@@ -34,8 +34,6 @@ from relocbench.leaderboard.html.site import write_site
 HOSTILE = "<script>document.title = 'taken over'</script><img src=x onerror=alert(1)>"
 MATCHED = {"shown_matches": [[10, 20, 30.5, 40, 1], [50, 60, 70, 80, 0], [100, 100, 110, 100, 1]]}
 FAULT = make_transform(so3_exp([0.0, np.radians(4.0), 0.0]), [0.25, 0.0, 0.0])
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 _GO_TO_ONE_WITHOUT_IMAGES = """async () => {
   const { set, pairset } = relocbench.state.all();
   const errors = await relocbench.load(`errors/${set}/${pairset}`);
@@ -169,35 +167,6 @@ def test_the_command_line_says_how_many_pairs_have_images(results: Path, tmp_pat
     assert list((board / "html").glob("data/images/*/*/*.js"))
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield started
-        started.close()
-
-
-@pytest.fixture
-def page(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
-    """A page of a browser, which must report no error and ask for nothing beyond the disk."""
-    told: list[str] = []
-
-    def refuse(dialog: Any) -> None:
-        told.append("a dialog opened")
-        dialog.dismiss()
-
-    found = browser.new_page(color_scheme=getattr(request, "param", "light"))
-    found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
-    found.on("pageerror", lambda error: told.append(str(error)))
-    found.on("dialog", refuse)
-    allowed = ("file:", "data:", "blob:")
-    found.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
-    found.told = told
-    yield found
-    found.close()
-
-
 def _open_list(page: Any, site: Path, label: str, pair_set: str = ACROSS) -> None:
     """Open the first pair, the worst one, of a method's list."""
     (of_set,) = site.glob("set-*.html")
@@ -306,7 +275,6 @@ def test_arrows_walk_the_list_and_the_address_finds_the_pair_again(page: Any, si
 @pytest.mark.slow
 @pytest.mark.parametrize("page", ["light", "dark"], indirect=True)
 def test_a_message_is_shown_as_text_and_the_page_is_accessible(page: Any, site: Path) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     _open_list(page, site, "wrong")
     page.keyboard.press("a")
     page.wait_for_selector("#query-large")
@@ -316,9 +284,7 @@ def test_a_message_is_shown_as_text_and_the_page_is_accessible(page: Any, site: 
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), width
         page.evaluate("Promise.all(document.getAnimations().map((each) => each.finished))")  # colours fade in
-        found = axe.Axe().run(page, options={"preload": False}).response["violations"]
-        serious = [v for v in found if v["impact"] in ("serious", "critical")]
-        assert [f"{v['id']}: {v['nodes'][0]['html']}" for v in serious] == []
+        assert serious_faults(page) == []
     assert page.told == []
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from answered_dataset import add_answers
+from browser_pages import needs_browser, serious_faults
 from numpy.typing import NDArray
 from small_dataset import ACROSS, make_small_dataset
 from test_leaderboard import MadeResults, made
@@ -28,8 +27,6 @@ from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 
 HOSTILE = "<img src=x onerror=alert(1)>"
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 pytestmark = [needs_browser, pytest.mark.slow]
 _POINT = """([id, trace, point]) => {
   const chart = document.getElementById(id);
@@ -94,30 +91,6 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     results.add("identity", {name: made(i, 60, 0.8) for i, name in enumerate(names)})
     results.add("good", {name: made(9 + i, 60, 0.08 * (1 + i)) for i, name in enumerate(names)})
     return write_site(Boards(results.board()), results.root.parent / "html").parent
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield started
-        started.close()
-
-
-@pytest.fixture
-def page(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
-    """A page of a browser, which must report no error and ask for nothing beyond the disk."""
-    told: list[str] = []
-    found = browser.new_page(color_scheme=getattr(request, "param", "light"))
-    found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
-    found.on("pageerror", lambda error: told.append(str(error)))
-    found.on("dialog", lambda dialog: told.append(f"a dialog opened: {dialog.message}"))
-    allowed = ("file:", "data:", "blob:")
-    found.on("request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url))
-    yield found
-    found.close()
-    assert told == []
 
 
 def _open(page: Any, site: Path, state: str = "") -> None:
@@ -251,13 +224,10 @@ def test_paper_has_what_was_chosen_and_light_colours(page: Any, site: Path) -> N
 
 @pytest.mark.parametrize("page", ["dark"], indirect=True)
 def test_all_charts_are_accessible_and_fit_a_phone(page: Any, site: Path) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     page.set_viewport_size({"width": 390, "height": 800})
     _open(page, site, f"table={ACROSS}")
     for chart in ("map", "matching", "probe"):
         _draw(page, chart)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     page.evaluate("Promise.all(document.getAnimations().map((each) => each.finished))")  # colours fade in
-    found = axe.Axe().run(page, options={"preload": False}).response["violations"]
-    serious = [v for v in found if v["impact"] in ("serious", "critical")]
-    assert [f"{v['id']}: {v['nodes'][0]['html']}" for v in serious] == []
+    assert serious_faults(page) == []

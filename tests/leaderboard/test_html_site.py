@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from browser_pages import needs_browser, serious_faults
 from test_leaderboard import NIGHT, WINTER, MadeResults, made
 
 from relocbench.leaderboard import load_results, make_board
@@ -24,8 +23,6 @@ from relocbench.leaderboard.retrieval.board import RetrievalBoard
 from relocbench.metrics import CORRECT
 
 HOSTILE = "<script>alert(1)</script>"
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 
 
 @pytest.fixture(scope="module")
@@ -127,32 +124,6 @@ def test_pages_of_methods_that_left_are_removed(boards: Boards, tmp_path: Path) 
     assert not list(tmp_path.glob("method-*.html"))
 
 
-@pytest.fixture(params=["light"])
-def page(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """A page of a browser, which must report no error and ask for nothing beyond the disk."""
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    told: list[str] = []
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        found = browser.new_page(color_scheme=request.param)
-        found.on("console", lambda message: told.append(message.text) if message.type == "error" else None)
-        found.on("pageerror", lambda error: told.append(str(error)))
-        found.on("dialog", lambda dialog: told.append(f"a dialog opened: {dialog.message}"))
-        allowed = ("file:", "data:", "blob:")
-        found.on("request", lambda asked: told.extend([] if asked.url.startswith(allowed) else [asked.url]))
-        found.told = told
-        yield found
-        browser.close()
-
-
-def _faults(page: Any) -> list[str]:
-    """Serious and critical findings; what the checker itself cannot load from a disk is no error of the page."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
-    assert page.told == []
-    found = axe.Axe().run(page, options={"preload": False}).response["violations"]
-    return [f"{v['id']}: {v['nodes'][0]['html']}" for v in found if v["impact"] in ("serious", "critical")]
-
-
 @needs_browser
 @pytest.mark.slow
 @pytest.mark.parametrize("page", ["light", "dark"], indirect=True)
@@ -165,7 +136,7 @@ def test_every_kind_of_page_opens_from_the_disk_and_is_accessible(page: Any, sit
             for chart in ("curves", "heat", "route", "distance", "angle", "risk", "cost"):
                 page.locator(f"#{chart}").scroll_into_view_if_needed()
                 page.wait_for_selector(f"#{chart} .main-svg")
-        assert _faults(page) == [], name
+        assert serious_faults(page) == [], name
 
 
 @needs_browser
@@ -199,7 +170,7 @@ def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boa
     assert errors.count() == 50
     assert errors.first.locator("td").nth(3).inner_text() == f"{metres[np.argmax(joint)]:.3f}"
     assert "100 entries" in page.locator("#pairs .dt-info").inner_text()
-    assert _faults(page) == []
+    assert serious_faults(page) == []
 
 
 @needs_browser

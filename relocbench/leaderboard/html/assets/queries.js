@@ -14,6 +14,26 @@ relocbench.queries = (() => {
   const allResults = () => element("a", { href: "index.html" }, "all results");
   const fact = (name, ...value) => element("div", {}, element("dt", {}, name), element("dd", {}, ...value));
 
+  /**
+   * The task and the row of the query that the address asks for; null where there is none, and the page says why.
+   * open: (set, task) => its payloads; rowOf: (of, query) => row or -1; latest: () => whether nothing else was asked for since
+   */
+  async function findQuery(open, rowOf, latest, whole) {
+    const { set, task, query } = state.all();
+    const none = (...why) => { tell(...why, allResults(), "."); return null; };
+    if (!set || !task || !query) return none(`This page shows one query. Choose one in the list that opens with a click on a number of a ${whole}: `);
+    let of = null;
+    try { of = await open(set, task); } catch (error) { return latest() ? none(`The task cannot be shown: ${error.message}. See `) : null; }
+    if (!latest()) return null;
+    const row = rowOf(of, query);
+    if (row < 0) return none(`The task '${of.name}' has no query ${query}. See `);
+    tell();
+    $("shown").hidden = false;
+    $("pictured").disabled = !of.pictured.size;
+    if (!of.pictured.size) $("pictured").checked = false;
+    return { of, row };
+  }
+
   /** A picture, or a field that says why there is none. */
   async function picture(node, setId, name, alt) {
     let known = null;
@@ -69,5 +89,5 @@ relocbench.queries = (() => {
   /** The end of an image's path, with all of it where the pointer rests. */
   const named = (key) => element("span", { title: key }, key.split("/").slice(-2).join("/"));
 
-  return { named, $, tell, allResults, fact, picture, walk, place };
+  return { named, $, findQuery, fact, picture, walk, place };
 })();

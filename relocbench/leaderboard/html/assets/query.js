@@ -3,7 +3,7 @@
 
 (() => {
   const { element, number, state, load, floats, integers, bytes } = relocbench;
-  const { $, tell, allResults, fact, named, picture, walk, place } = relocbench.queries;
+  const { $, findQuery, fact, named, picture, walk, place } = relocbench.queries;
   const site = relocbench.payload("site");
   const decoded = new Map();
   let now = null;
@@ -35,22 +35,11 @@
   }
 
   async function render() {
-    const own = ++turn, wanted = state.all();
-    if (!wanted.set || !wanted.task || !wanted.query) return tell("This page shows one query. Choose one in the list that opens with a click on a number of a set: ", allResults(), ".");
-    let of = null;
-    try { of = await open(wanted.set, wanted.task); } catch (error) {
-      if (own === turn) tell(`The task cannot be shown: ${error.message}. See `, allResults(), ".");
-      return;
-    }
-    if (own !== turn) return;
-    const row = of.queries.indexOf(wanted.query);
-    if (row < 0) return tell(`The task '${of.name}' has no query ${wanted.query}. See `, allResults(), ".");
+    const own = ++turn, found = await findQuery(open, (one, query) => one.queries.indexOf(query), () => own === turn, "set");
+    if (!found) return;
+    const { of, row } = found, wanted = state.all();
     const labels = Object.keys(of.methods);
     const label = labels.includes(wanted.method) ? wanted.method : labels.find((l) => !of.set.methods[l].floor) || labels[0];
-    tell();
-    $("shown").hidden = false;
-    $("pictured").disabled = !of.pictured.size;
-    if (!of.pictured.size) $("pictured").checked = false;
     const list = listOf(of, label);
     now = { key: "method", of, row, labels, label, list, at: list.indexOf(row), name: (r) => of.queries[r], render };
     document.title = `${of.queries[row]} – relocbench`;
