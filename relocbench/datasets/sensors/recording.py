@@ -148,3 +148,5 @@ class FieldRecording:
     prior_sigma_m: float = 10.0
     """standard deviation of the prior; truth more than three of these away contradicts it"""
     location: str = ""
+    odometry_lidar: str = ""
+    """name of the lidar that the odometry was computed from; empty if other sensors measured it"""

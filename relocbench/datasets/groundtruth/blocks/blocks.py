@@ -5,7 +5,7 @@ Odometry is good to millimetres within a block; the poses of blocks relative to 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -75,6 +75,8 @@ class Block:
     """(N,) :class:`Surface`"""
     steady: Floats
     """(N,) static score in [0, 1]: 1 for a static point, 0 for a dynamic one, through which other beams went"""
+    lidar: NDArray[np.uint8] | None = field(default=None, kw_only=True)
+    """(N,) number of the lidar that measured each point, in the order of the recording; None: there is one"""
 
     def __len__(self) -> int:
         return len(self.points)

@@ -27,10 +27,12 @@ class Beams(NamedTuple):
     """(N, 3) where the sensor was"""
     times_ns: Times
     """(N,) when each beam was fired"""
+    lidar: NDArray[np.uint8]
+    """(N,) number of the lidar that fired it, in the order of the recording"""
 
     def rows(self, which: NDArray[np.int64]) -> Beams:
         """Some of the beams."""
-        return Beams(self.points[which], self.origins[which], self.times_ns[which])
+        return Beams(self.points[which], self.origins[which], self.times_ns[which], self.lidar[which])
 
 
 class BeamReader:
@@ -68,9 +70,10 @@ class BeamReader:
         """
         parts = [self._of_lidar(i, begin_ns, end_ns) for i in range(len(self._lidars))]
         points, origins, times = (np.concatenate([part[k] for part in parts]) for k in range(3))
+        lidar = np.repeat(np.arange(len(parts), dtype=np.uint8), [len(part[0]) for part in parts])
         T_node_odom = invert(T_odom_node)
         rotation, translation = T_node_odom[:3, :3], T_node_odom[:3, 3]
-        return Beams(points @ rotation.T + translation, origins @ rotation.T + translation, times)
+        return Beams(points @ rotation.T + translation, origins @ rotation.T + translation, times, lidar)
 
     def _of_lidar(self, i: int, begin_ns: int, end_ns: int) -> tuple[Array, Array, Times]:
         lidar, (nearest, farthest) = self._lidars[i], self._ranges[i]

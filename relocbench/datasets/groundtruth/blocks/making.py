@@ -91,7 +91,9 @@ def _thinned(reader: BeamReader, nodes: Nodes, node: int, options: BlockOptions)
     """The beams of a node's block, thinned to one point a voxel, in single precision as they are stored."""
     beams = _beams(reader, nodes, node)
     keep = thin(beams.points, options.voxel_m)
-    return Beams(beams.points[keep].astype(np.float32), beams.origins[keep].astype(np.float32), beams.times_ns[keep])
+    return beams.rows(keep)._replace(
+        points=beams.points[keep].astype(np.float32), origins=beams.origins[keep].astype(np.float32)
+    )
 
 
 def _finish(node: int, around: dict[int, Beams], nodes: Nodes, wheel_height_m: float, options: BlockOptions) -> Block:
@@ -105,6 +107,7 @@ def _finish(node: int, around: dict[int, Beams], nodes: Nodes, wheel_height_m: f
         np.concatenate([apply(poses[k], around[k].points.astype(np.float64)) for k in near]),
         np.concatenate([apply(poses[k], around[k].origins.astype(np.float64)) for k in near]),
         np.concatenate([around[k].times_ns for k in near]),
+        np.concatenate([around[k].lidar for k in near]),
     )
     before = sum(len(around[k].points) for k in near if k < node)
     wanted = np.arange(before, before + len(own.points))
@@ -115,7 +118,7 @@ def _finish(node: int, around: dict[int, Beams], nodes: Nodes, wheel_height_m: f
     surface = classify(own.points, normals, path, wheel_height_m, options.surfaces)
     voting = _voting([len(around[k].points) for k in near], options)
     steady = static_scores(beams, normals, wanted, voting, options.steady)
-    return Block(own.points, normals, own.origins, surface, steady)
+    return Block(own.points, normals, own.origins, surface, steady, lidar=own.lidar)
 
 
 def _voting(sizes: Sequence[int], options: BlockOptions) -> NDArray[np.int64]:

@@ -24,13 +24,13 @@ from relocbench.execution import Run, chunks, run_units
 from relocbench.files import atomic_write, dump_yaml, load_yaml_values, read_bytes, remove_parts, write_text
 from relocbench.progress import Reporter, Silent
 
-_FORMAT = 1
+_FORMAT = 2
 _NODES_A_UNIT = 32
 """nodes of a unit of work; the scans of ``reach`` nodes at its ends are read by the neighbouring units as well"""
 _MOST_BYTES = 2**28
 """largest file that is read: 5 million points, where a block has some thousand"""
 _TYPES = {"points": (np.float32, 3), "normals": (np.float32, 3), "origins": (np.float32, 3),
-          "surface": (np.uint8, 0), "steady": (np.float32, 0)}  # fmt: skip
+          "surface": (np.uint8, 0), "steady": (np.float32, 0), "lidar": (np.uint8, 0)}  # fmt: skip
 
 
 class BlockStore:
@@ -113,6 +113,8 @@ def make_unit(unit: BlockUnit) -> int:
 def write_block(path: Path, block: Block) -> None:
     """Write a block. The same block gives the same bytes, since the entries of the archive carry no times."""
     arrays = {f.name: getattr(block, f.name) for f in fields(Block)}
+    if arrays["lidar"] is None:
+        arrays["lidar"] = np.zeros(len(block), dtype=np.uint8)
     with atomic_write(path, "wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 

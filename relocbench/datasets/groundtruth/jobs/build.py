@@ -16,16 +16,15 @@ import numpy as np
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import parse_pose
-from relocbench.datasets.groundtruth.alignment.registration_job import register_drives
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
+from relocbench.datasets.groundtruth.jobs.aligning import Aligned, align
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, rig_poses, write_traversal
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired, PairingUnit, pair_up
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind
 from relocbench.datasets.groundtruth.pose_graph.files import write_graph
-from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
-from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import ConfigError, DatasetError
@@ -48,19 +47,16 @@ def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOpt
     folder = job.writer.layout.root / "groundtruth"
     if not options.use_prior:
         recordings = [replace(recording, prior=None) for recording in recordings]
-    block_m, blocks = options.alignment.block_m, options.alignment.blocks
-    drives = [make_drive(r, folder / "blocks" / r.name, block_m, blocks, reporter, run) for r in recordings]
+    estimate = options.calibration == "estimate"
+    aligned = align(recordings, folder, options.alignment, first, estimate, reporter, run)
+    drives = aligned.drives
     frames = [
         {name: choose_frames(r, drive, name, options, is_reference=r is recordings[0]) for name in cameras}
         for r, drive in zip(recordings, drives, strict=True)
     ]
     reference, queries = drives[0], drives[1:]
-    registrations = register_drives(
-        reference, queries, folder / "registrations", options.alignment, first, reporter, run
-    )
     units = [
-        _unit(reference, query, registrations[query.name], (frames[0], asking), options)
-        for query, asking in zip(queries, frames[1:], strict=True)
+        _unit(aligned, query, (frames[0], asking), options) for query, asking in zip(queries, frames[1:], strict=True)
     ]
     paired = _pair(units, folder / "graph", reporter, run)
     _require_accepted(paired, [q.name for q in queries], folder / "registrations")
@@ -116,9 +112,8 @@ def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> 
 
 
 def _unit(
-    reference: Drive,
+    aligned: Aligned,
     query: Drive,
-    registrations: Sequence[Registration],
     frames: tuple[Mapping[str, Frames], Mapping[str, Frames]],
     options: FieldOptions,
 ) -> PairingUnit:
@@ -127,7 +122,8 @@ def _unit(
         for name, there in frames[0].items()
     )
     limits = (options.limits, options.max_angle)
-    return PairingUnit(reference, query, tuple(registrations), cameras, options.alignment, *limits)
+    registrations, shared = tuple(aligned.registrations[query.name]), aligned.shared.get(query.name)
+    return PairingUnit(aligned.drives[0], query, registrations, cameras, options.alignment, *limits, shared)
 
 
 def _pair(units: Sequence[PairingUnit], folder: Path, reporter: Reporter, run: Run) -> list[Paired]:

@@ -35,6 +35,10 @@ class FieldOptions(ImportOptions):
         "",
         description="pose of a pair by hand: 'REF_NS QUERY_NS tx ty tz qx qy qz qw', T_ref_query of the rigs; verified",
     )
+    calibration: Literal["estimate", "given"] = Field(
+        "estimate",
+        description="estimate the time offsets and extrinsics of the lidars and correct errors, or take what is given",
+    )
     use_prior: bool = Field(True, description="limit place recognition by GNSS")
     max_sigma: float = Field(
         0.05, gt=0, description="largest sigma of an accepted pair's position on each axis, metres"

@@ -191,24 +191,37 @@ class Outcomes:
             return self._unknown(ref_ns, query_ns, f"not registered: {self._why(here.node)}")
         covariance = self._covariance(there, here, T_rig_refcam, T_rig_querycam)
         T_query_ref = invert(here.T_world_rig @ T_rig_querycam) @ there.T_world_rig @ T_rig_refcam
-        # The covariance is rotated from the query camera's axes into its rig's, with x along the street.
         R = T_rig_querycam[:3, :3]
-        along, across, height = np.sqrt(np.diagonal(R @ covariance[:3, :3] @ R.T)).tolist()
-        rotation = float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:]) / 3)))
+        along, across, height, rotation = self._sigmas(covariance, R)
         reason = self._rejection(there, here, T_query_ref, (along, across, height, rotation))
+        if reason.startswith("sigma") and self.solution.shared is not None:
+            alone = self._sigmas(self._covariance(there, here, T_rig_refcam, T_rig_querycam, shared=False), R)
+            if not self._rejection(there, here, T_query_ref, alone):
+                reason = f"calibration of the lidars too uncertain: {reason}"
         return PairOutcome(ref_ns, query_ns, T_query_ref, covariance, along, across, height, rotation, reason)
+
+    @staticmethod
+    def _sigmas(covariance: Array, R_rig_cam: Array) -> tuple[float, float, float, float]:
+        """Sigmas along, across, in height and of rotation (degrees) of a covariance in the query camera's axes.
+
+        It is rotated into the axes of the camera's rig, with x along the street.
+        """
+        along, across, height = np.sqrt(np.diagonal(R_rig_cam @ covariance[:3, :3] @ R_rig_cam.T)).tolist()
+        return along, across, height, float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:]) / 3)))
 
     def _unknown(self, ref_ns: int, query_ns: int, reason: str) -> PairOutcome:
         return PairOutcome(ref_ns, query_ns, None, None, None, None, None, None, reason)
 
-    def _covariance(self, there: RigPose, here: RigPose, T_rig_refcam: Array, T_rig_querycam: Array) -> Array:
+    def _covariance(
+        self, there: RigPose, here: RigPose, T_rig_refcam: Array, T_rig_querycam: Array, shared: bool = True
+    ) -> Array:
         """(6, 6) covariance of the twist on the right of ``T_refcam_querycam``.
 
         It is the sum of the covariances of the nodes' relative pose and of the odometry from each node to its image,
         all transformed to the query camera.
         """
         solution = self.solution
-        _, nodes = solution.relative(there.node, here.node)
+        _, nodes = solution.relative(there.node, here.node, shared)
         T_querynode_cam = invert(solution.T_world_query[here.node]) @ here.T_world_rig @ T_rig_querycam
         T_refrig_cam = invert(there.T_world_rig) @ here.T_world_rig @ T_rig_querycam
         out = np.zeros((6, 6))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, SolvedDrive
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
-from relocbench.datasets.groundtruth.pose_graph.graph import Solution
+from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, Solution
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import rotation_angle
@@ -39,6 +39,8 @@ class PairingUnit:
     options: AlignmentOptions
     limits: OutcomeLimits
     max_angle_deg: float
+    shared: SharedErrors | None = None
+    """uncertainty of the lidars' calibration"""
 
     def __str__(self) -> str:
         return f"pairs of {self.query.name} with {self.reference.name}"
@@ -57,6 +59,7 @@ class Paired:
 def pair_up(unit: PairingUnit) -> Paired:
     """Solve the pose graph of two drives and compute the outcome of every pair."""
     solution = solve_drive(unit.reference, unit.query, unit.registrations, unit.options)
+    solution = replace(solution, shared=unit.shared)
     outcomes = Outcomes(
         solution,
         (unit.reference.nodes, unit.reference.recording.odometry),

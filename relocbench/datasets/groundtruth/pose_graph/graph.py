@@ -24,10 +24,25 @@ from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
 from relocbench.datasets.groundtruth.pose_graph.outlier_test import OutlierTest
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions, Selected, select
 from relocbench.datasets.groundtruth.verification.evidence import Registration
-from relocbench.geometry import invert, rotation_angle
+from relocbench.geometry import adjoint, invert, rotation_angle
 
 _CONTROLLED = 1.0
 """least redundancy, out of six, of a registration that others confirm"""
+
+
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """Errors that all edges have in common, such as those of the lidars' calibration."""
+
+    by_shared: Array
+    """(N, 6, K) derivative of the poses' twists, ``T_world_node @ se3_exp(twist)``, by the shared errors"""
+    covariance: Array
+    """(K, K)"""
+
+    def relative(self, first: int, second: int, T_second_first: Array) -> Array:
+        """(6, 6) the covariance that they add to ``xi`` in ``T_first_second @ se3_exp(xi)``."""
+        by = self.by_shared[second] - adjoint(T_second_first) @ self.by_shared[first]
+        return np.asarray(by @ self.covariance @ by.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +66,8 @@ class Solution:
     """(N, 2) arc length back to the last and on to the next node with a trusted registration, metres"""
     information_factor: float = 1.0
     """factor that the information of registrations was divided by"""
+    shared: SharedErrors | None = None
+    """errors that all edges have in common"""
 
     @property
     def T_world_ref(self) -> Array:
@@ -79,18 +96,24 @@ class Solution:
     def _covariances(self) -> Covariances:
         return Covariances(self.T_world_node, self.edges, scales_of(self.drives, self.edges))
 
-    def relative(self, ref: int, query: int) -> tuple[Array, Array]:
+    def relative(self, ref: int, query: int, shared: bool = True) -> tuple[Array, Array]:
         """``T_ref_query`` (4, 4) and the covariance (6, 6) of ``xi = (rho, phi)`` in ``T_ref_query @ se3_exp(xi)``.
 
         Calls in the order of the road are fastest, since neighbouring pairs share most of the work.
+
+        Args:
+            shared: whether errors that all edges have in common are part of the covariance.
 
         Raises:
             ValueError: nothing connects the two nodes.
         """
         if not self.connected(ref, query):
             raise ValueError(f"nothing connects reference node {ref} with query node {query}")
-        nodes = np.array([ref]), np.array([query + self.drives.reference_count])
-        return self.pose(ref, query), self._covariances.relative(*nodes)[0]
+        T_ref_query, second = self.pose(ref, query), query + self.drives.reference_count
+        covariance = self._covariances.relative(np.array([ref]), np.array([second]))[0]
+        if shared and self.shared is not None:
+            covariance = covariance + self.shared.relative(ref, second, invert(T_ref_query))
+        return T_ref_query, covariance
 
     def contradicted_odometry(self, significance: float = 1e-9) -> list[tuple[int, int]]:
         """Odometry edges that registrations contradict: (node, next node).

@@ -98,7 +98,21 @@ def register_along(
             returns the result of an earlier run.
     """
     ref, query = PreparedDrive(window_ref, nodes_ref), PreparedDrive(window_query, nodes_query)
-    return _DriveRegistration(ref, query, prior, options or DriveRegistrationOptions(), say, remember).run(first)
+    options = options or DriveRegistrationOptions()
+    found = _DriveRegistration(ref, query, prior, options, say, remember).run(first)
+    if prior is None or any(registration.trusted for registration in found):
+        return found
+
+    def remember_anew(key: str, work: Callable[[], SearchResult]) -> SearchResult:
+        return remember(f"{key} without GNSS", work)
+
+    say("nothing holds where GNSS puts the drives; they are searched for each other without GNSS")
+    alone = _DriveRegistration(ref, query, None, options, say, remember_anew).run(None)
+    if any(registration.trusted for registration in alone):
+        say("the drives were found without GNSS, which is wrong for one of them")
+        return alone
+    say("they were not found without GNSS either")
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
+from relocbench.datasets.groundtruth.calibration.files import read_calibration
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, kind_of
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, read_graph
 from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
@@ -98,6 +99,9 @@ def _graph_file(folder: Path, pair_set: PairSet) -> Path:
 def _inspect(dataset: Dataset, folder: Path, pair_set: PairSet) -> InspectedSet:
     names = pair_set.reference, pair_set.query
     drives = read_graph(_graph_file(folder, pair_set), *names)
+    kept = read_calibration(folder)
+    blocks = [folder / kept.blocks.get(name, f"blocks/{name}") for name in names]
+    registrations = folder / kept.registrations.get(names[1], "registrations")
     conditions = [str(dataset.traversal(name).condition) for name in names]
     options = dataset.file.made_by.get("options", {})
     limits = [options.get(key) for key in ("max_sigma", "max_sigma_rotation")] if isinstance(options, dict) else []
@@ -106,8 +110,8 @@ def _inspect(dataset: Dataset, folder: Path, pair_set: PairSet) -> InspectedSet:
         pair_set,
         " → ".join(conditions),
         *drives,
-        read_registrations(folder / "registrations" / f"{names[0]}__{names[1]}.csv"),
-        (BlockStore(folder / "blocks" / names[0]), BlockStore(folder / "blocks" / names[1])),
+        read_registrations(registrations / f"{names[0]}__{names[1]}.csv"),
+        (BlockStore(blocks[0]), BlockStore(blocks[1])),
         Limits(known[0], known[1]),
     )
 

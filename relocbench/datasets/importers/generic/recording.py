@@ -100,8 +100,10 @@ def read_generic(
     if odometry == "poses" or (odometry == "auto" and (folder / POSE_FILE).exists()):
         motion = _trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns)
         motion = Trajectory(motion.times_ns, invert(motion.T_odom_rig[0]) @ motion.T_odom_rig, max_gap_ns)
+        source = ""
     else:
-        motion = from_lidar(_spinning(lidars, folder), report, max_gap_ns=max_gap_ns)
+        spinning = _spinning(lidars, folder)
+        motion, source = from_lidar(spinning, report, max_gap_ns=max_gap_ns), spinning.name
     prior = folder / PRIOR_FILE
     return FieldRecording(
         name=title,
@@ -112,6 +114,7 @@ def read_generic(
         cameras=cameras,
         prior=_trajectory(prior, T_new_rig, max_gap_ns) if prior.exists() else None,
         location=location,
+        odometry_lidar=source,
     )
 
 

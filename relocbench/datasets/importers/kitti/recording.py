@@ -144,6 +144,7 @@ def read_kitti(
         odometry=_poses(files, times) if odometry == "poses" else from_lidar(lidar, report),
         lidars=(lidar,),
         cameras=streams,
+        odometry_lidar=lidar.name if odometry == "lidar" else "",
     )
 
 

@@ -105,10 +105,11 @@ class Options(RuleOptions):
         description="record drives (camera, lidar, odometry, GNSS) in this layout instead of making a dataset: one per "
         "split, condition, route and traversal",
     )
-    route: tuple[Literal["common", "detour", "crossing", "periodic"], ...] = Field(
+    route: tuple[Literal["common", "detour", "crossing", "return", "periodic"], ...] = Field(
         ("common",),
         description="recording: the routes to drive: the common one; a detour from it through other streets; one that "
-        "takes one of its crossings in another direction; one along the street with repeating facades",
+        "takes one of its crossings in another direction; its return in the other lane; one along the street with "
+        "repeating facades",
     )
     recording_cameras: tuple[str, ...] = Field(
         (),

@@ -1,8 +1,8 @@
 """Further routes of a district, for recordings that are to be registered against each other.
 
 ``common`` is the route that all traversals of a dataset follow. ``detour`` leaves it for other streets and comes back;
-``crossing`` passes one of its crossings in another direction; ``periodic`` runs along the street with repeating
-facades. All of this happens within the driven part of the path, which begins and ends ``MARGIN_M`` from its ends.
+``crossing`` passes one of its crossings in another direction; ``return`` drives it from its end to its beginning, in
+the other lane; ``periodic`` runs along the street with repeating facades. All of this happens within the driven part of the path, which begins and ends ``MARGIN_M`` from its ends.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from relocbench.datasets.synthetic.town.polylines import arc_lengths, turns_of
 from relocbench.datasets.synthetic.town.shapes import Floats
 from relocbench.errors import ConfigError
 
-RouteName = Literal["common", "detour", "crossing", "periodic"]
+RouteName = Literal["common", "detour", "crossing", "return", "periodic"]
 _INSIDE_M = 15.0
 """least length driven before leaving the common route or passing the crossing, and after coming back"""
 _SHARPEST = np.radians(125)
@@ -44,6 +44,8 @@ def route(network: StreetNetwork, periodic: int, name: RouteName, length_m: floa
     common = network.walk(length_m + _LONGEST_DETOUR_M, seed)
     if name == "detour":
         return network.path(_detour(network, common, length_m), RUN_IN_M, length_m)
+    if name == "return":
+        return _back(network, network.walk(length_m, seed), length_m)
     middle = network.nodes_of(periodic)
     if name == "crossing":
         middle = _across(network, common, length_m)
@@ -54,6 +56,17 @@ def route(network: StreetNetwork, periodic: int, name: RouteName, length_m: floa
     # A path assigns places to streets correctly only if its chain of nodes begins where the path does.
     start = centre - length_m / 2
     skipped = int(np.flatnonzero(at <= start - RUN_IN_M)[-1])
+    return network.path(chain[skipped:], start - at[skipped], length_m)
+
+
+def _back(network: StreetNetwork, common: Sequence[int], length_m: float) -> Path:
+    """The path along a walk the other way round, between the places where the walk's own path ends and begins."""
+    back = list(common)[::-1]
+    start = float(_along(network, back)[-1]) - RUN_IN_M - length_m
+    # The other lane is shorter at some bends, so that the walk has to go on beyond its beginning.
+    chain = _grown(network, back, 0.0, set())
+    at = _along(network, chain)
+    skipped = int(np.flatnonzero(at <= max(start - RUN_IN_M, 0.0))[-1])
     return network.path(chain[skipped:], start - at[skipped], length_m)
 
 

@@ -1,0 +1,56 @@
+"""Which causes are in error: the smallest set that explains the measurements, and the calibration that follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.datasets.groundtruth.calibration.adjustment import Reduced
+from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Cause, Sensors
+
+_LEAST_GAIN = 12.0
+"""a cause is in error if it makes the measurements more likely by a factor of exp(this)"""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The calibration of lidars: what is in error, by how much, and how certainly."""
+
+    sensors: Sensors
+    causes: tuple[Cause, ...]
+    """what is in error; empty if all agrees with the calibration as it is given"""
+    errors: Array
+    """(K,) estimated errors, which are the unknowns of :mod:`.unknowns`"""
+    covariance: Array
+    """(K, K)"""
+
+    @property
+    def sigmas(self) -> Array:
+        """(S, 7) standard deviations: position (3, metres), rotation (3, radians) and time (seconds) of each lidar."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, SIZE)
+
+
+def find_causes(reduced: Reduced, sensors: Sensors) -> tuple[Cause, ...]:
+    """The causes that must be in error to explain the measurements, the most important first."""
+    found: list[Cause] = []
+    best = reduced.log_evidence(sensors.prior())
+    while True:
+        likely = {c: reduced.log_evidence(sensors.prior([*found, c])) for c in sensors.causes() if c not in found}
+        cause = max(likely, key=lambda c: (likely[c], c), default=None)
+        if cause is None or likely[cause] < best + _LEAST_GAIN:
+            return tuple(found)
+        found.append(cause)
+        best = likely[cause]
+
+
+def calibrate(reduced: Reduced, sensors: Sensors, known: tuple[Cause, ...] = ()) -> Calibration:
+    """The calibration by the normal equations of all drives.
+
+    Args:
+        known: causes that were found in error before, and corrected as far as was known.
+    """
+    causes = tuple(dict.fromkeys([*known, *find_causes(reduced, sensors)]))
+    errors, covariance = reduced.estimate(sensors.prior(causes))
+    return Calibration(sensors, causes, errors, covariance)

@@ -1,0 +1,188 @@
+"""Recordings to registered drives: blocks, registrations and calibration, in rounds until the calibration is right.
+
+The first round takes the calibration as it is given. If the drives contradict it, the recordings are corrected, and the
+drives concerned are cut into blocks and registered anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.datasets.groundtruth.alignment.registration_job import register_drives
+from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose
+from relocbench.datasets.groundtruth.calibration.correction import corrected
+from relocbench.datasets.groundtruth.calibration.estimation import Evidence, gather_evidence
+from relocbench.datasets.groundtruth.calibration.faults import Calibration, calibrate
+from relocbench.datasets.groundtruth.calibration.files import (
+    Places,
+    read_evidence,
+    write_calibration,
+    write_evidence,
+)
+from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
+from relocbench.datasets.groundtruth.calibration.unknowns import RIG, SIZE, Cause, DriveLidars, Sensors
+from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, optimise
+from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.execution import Run, run_units
+from relocbench.progress import Reporter
+
+_MOST_CORRECTIONS = 3
+_SETTLED = 2.0
+"""corrections end when no remaining error is larger than so many standard deviations"""
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """Drives, the reference first, and what the next steps need of them."""
+
+    drives: list[Drive]
+    registrations: dict[str, list[Registration]]
+    """query drive -> its registrations"""
+    shared: dict[str, SharedErrors]
+    """query drive -> uncertainty of the calibration, where it was estimated"""
+
+
+@dataclass(frozen=True, eq=False)
+class _EvidenceUnit:
+    reference: Drive
+    query: Drive
+    registrations: tuple[Registration, ...]
+    sensors: Sensors
+    options: AlignmentOptions
+    path: Path
+
+    def __str__(self) -> str:
+        return f"calibration of {self.query.name} and {self.reference.name}"
+
+
+def align(
+    recordings: Sequence[FieldRecording],
+    folder: Path,
+    options: AlignmentOptions,
+    first: FirstPose | None,
+    estimate: bool,
+    reporter: Reporter,
+    run: Run,
+) -> Aligned:
+    """Cut recordings into blocks, register them, and estimate their calibration.
+
+    Args:
+        recordings: the reference first.
+        folder: of all intermediate results; those of an earlier run are used.
+        first: a pose given by hand.
+        estimate: whether to estimate the calibration, or to take it as it is given.
+
+    Raises:
+        DatasetError: a recording or an intermediate file is damaged.
+    """
+    sensors = Sensors(tuple(DriveLidars.of(r) for r in recordings))
+    total, causes = np.zeros(sensors.unknowns), tuple[Cause, ...]()
+    now = list(recordings)
+    at = Places({r.name: folder / "blocks" / r.name for r in now}, {r.name: folder / "registrations" for r in now[1:]})
+    corrections = 0
+    while True:
+        drives = [make_drive(r, at.blocks[r.name], options.block_m, options.blocks, reporter, run) for r in now]
+        registrations = _register(drives, at, options, first, reporter, run)
+        if not estimate or not sensors.causes():
+            return Aligned(drives, registrations, {})
+        evidence = _evidence(drives, registrations, sensors, at, options, reporter, run)
+        reduced = sum((e.reduced for e in evidence[1:]), evidence[0].reduced)
+        found = calibrate(reduced, sensors, causes)
+        open_to = open_kinds(reduced, sensors)
+        if not _settled(found) and corrections < _MOST_CORRECTIONS:
+            corrections, causes = corrections + 1, found.causes
+            wrong = _concerned(found, now)
+            total = total + found.errors * _of_drives(sensors, wrong)
+            now = [corrected(r, sensors, total) if r.name in wrong else r for r in recordings]
+            at = _next_places(at, now, wrong, folder / f"corrected-{corrections}")
+            reporter.note(f"calibration: {'; '.join(map(str, causes))} in error; corrected, and registered again")
+            continue
+        file = write_calibration(folder, found, total, open_to, corrections, at)
+        for line in tell(file, found, sum(e.count for e in evidence)):
+            reporter.note(line)
+        shared = {
+            d.name: SharedErrors(e.by_calibration, found.covariance)
+            for d, e in zip(drives[1:], evidence, strict=True)
+            if e.count
+        }
+        return Aligned(drives, registrations, shared)
+
+
+def _settled(found: Calibration) -> bool:
+    """Whether what is left of the errors that were found is within their uncertainty."""
+    errors = np.abs(found.errors).reshape(-1, SIZE)
+    return not found.causes or bool((errors <= _SETTLED * found.sigmas + 1e-9).all())
+
+
+def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:
+    """Names of the drives whose lidars are in error."""
+    of = {cause.of for cause in found.causes}
+    return {r.name for r in recordings if RIG in of or any(o == r.name or o.startswith(f"{r.name}/") for o in of)}
+
+
+def _of_drives(sensors: Sensors, names: set[str]) -> Array:
+    """(K,) 1 for the unknowns of some drives, else 0."""
+    return np.repeat([float(drive in names) for drive, _ in sensors.names], SIZE)
+
+
+def _next_places(at: Places, recordings: Sequence[FieldRecording], wrong: set[str], folder: Path) -> Places:
+    """Where the next round's files are: those of drives that are not concerned stay where they are."""
+    blocks = {name: folder / "blocks" / name if name in wrong else path for name, path in at.blocks.items()}
+    both = recordings[0].name in wrong
+    registrations = {
+        name: folder / "registrations" if both or name in wrong else path for name, path in at.registrations.items()
+    }
+    return Places(blocks, registrations)
+
+
+def _register(
+    drives: Sequence[Drive],
+    at: Places,
+    options: AlignmentOptions,
+    first: FirstPose | None,
+    reporter: Reporter,
+    run: Run,
+) -> dict[str, list[Registration]]:
+    found: dict[str, list[Registration]] = {}
+    for folder in dict.fromkeys(at.registrations.values()):
+        queries = [d for d in drives[1:] if at.registrations[d.name] == folder]
+        found |= register_drives(drives[0], queries, folder, options, first, reporter, run)
+    return found
+
+
+def _evidence(
+    drives: Sequence[Drive],
+    registrations: dict[str, list[Registration]],
+    sensors: Sensors,
+    at: Places,
+    options: AlignmentOptions,
+    reporter: Reporter,
+    run: Run,
+) -> list[Evidence]:
+    """The evidence of each query drive; that of an earlier run is read from disk."""
+    units = []
+    for query in drives[1:]:
+        path = at.registrations[query.name].parent / "calibration" / f"{drives[0].name}__{query.name}.npz"
+        units.append(
+            _EvidenceUnit(drives[0], query, tuple(registrations[query.name]), sensors, options, path.resolve())
+        )
+    missing = [unit for unit in units if not unit.path.exists()]
+    with reporter.stage("calibration of lidars", len(missing)) as advance:
+        for _ in run_units(_gather, missing, run):
+            advance(1)
+    # Always use the file, so that a fresh build and a resumed one use the same numbers.
+    return [
+        read_evidence(unit.path, sensors.unknowns, len(unit.reference.nodes) + len(unit.query.nodes)) for unit in units
+    ]
+
+
+def _gather(unit: _EvidenceUnit) -> None:
+    solution = optimise(unit.reference.nodes, unit.query.nodes, unit.registrations, options=unit.options.graph)
+    write_evidence(unit.path, gather_evidence(solution, (unit.reference, unit.query), unit.sensors))
