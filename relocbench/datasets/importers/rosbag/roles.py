@@ -6,7 +6,7 @@ names the option that decides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -99,13 +99,21 @@ def choose(found: Survey, wanted: Wanted) -> Roles:
         DatasetError: there is no lidar, or it cannot be decided which of several topics is meant.
     """
     roles = Roles()
-    for topic in found.of_types(kinds.ALL_TRANSFORMS):
-        roles.why[topic.name] = ("transforms", "its type")
-    roles.odometry = _odometry(found, wanted.odometry, roles)
-    _lidars(found, wanted.lidars, roles)
-    _cameras(found, wanted.cameras, roles)
-    roles.gnss = _gnss(found, wanted.gnss, roles)
+    for step in _STEPS:
+        step(found, wanted, roles)
     return roles
+
+
+def tried(found: Survey) -> tuple[Roles, str]:
+    """The roles that can be guessed, and in words what cannot be decided; empty if all can."""
+    roles = Roles()
+    undecided: list[str] = []
+    for step in _STEPS:
+        try:
+            step(found, Wanted(), roles)
+        except DatasetError as bad:
+            undecided.append(bad.expected)
+    return roles, "; ".join(undecided)
 
 
 def _named(found: Survey, name: str, types: Sequence[str], option: str) -> Topic:
@@ -124,13 +132,22 @@ def _named(found: Survey, name: str, types: Sequence[str], option: str) -> Topic
     return topic
 
 
-def _odometry(found: Survey, name: str, roles: Roles) -> str:
-    if name in ("lidar", "tf"):
-        return name
-    if name:
-        topic = _named(found, name, kinds.POSES, "--odometry")
-        roles.why[topic.name] = ("odometry", "named by --odometry")
-        return topic.name
+def _transforms(found: Survey, wanted: Wanted, roles: Roles) -> None:
+    for topic in found.of_types(kinds.ALL_TRANSFORMS):
+        roles.why[topic.name] = ("transforms", "its type")
+
+
+def _odometry(found: Survey, wanted: Wanted, roles: Roles) -> None:
+    name = wanted.odometry
+    if name in ("", "lidar", "tf"):
+        roles.odometry = name or _guessed_odometry(found, roles)
+        return
+    topic = _named(found, name, kinds.POSES, "--odometry")
+    roles.why[topic.name] = ("odometry", "named by --odometry")
+    roles.odometry = topic.name
+
+
+def _guessed_odometry(found: Survey, roles: Roles) -> str:
     for types, what in (((kinds.ODOMETRY,), "odometry"), (kinds.POSES[1:], "poses")):
         there = [t for t in found.of_types(types) if t.rate_hz >= _LEAST_HZ]
         if len(there) > 1:
@@ -142,7 +159,8 @@ def _odometry(found: Survey, name: str, roles: Roles) -> str:
     return ""
 
 
-def _lidars(found: Survey, names: Sequence[str], roles: Roles) -> None:
+def _lidars(found: Survey, wanted: Wanted, roles: Roles) -> None:
+    names = wanted.lidars
     if names:
         chosen = [_named(found, name, kinds.LIDARS, "--lidars") for name in dict.fromkeys(names)]
         why = dict.fromkeys((t.name for t in chosen), "named by --lidars")
@@ -191,7 +209,8 @@ def _guessed_lidars(found: Survey, roles: Roles) -> tuple[list[Topic], dict[str,
     return chosen, why
 
 
-def _cameras(found: Survey, names: Sequence[str], roles: Roles) -> None:
+def _cameras(found: Survey, wanted: Wanted, roles: Roles) -> None:
+    names = wanted.cameras
     groups: dict[str, list[Topic]] = {}
     for topic in found.of_types(kinds.CAMERAS):
         if any(word in topic.encoding for word in _DEPTHS) or topic.name.endswith("compressedDepth"):
@@ -247,18 +266,20 @@ def _info_of(found: Survey, images: Topic) -> str:
     return same[0].name if alone else ""
 
 
-def _gnss(found: Survey, name: str, roles: Roles) -> str:
-    if name == "none":
-        return ""
-    if name:
-        topic = _named(found, name, (kinds.FIX, *kinds.POSES), "--gnss")
-        roles.why[topic.name] = ("GNSS", "named by --gnss")
-        return topic.name
+def _gnss(found: Survey, wanted: Wanted, roles: Roles) -> None:
+    if wanted.gnss == "none":
+        return
+    if wanted.gnss:
+        topic = _named(found, wanted.gnss, (kinds.FIX, *kinds.POSES), "--gnss")
+        roles.gnss, roles.why[topic.name] = topic.name, ("GNSS", "named by --gnss")
+        return
     there = sorted(found.of_types((kinds.FIX,)), key=lambda t: (-t.count, t.name))
-    if not there:
-        return ""
-    roles.why[there[0].name] = ("GNSS", "the only fixes" if len(there) == 1 else "most fixes")
-    return there[0].name
+    if there:
+        roles.gnss = there[0].name
+        roles.why[roles.gnss] = ("GNSS", "the only fixes" if len(there) == 1 else "most fixes")
+
+
+_STEPS = (_transforms, _odometry, _lidars, _cameras, _gnss)
 
 
 def _sensor_name(topic: str, endings: Sequence[str]) -> str:
@@ -269,9 +290,7 @@ def _sensor_name(topic: str, endings: Sequence[str]) -> str:
     return plain_name("_".join(words) or "sensor", "sensor name")
 
 
-def _check_names(
-    names: Sequence[str] | dict[str, object] | dict[str, str] | dict[str, CameraTopic], what: str, source: Path
-) -> None:
+def _check_names(names: Iterable[str], what: str, source: Path) -> None:
     try:
         check_distinct(list(names), what)
     except ValueError as bad:

@@ -80,7 +80,7 @@ class BagLidar:
             raise part.fault(self.messages.topic, received, str(bad)) from None
 
     def _in_range(self, points: Array) -> Mask:
-        near = np.isfinite(points).all(axis=1)
+        near: Mask = np.asarray(np.isfinite(points).all(axis=1))
         near[near] = np.abs(points[near]).max(axis=1) < FARTHEST_M
         distance = np.linalg.norm(np.where(near[:, None], points, 0.0), axis=1)
         kept: Mask = near & (distance >= self.min_range_m) & (distance <= self.max_range_m)
