@@ -24,6 +24,8 @@ from relocbench.files import read_bytes, write_bytes
 from relocbench.progress import Reporter
 
 _FORMAT = 1
+_FARTHEST_M = 1e8
+"""positions farther from the origin of their frame are none; those on the earth have at most seven digits"""
 _REPORTED = 200
 """messages between two steps of the progress bar"""
 
@@ -215,8 +217,9 @@ def _pose(kind: str, message: Any) -> tuple[str, str, tuple[float, ...]]:
 
 def _checked(values: tuple[float, ...], part: Part, topic: str, received_ns: int) -> tuple[float, ...]:
     numbers = tuple(map(float, values))
-    norm = float(np.linalg.norm(numbers[3:]))
-    if not np.isfinite(numbers).all() or not abs(norm - 1.0) <= 1e-2:
+    with np.errstate(over="ignore", invalid="ignore"):
+        norm = float(np.linalg.norm(numbers[3:]))
+    if not np.isfinite(numbers).all() or not abs(norm - 1.0) <= 1e-2 or max(map(abs, numbers[:3])) > _FARTHEST_M:
         told = f"is no pose: {', '.join(f'{v:g}' for v in numbers)} (x, y, z, qx, qy, qz, qw)"
         raise part.fault(topic, received_ns, told)
     return numbers

@@ -81,7 +81,10 @@ def _plain(message: Any) -> Image:
 
 
 def _converted(pixels: NDArray[Any], code: int | None) -> Image:
-    return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)
+    try:
+        return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)
+    except cv2.error:  # mosaics and YUV 4:2:2 of odd or tiny sizes
+        raise ValueError(f"an image of {pixels.shape[1]}x{pixels.shape[0]} pixels has no colours") from None
 
 
 def _compressed(message: Any, path: Path) -> Image:

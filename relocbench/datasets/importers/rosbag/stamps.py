@@ -14,8 +14,8 @@ from relocbench.errors import DatasetError
 from relocbench.progress import Reporter
 
 Stamps = Literal["header", "receive"]
-_MOST_BACKWARDS = 0.01
-"""share of stamps earlier than the one before that can come from messages that overtook each other"""
+_MOST_BACKWARDS, _FEW_BACKWARDS = 0.01, 2
+"""share and number of stamps earlier than the one before that messages which overtook each other explain"""
 _ONE_CLOCK_NS = 1_000_000_000
 """sensors on one clock are received within this time of each other after their stamps"""
 
@@ -25,8 +25,9 @@ def times_of(
 ) -> tuple[Times, Times, bool]:
     """Times (M,) strictly increasing, the indices (M,) of their messages, and whether they are stamps of headers.
 
-    Stamps of headers are used, unless all are zero or more than one in a hundred is earlier than the one before: then
-    the times of receipt are. Of messages with equal times the first is used; those with a stamp of zero are left out.
+    Stamps of headers are used, unless all are zero, or more than one in a hundred (and more than two) is earlier than
+    the one before: then the times of receipt are. Of messages with equal times the first is used; those with a stamp of
+    zero are left out.
     """
     count = len(stamps_ns)
     by_header = how == "header"
@@ -34,7 +35,7 @@ def times_of(
         reporter.note(f"{what}: all stamps are zero; times of receipt are used")
         by_header = False
     backwards = int((np.diff(stamps_ns[stamps_ns != 0]) < 0).sum())
-    if by_header and backwards > _MOST_BACKWARDS * count:
+    if by_header and backwards > max(_FEW_BACKWARDS, _MOST_BACKWARDS * count):
         reporter.note(f"{what}: {backwards} of {count} stamps run backwards; times of receipt are used")
         by_header = False
     times = stamps_ns if by_header else received_ns

@@ -71,7 +71,8 @@ class BagLidar:
                 return Scan(points[near], stamp + offsets[near])
             wanted = ("x", "y", "z", self.times.field) if self.times.field else ("x", "y", "z")
             fields = cloud_fields(message, wanted)
-            points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
+            with np.errstate(invalid="ignore"):  # NaN of any kind are beams without a return
+                points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
             near = self._in_range(points)
             points = points[near]
             values = fields[self.times.field][near] if self.times.field else None
