@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.importers.rosbag import kinds
-from relocbench.errors import ConfigError, DatasetError, raised
+from relocbench.errors import ConfigError, DatasetError, quoted, raised
 from relocbench.files import load_yaml_values, plain_file
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -49,6 +49,8 @@ def parts_of(source: Path) -> tuple[Path, ...]:
     """
     if source.is_dir() and (source / METADATA).is_file():
         _check_metadata(source / METADATA)
+        for path in source.iterdir():
+            plain_file(path, "a part of a bag", DatasetError)
         return (source,)
     if source.is_dir():
         files = tuple(sorted(p for p in source.iterdir() if p.suffix in SUFFIXES and not p.name.startswith(".")))
@@ -59,7 +61,7 @@ def parts_of(source: Path) -> tuple[Path, ...]:
         if len({p.suffix for p in files}) > 1:
             found = ", ".join(sorted({p.suffix for p in files}))
             raise DatasetError(f"holds files of several formats ({found}); expected the parts of one drive", source)
-        return files
+        return tuple(plain_file(path, "a bag", DatasetError) for path in files)
     if not source.exists():
         raise DatasetError(f"missing; expected a bag ({', '.join(SUFFIXES)}) or a folder of ROS 2", source)
     if source.suffix not in SUFFIXES:
@@ -94,9 +96,11 @@ class Part:
             self.types: dict[str, str] = {}
             for connection in self._reader.connections:
                 name = connection.topic
+                if not (isinstance(name, str) and isinstance(connection.msgtype, str)):
+                    raise DatasetError(f"{quoted(name)} is no name of a topic, or its type is none", path)
                 if self.types.setdefault(name, connection.msgtype) != connection.msgtype:
                     raise DatasetError(f"topic {name} has messages of several types", path)
-                self.counts[name] = self.counts.get(name, 0) + connection.msgcount
+                self.counts[name] = self.counts.get(name, 0) + int(connection.msgcount)
             self.begin_ns, self.end_ns = int(self._reader.start_time), int(self._reader.end_time)
 
     def messages(self, topics: Sequence[str], start_ns: int | None = None) -> Iterator[tuple[str, int, bytes]]:
@@ -216,6 +220,12 @@ def read_raw(path: Path, topic: str, received_ns: int, ordinal: int) -> bytes:
             _cursors[path, topic] = cursor
             return raw
     raise part.fault(topic, received_ns, "is not there any more; the file has changed since it was indexed")
+
+
+def forget() -> None:
+    """Close the files that stay open in this process."""
+    _cursors.clear()
+    open_part.cache_clear()
 
 
 def header_of(raw: bytes, ros1: bool) -> tuple[int, str]:

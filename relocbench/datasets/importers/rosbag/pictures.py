@@ -48,6 +48,7 @@ _PLAIN: dict[str, tuple[int, int, int | None]] = {
 }
 """encoding -> channels, bytes a channel, conversion to RGB (sensor_msgs/image_encodings.hpp)"""
 ENCODINGS = tuple(_PLAIN)
+_MOST_DISTORTION = 1e6
 
 
 def image_of(kind: str, message: Any, path: Path) -> Image:
@@ -160,6 +161,8 @@ def _numbers(info: Any, name: str) -> Array:
 
 def _distortion(info: Any) -> tuple[str, tuple[float, ...]]:
     name, values = str(info.distortion_model), tuple(_numbers(info, "d").tolist())
+    if any(not abs(value) < _MOST_DISTORTION for value in values):
+        raise ValueError(f"distortion coefficients {values} are beyond those of any lens")
     if not any(values) and name in ("", "none", "pinhole", "plumb_bob", "rational_polynomial"):
         return "pinhole", ()
     if name in ("plumb_bob", "radtan") and len(values) in (4, 5):
