@@ -32,6 +32,8 @@ def write_bags(root: Path) -> None:
             bag.image("/cam/image_raw", time, np.full((6, 8), k, np.uint8), "mono8")
             bag.info("/cam/camera_info", time, (8, 6))
         bag.write(root / name, storage)
+        if ros1:
+            bag.write_mcap(root / "four.mcap", "ros1")
     write(
         root / "extrinsics.yaml",
         "rig_axes: forward-left-up",
@@ -84,5 +86,6 @@ PARSERS = (
     Parser("rosbag1", "bags", ("one.bag",), _rosbag1),
     Parser("rosbag2", "bags", ("two/*",), _rosbag2),
     Parser("rosbag2-mcap", "bags", ("three/*.mcap",), _mcap),
+    Parser("mcap-ros1", "bags", ("four.mcap",), _mcap),
     Parser("rosbag-extrinsics", "bags", ("extrinsics.yaml",), _extrinsics, text=True),
 )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -65,7 +65,7 @@ class Bag:
             setattr(message, name, value)
         self.add(topic, time if received is None else received, message)
 
-    def laser(self, topic: str, time: int, ranges: Sequence[float], frame: str = "lidar", **changes: float) -> None:
+    def laser(self, topic: str, time: int, ranges: ArrayLike, frame: str = "lidar", **changes: float) -> None:
         values = {"angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.01, "time_increment": 1e-4,
                   "scan_time": 0.02, "range_min": 0.1, "range_max": 50.0} | changes  # fmt: skip
         found = np.asarray(ranges, dtype=np.float32)
@@ -167,4 +167,31 @@ class Bag:
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
                 writer.write(connections[topic], time, serialised(message, kind))
+        return path
+
+    def write_mcap(self, path: Path, profile: str, others: Mapping[str, tuple[str, str, bytes]] | None = None) -> Path:
+        """Write an MCAP file by the package mcap.
+
+        Args:
+            others: topics with messages of other encodings: name of the schema, encoding, content.
+        """
+        from mcap.writer import Writer
+
+        serialised = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        with path.open("wb") as stream:
+            writer = Writer(stream)
+            writer.start(profile=profile, library="")
+            channels: dict[str, int] = {}
+            for time, topic, message in sorted(self.rows, key=lambda row: row[0]):
+                kind = message.__msgtype__
+                if topic not in channels:
+                    name = kind.replace("/msg/", "/") if self.ros1 else kind
+                    text = self.store.generate_msgdef(kind)[0].encode()
+                    schema = writer.register_schema(name, "ros1msg" if self.ros1 else "ros2msg", text)
+                    channels[topic] = writer.register_channel(topic, "ros1" if self.ros1 else "cdr", schema)
+                writer.add_message(channels[topic], time, bytes(serialised(message, kind)), time)
+            for topic, (name, encoding, content) in (others or {}).items():
+                channel = writer.register_channel(topic, encoding, writer.register_schema(name, encoding, b""))
+                writer.add_message(channel, self.rows[0][0], content, self.rows[0][0])
+            writer.finish()  # type: ignore[no-untyped-call]
         return path

@@ -216,9 +216,9 @@ def test_without_the_package_one_line_names_the_extra(
 ) -> None:
     import sys
 
-    from relocbench.datasets.importers.rosbag.bag import open_part
+    from relocbench.datasets.importers.rosbag import bag
 
-    open_part.cache_clear()
+    bag.forget()
     for name in ("rosbags.rosbag1", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, name, None)
     outcome = build("rosbag", tmp_path / "out", *bags["rosbag1"])

@@ -129,6 +129,32 @@ def test_streams_are_picklable_and_read_the_same_elsewhere(write: Callable[..., 
     assert np.array_equal(again.cameras["cam"].read(5), recording.cameras["cam"].read(5))
 
 
+@pytest.mark.parametrize(("ros1", "profile"), [(True, "ros1"), (True, ""), (False, "")])
+def test_mcap_of_ros_1_and_without_a_profile_is_read_too(tmp_path: Path, ros1: bool, profile: str) -> None:
+    recording, plain = (
+        read(drive(ros1).write_mcap(tmp_path / "d.mcap", profile)),
+        read(drive().write(tmp_path / "d.bag")),
+    )
+    assert np.allclose(recording.odometry.T_odom_rig, plain.odometry.T_odom_rig)
+    assert len(recording.lidars[0].times_ns) == SCANS
+    for k in (8, 2, 3):
+        assert np.array_equal(recording.lidars[0].read(k).points, plain.lidars[0].read(k).points)
+        assert np.array_equal(recording.lidars[0].read(k).times_ns, plain.lidars[0].read(k).times_ns)
+        assert np.array_equal(recording.cameras["cam"].read(k), plain.cameras["cam"].read(k))
+
+
+def test_topics_of_other_encodings_are_listed_and_not_read(tmp_path: Path) -> None:
+    bag, notes = drive(), Notes()
+    path = bag.write_mcap(tmp_path / "d.mcap", "ros1", others={"/scene": ("foxglove.SceneUpdate", "protobuf", b"abc")})
+    assert len(read(path, notes).lidars) == 1
+    assert "/scene            foxglove.SceneUpdate (protobuf)" in notes
+    data = path.read_bytes()
+    for length in (30, len(data) // 2, len(data) - 9):
+        path.write_bytes(data[:length])
+        with pytest.raises(DatasetError, match=r"d.mcap: "):
+            read(path)
+
+
 def test_compressed_chunks_are_read(tmp_path: Path) -> None:
     for compression in ("BZ2", "LZ4"):
         path = drive().write(tmp_path / f"{compression}.bag", compression=compression)

@@ -1,4 +1,4 @@
-"""The files of a recording and the messages in them, read with the package rosbags.
+"""The files of a recording and the messages in them, read with the package rosbags, or mcap.
 
 A recording is a bag of ROS 1 (``.bag``), a bag of ROS 2 (a folder with ``metadata.yaml``), a single ``.mcap`` or
 ``.db3`` file, or a folder of such files, into which one drive was split. Nothing is copied or written.
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.importers.rosbag import kinds
+from relocbench.datasets.importers.rosbag.mcap_file import McapFile, profile_of
 from relocbench.errors import ConfigError, DatasetError, quoted, raised
 from relocbench.files import load_yaml_values, plain_file
 
@@ -87,11 +88,11 @@ class Part:
     def __init__(self, path: Path) -> None:
         """Open it. Raises DatasetError with the file if it is damaged, ConfigError if rosbags is not installed."""
         self.path = path
-        self.ros1 = path.suffix == ".bag"
         with _faults_of(path):
             self._reader: Any = _reader(path)
             self._reader.open()
         with _faults_of(path):
+            self._ros1: set[str] = set()
             self.counts: dict[str, int] = {}
             self.types: dict[str, str] = {}
             for connection in self._reader.connections:
@@ -100,6 +101,8 @@ class Part:
                     raise DatasetError(f"{quoted(name)} is no name of a topic, or its type is none", path)
                 if self.types.setdefault(name, connection.msgtype) != connection.msgtype:
                     raise DatasetError(f"topic {name} has messages of several types", path)
+                if path.suffix == ".bag" or getattr(connection, "encoding", "") == "ros1":
+                    self._ros1.add(name)
                 self.counts[name] = self.counts.get(name, 0) + int(connection.msgcount)
             self.begin_ns, self.end_ns = int(self._reader.start_time), int(self._reader.end_time)
 
@@ -122,10 +125,14 @@ class Part:
             connection, last, raw = following
             yield connection.topic, int(last), raw
 
+    def is_ros1(self, topic: str) -> bool:
+        """Whether the messages of a topic are serialised as in ROS 1."""
+        return topic in self._ros1
+
     def decode(self, topic: str, raw: bytes, received_ns: int) -> Any:
         """A message as an object with the fields of its type. Raises DatasetError with file, topic and time."""
         try:
-            return _decoded(self.types[topic], raw, self.ros1)
+            return _decoded(self.types[topic], raw, self.is_ros1(topic))
         except Exception as bad:  # noqa: BLE001  what a damaged message raises in the library's generated code is open
             raise self.fault(topic, received_ns, f"cannot be decoded ({raised(bad)})") from None
 
@@ -135,7 +142,7 @@ class Part:
 
     def check_standard(self, topic: str) -> None:
         """Raise DatasetError if a topic's type is defined otherwise in this file than by ROS."""
-        if not self.ros1:
+        if not self.is_ros1(topic):
             return
         expected = typestore(True).generate_msgdef(_alias(self.types[topic]))[1]
         for connection in self._reader.connections:
@@ -165,9 +172,17 @@ def open_parts(paths: Sequence[Path]) -> list[Part]:
     return parts
 
 
-@lru_cache(maxsize=8)
 def open_part(path: Path) -> Part:
-    """A part that stays open in this process, since opening it reads its index."""
+    """A part, which stays open in this process as long as the file does not change, since opening reads its index."""
+    try:
+        found = path.stat()
+    except OSError as bad:
+        raise DatasetError(f"cannot be read ({bad.strerror}); expected a bag", path) from None
+    return _open(path, found.st_size, found.st_mtime_ns)
+
+
+@lru_cache(maxsize=8)
+def _open(path: Path, size: int, time_ns: int) -> Part:
     return Part(path)
 
 
@@ -202,7 +217,10 @@ def read_raw(path: Path, topic: str, received_ns: int, ordinal: int) -> bytes:
         DatasetError: the file is damaged or has changed.
     """
     wanted = (received_ns, ordinal)
+    part = open_part(path)
     cursor = _cursors.pop((path, topic), None)
+    if cursor is not None and cursor.part is not part:
+        cursor = None
     for _ in range(_SKIPPED):
         if cursor is None or cursor.place >= wanted:
             break
@@ -210,7 +228,6 @@ def read_raw(path: Path, topic: str, received_ns: int, ordinal: int) -> bytes:
         if raw is not None and cursor.place == wanted:
             _cursors[path, topic] = cursor
             return raw
-    part = open_part(path)
     cursor = _Cursor(part, topic, received_ns)
     while cursor.place < wanted:
         raw = cursor.advance()
@@ -225,7 +242,7 @@ def read_raw(path: Path, topic: str, received_ns: int, ordinal: int) -> bytes:
 def forget() -> None:
     """Close the files that stay open in this process."""
     _cursors.clear()
-    open_part.cache_clear()
+    _open.cache_clear()
 
 
 def header_of(raw: bytes, ros1: bool) -> tuple[int, str]:
@@ -261,6 +278,8 @@ def _reader(path: Path) -> Any:
         raise ConfigError(
             "reading bags needs the package 'rosbags', which is not installed here (the extra 'bags' brings it)"
         ) from None
+    if path.suffix == ".mcap" and profile_of(path) != "ros2":
+        return McapFile(path)
     return Reader1(path) if path.suffix == ".bag" else Reader2(path)
 
 

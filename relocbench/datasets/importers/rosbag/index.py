@@ -161,7 +161,7 @@ def _take(rows: _Rows, kind: str, part: Part, topic: str, raw: bytes, place: tup
     received_ns = place[0]
     if kind in (*kinds.LIDARS, *kinds.CAMERAS):
         try:
-            stamp, _ = header_of(raw, part.ros1)
+            stamp, _ = header_of(raw, part.is_ros1(topic))
         except ValueError as bad:
             raise part.fault(topic, received_ns, str(bad)) from None
         rows.times.append((stamp, *place))
