@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from relocbench.datasets.importers.rosbag.clouds import cloud_fields, laser_points
@@ -170,6 +172,19 @@ def test_unit_and_base_of_times_are_told_from_their_values(
 def test_times_that_make_no_sense_are_refused(values: Any, dtype: str, epoch: float, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         detect("t", scans(values, dtype, epoch), PERIOD)
+
+
+@given(
+    st.lists(arrays(st.sampled_from(["f4", "f8", "u4", "i4", "u8"]), st.integers(0, 6)), max_size=4),
+    st.floats(1.0, 1e12),
+    st.integers(0, 2**62),
+)
+def test_no_values_do_more_than_be_refused(found: list[NDArray[Any]], period: float, stamp: int) -> None:
+    with contextlib.suppress(ValueError):
+        how = detect("t", [(stamp, values) for values in found], period)
+        for values in found:
+            times = how.at(values if how.field else None, np.zeros((len(values), 3)), stamp)
+            assert np.abs(times - stamp).max(initial=0) <= 2 * 10**9 + 1000
 
 
 def test_equal_times_count_as_none() -> None:

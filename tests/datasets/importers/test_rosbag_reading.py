@@ -442,6 +442,22 @@ def test_points_without_a_return_are_left_out(tmp_path: Path) -> None:
     assert len(read(bag.write(tmp_path / "drive.bag")).lidars[0].read(1).points) == 36
 
 
+def test_beams_without_a_return_do_not_hide_the_unit_of_the_times(tmp_path: Path) -> None:
+    bag, notes = drive(lidar=False), Notes()
+    kind = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("timestamp", "<f8")])
+    for k in range(SCANS):
+        time, there = START + k * SECOND // 10, points(k)
+        found = np.zeros(40, kind)
+        for axis in "xyz":
+            found[axis] = there[axis]
+        found["timestamp"] = time / 1e9 + there["time"].astype(np.float64)
+        found[::5] = 0
+        bag.cloud("/points", time, found)
+    lidar = read(bag.write(tmp_path / "drive.bag"), notes).lidars[0]
+    assert "field 'timestamp', s since 1970" in notes
+    assert len(lidar.read(2).points) == 32
+
+
 def test_flat_scans_are_push_broom_and_odd_times_name_the_option(tmp_path: Path) -> None:
     bag = drive(lidar=False)
     for k in range(SCANS):

@@ -37,9 +37,12 @@ _HINTS = (
 
 def is_recording(path: Path) -> bool:
     """Whether a path may be a recording of ROS, by its name and those of the files in it."""
-    if path.is_file():
-        return path.suffix in SUFFIXES
-    return path.is_dir() and ((path / METADATA).is_file() or any(p.suffix in SUFFIXES for p in path.iterdir()))
+    if not path.is_dir():
+        return path.is_file() and path.suffix in SUFFIXES
+    try:
+        return (path / METADATA).is_file() or any(p.suffix in SUFFIXES for p in path.iterdir())
+    except OSError:
+        return False
 
 
 def parts_of(source: Path) -> tuple[Path, ...]:

@@ -86,8 +86,9 @@ def _detected(reading: Reading, lidar: BagLidar, samples: Sequence[int], period:
             fields = cloud_fields(message, ("x", "y", "z", name))
         except ValueError as bad:
             raise part.fault(topic, received, str(bad)) from None
-        finite = np.isfinite(np.column_stack([fields[axis] for axis in "xyz"])).all(axis=1)
-        scans.append((int(lidar.times_ns[i]), fields[name][finite]))
+        # Beams without a return often have no time either.
+        returned = lidar.in_range(np.column_stack([fields[axis] for axis in "xyz"]).astype(np.float64))
+        scans.append((int(lidar.times_ns[i]), fields[name][returned]))
     try:
         return detect(name, scans, period)
     except ValueError as bad:

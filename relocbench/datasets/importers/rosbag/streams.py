@@ -67,20 +67,21 @@ class BagLidar:
         try:
             if self.messages.type == kinds.LASER:
                 points, offsets = laser_points(message)
-                near = self._in_range(points)
+                near = self.in_range(points)
                 return Scan(points[near], stamp + offsets[near])
             wanted = ("x", "y", "z", self.times.field) if self.times.field else ("x", "y", "z")
             fields = cloud_fields(message, wanted)
             with np.errstate(invalid="ignore"):  # NaN of any kind are beams without a return
                 points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
-            near = self._in_range(points)
+            near = self.in_range(points)
             points = points[near]
             values = fields[self.times.field][near] if self.times.field else None
             return Scan(points, self.times.at(values, points, stamp))
         except ValueError as bad:
             raise part.fault(self.messages.topic, received, str(bad)) from None
 
-    def _in_range(self, points: Array) -> Mask:
+    def in_range(self, points: Array) -> Mask:
+        """Which points (N, 3) are returns of a beam: finite, and neither too near nor too far."""
         near: Mask = np.asarray(np.isfinite(points).all(axis=1))
         near[near] = np.abs(points[near]).max(axis=1) < FARTHEST_M
         distance = np.linalg.norm(np.where(near[:, None], points, 0.0), axis=1)
