@@ -643,6 +643,19 @@ def test_a_damaged_message_names_topic_and_time(tmp_path: Path) -> None:
         lidar.read(k)
 
 
+def test_a_topic_that_nobody_needs_may_be_unreadable(tmp_path: Path) -> None:
+    bag, notes = drive(), Notes()
+    for k in range(SCANS):
+        bag.laser("/other_scan", START + k * SECOND // 10, np.linspace(1, 5, 20))
+    path = bag.write(tmp_path / "drive.bag")
+    checksum = bag.store.generate_msgdef("sensor_msgs/msg/LaserScan")[1].encode()
+    path.write_bytes(path.read_bytes().replace(checksum, b"0" * len(checksum)))
+    assert len(read(path, notes).lidars) == 1
+    assert "/other_scan: its sensor_msgs/LaserScan is not the standard message" in notes
+    with pytest.raises(DatasetError, match=r"--lidars: .*drive.bag: /other_scan: its sensor_msgs/LaserScan is not the"):
+        read(path, wanted=Wanted(lidars=("/other_scan",)))
+
+
 def test_an_impossible_pose_names_topic_and_time(tmp_path: Path) -> None:
     bag = drive()
     bag.odometry("/odom", START + 2 * SECOND, (0, 0, 0, 0, 0, 0, 0))

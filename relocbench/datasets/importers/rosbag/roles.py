@@ -88,6 +88,8 @@ def _why_unused(topic: Topic) -> str:
         return "has no message"
     if topic.type in kinds.UNREADABLE:
         return kinds.UNREADABLE[topic.type]
+    if topic.fault:
+        return f"cannot be read: {topic.fault}"
     return "not needed" if topic.type in kinds.READ else "no sensor that is read"
 
 
@@ -129,6 +131,8 @@ def _named(found: Survey, name: str, types: Sequence[str], option: str) -> Topic
         raise ConfigError(f"{option}: {topic.name} has {kinds.short(topic.type)}; expected {allowed}")
     if not topic.count:
         raise DatasetError(f"{option}: {topic.name} has no message", found.source)
+    if topic.fault:
+        raise DatasetError(f"{option}: {topic.fault}")
     return topic
 
 

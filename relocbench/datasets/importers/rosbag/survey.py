@@ -10,6 +10,7 @@ from typing import Any
 from relocbench.datasets.importers.rosbag import kinds
 from relocbench.datasets.importers.rosbag.bag import Part, frame_name, open_parts
 from relocbench.datasets.importers.rosbag.clouds import field_names
+from relocbench.errors import DatasetError
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,8 @@ class Topic:
     """encoding of an image, or the format of a compressed one"""
     size: tuple[int, int] = (0, 0)
     """width and height of an image or of the images that a CameraInfo is of; (0, 0) if unknown"""
+    fault: str = ""
+    """why its first message cannot be read; such a topic is used only if it is named, and then it is an error"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +46,8 @@ class Survey:
     topics: dict[str, Topic]
 
     def of_types(self, types: Sequence[str]) -> list[Topic]:
-        """The topics of some types that have messages, by name."""
-        return [t for t in self.topics.values() if t.type in types and t.count]
+        """The topics of some types that have messages which can be read, by name."""
+        return [t for t in self.topics.values() if t.type in types and t.count and not t.fault]
 
     def first(self, topic: str) -> Any:
         """The first message of a topic, decoded. Raises DatasetError with the file."""
@@ -83,7 +86,10 @@ def _peek(found: Survey, topic: Topic) -> Topic:
     name, kind = topic.name, topic.type
     if not topic.count or kind not in kinds.READ or kind in kinds.ALL_TRANSFORMS:
         return topic
-    message = found.first(name)
+    try:
+        message = found.first(name)
+    except DatasetError as bad:
+        return Topic(name, kind, topic.count, topic.rate_hz, fault=str(bad))
     told: dict[str, Any] = {"frame": frame_name(str(message.header.frame_id))}
     if kind == kinds.CLOUD:
         told["fields"] = field_names(message)
