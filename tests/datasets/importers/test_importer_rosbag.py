@@ -127,7 +127,8 @@ def test_bags_give_the_dataset_that_the_robotcar_layout_gives(built: tuple[Path,
             assert b.accepted
             assert a.T_query_ref is not None
             assert b.T_query_ref is not None
-            assert np.abs(a.T_query_ref - b.T_query_ref).max() < 1e-9
+            # Files hold nine decimals, the last of which may be rounded up in one and down in the other.
+            assert np.abs(a.T_query_ref - b.T_query_ref).max() < 1.5e-9
             pairs += 1
     assert pairs >= 5
     pictures = {name: value for name, value in hashes(built[0] / "traversals").items() if "/images/" in name}
