@@ -272,6 +272,22 @@ def test_what_cannot_be_decided_is_refused_by_the_option_that_decides(
         read(bag.write(tmp_path / "drive.bag"), wanted=wanted)
 
 
+def test_odometry_in_a_map_is_not_guessed_where_there_is_a_continuous_one(tmp_path: Path) -> None:
+    bag, notes = drive(), Notes()
+    for k in range(SCANS):
+        bag.odometry("/odometry/gps", START + k * SECOND // 10, pose_at(2 * k), frame="map")
+    recording = read(bag.write(tmp_path / "drive.bag"), notes)
+    assert recording.odometry.T_odom_rig[-1, 0, 3] < 0.6 * SCANS
+    assert "poses in the frame 'map' may jump" in notes
+    alone = drive(odometry=False)
+    for k in range(SCANS):
+        alone.pose_stamped("/gnss/pose", START + k * SECOND // 10, pose_at(k), frame="map")
+        alone.tf(START + k * SECOND // 10, ("odom", "base_link", pose_at(k)), topic="/tf")
+    notes = Notes()
+    read(alone.write(tmp_path / "alone.bag"), notes)
+    assert "odometry is that of tf" in notes
+
+
 def test_topics_by_name_are_taken_as_they_are(tmp_path: Path) -> None:
     bag = drive()
     for k in range(SCANS):

@@ -16,7 +16,8 @@ from relocbench.datasets.importers.rosbag.survey import Survey, Topic
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.files import check_distinct, plain_name
 
-_WORLDS = ("map", "odom", "world", "earth")
+_MAPS = ("map", "utm", "earth")
+_WORLDS = (*_MAPS, "odom", "world")
 _DEPTHS = ("16UC1", "32FC1", "compressedDepth")
 _LEAST_HZ = 1.0
 """poses and scans come more often than this; a goal or a map does not"""
@@ -144,16 +145,22 @@ def _transforms(found: Survey, wanted: Wanted, roles: Roles) -> None:
 def _odometry(found: Survey, wanted: Wanted, roles: Roles) -> None:
     name = wanted.odometry
     if name in ("", "lidar", "tf"):
-        roles.odometry = name or _guessed_odometry(found, roles)
+        roles.odometry = name or _guessed_odometry(found, wanted, roles)
         return
     topic = _named(found, name, kinds.POSES, "--odometry")
     roles.why[topic.name] = ("odometry", "named by --odometry")
     roles.odometry = topic.name
 
 
-def _guessed_odometry(found: Survey, roles: Roles) -> str:
+def _guessed_odometry(found: Survey, wanted: Wanted, roles: Roles) -> str:
+    """The only topic with odometry, or else with poses; poses in a map jump (REP 105) and are not guessed."""
     for types, what in (((kinds.ODOMETRY,), "odometry"), (kinds.POSES[1:], "poses")):
-        there = [t for t in found.of_types(types) if t.rate_hz >= _LEAST_HZ]
+        gnss = {wanted.gnss, f"/{wanted.gnss}"}
+        there = [t for t in found.of_types(types) if t.rate_hz >= _LEAST_HZ and t.name not in gnss]
+        on_map = [t for t in there if t.frame in _MAPS]
+        if len(there) > 1 or what == "poses":
+            roles.why |= {t.name: ("-", f"poses in the frame '{t.frame}' may jump") for t in on_map}
+            there = [t for t in there if t not in on_map]
         if len(there) > 1:
             names = ", ".join(t.name for t in there)
             raise DatasetError(f"has several topics with {what} ({names}); name one by --odometry", found.source)
@@ -291,7 +298,10 @@ def _sensor_name(topic: str, endings: Sequence[str]) -> str:
     words = [word for word in topic.split("/") if word]
     if len(words) > 1 and words[-1] in endings:
         words = words[:-1]
-    return plain_name("_".join(words) or "sensor", "sensor name")
+    try:
+        return plain_name("_".join(words) or "sensor", "sensor name")
+    except ValueError as bad:
+        raise DatasetError(f"the topic {topic} cannot name a sensor: {bad}") from None
 
 
 def _check_names(names: Iterable[str], what: str, source: Path) -> None:
