@@ -5,7 +5,7 @@ RECORDINGS ?= ../shared/data
 .PHONY: help setup browser test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
-PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --extra learned \
+PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra bags --extra cluster --extra registration --extra learned \
   --extra pretrained --extra viewer --python-version 3.11 --custom-compile-command "make constraints"
 
 help:            ## list the targets

@@ -37,6 +37,7 @@ _EXAMPLES = {
     "robotcar": "relocbench build-dataset robotcar 2014-11-18-13-20-12 2014-12-02-15-30-08 --out D",
     "kitti-lidar": "relocbench build-dataset kitti-lidar odometry/dataset --sequence 00,01 --out D",
     "generic-lidar": "relocbench build-dataset generic-lidar summer winter --out D",
+    "rosbag": "relocbench build-dataset rosbag summer.bag winter.bag --out D",
     "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
     "colmap": "relocbench build-dataset colmap sparse/0 --images images --queries 'night/*' --out D",
     "kapture": "relocbench build-dataset kapture 7scenes/stairs/mapping 7scenes/stairs/query --out D",
@@ -47,7 +48,11 @@ _EXAMPLES = {
 }
 _MADE = {"synthetic": "the dataset, or the recordings,", "cross-view": "the places"}
 """what a kind makes, if it is not a dataset"""
-_SOURCES = {"photographs": "Folders of photographs, PNG or JPEG; folders in them are searched too."}
+_SOURCES = {
+    "photographs": "Folders of photographs, PNG or JPEG; folders in them are searched too.",
+    "rosbag": "Bags: .bag, .mcap or .db3 files, folders of ROS 2, or folders of the files of one drive; the first is "
+    "the reference.",
+}
 """what a kind is made from, if it is not recordings"""
 _PANELS = {
     "ImportOptions": "The dataset",
@@ -64,6 +69,7 @@ _SETS = {
     "robotcar": "cameras: [stereo_left]",
     "kitti-lidar": "sequence: ['00', '01']",
     "generic-lidar": "query_distance: 2",
+    "rosbag": "odometry: /odom",
     "generic": "max_distance: 3",
     "colmap": "queries: ['night/*']",
     "kapture": "max_distance: 3",

@@ -16,7 +16,14 @@ if TYPE_CHECKING:
 
 
 def inspect(
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.", show_default=False)],
+    dataset: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATASET",
+            help="Folder of the dataset, or a bag of ROS.",
+            show_default=False,
+        ),
+    ],
     pictures: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Draw pairs into this folder: is the ground truth right?")
     ] = None,
@@ -42,6 +49,8 @@ def inspect(
     With --ground-truth, a page shows how drives were laid together by lidar: both clouds from above, residuals, and
     where and why pairs were rejected.
 
+    Of a bag of ROS, the topics are listed with what build-dataset would use each for.
+
     Example: relocbench inspect D --pictures check
 
     Example: relocbench inspect D --ground-truth check
@@ -51,10 +60,14 @@ def inspect(
     from relocbench.cli.summaries import print_summary
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.cross_view import is_cross_view
+    from relocbench.datasets.importers.rosbag.bag import is_recording
     from relocbench.datasets.inspect.summary import take_inventory
     from relocbench.evaluation.common.opening import check_outside
     from relocbench.files import alone_writing_to
 
+    if is_recording(dataset):
+        _inspect_bag(dataset, [pictures, ground_truth, *pair_set], json)
+        return
     if is_cross_view(dataset):
         _inspect_places(dataset, [pictures, ground_truth, *pair_set], json)
         return
@@ -85,6 +98,29 @@ def inspect(
         _print_pictures(drawn, pictures)
     if page is not None and not json:
         print(f"the ground truth to look at: {page}")
+
+
+def _inspect_bag(path: Path, options: list[object], json: bool) -> None:
+    """The topics of a bag of ROS, with what each would be used for."""
+    from relocbench.cli.console import print_json, print_table
+    from relocbench.datasets.importers.rosbag.bag import parts_of
+    from relocbench.datasets.importers.rosbag.roles import TABLE, table, tried
+    from relocbench.datasets.importers.rosbag.survey import survey
+    from relocbench.errors import ConfigError
+
+    if any(option is not None for option in options):
+        raise ConfigError("is a recording; --pictures, --ground-truth and --pair-set are for datasets", path)
+    found = survey(path, parts_of(path))
+    roles, undecided = tried(found)
+    rows = table(found, roles)
+    if json:
+        names = ("topic", "type", "messages", "rate_hz", "role", "why")
+        topics = [dict(zip(names, (*row[:2], int(row[2]), float(row[3]), *row[4:]), strict=True)) for row in rows]
+        print_json({"recording": path, "topics": topics, "undecided": undecided}, {"topics": len(rows)})
+        return
+    print_table(f"Topics of {path}", list(TABLE), rows)
+    if undecided:
+        typer.echo(f"build-dataset rosbag needs a decision: {undecided}", err=True)
 
 
 def _inspect_places(folder: Path, options: list[object], json: bool) -> None:

@@ -14,6 +14,7 @@ AREAS = tuple(
     for name in (
         "datasets",
         "sensors",
+        "bags",
         "recordings",
         "photos",
         "places",

@@ -1,0 +1,156 @@
+"""Kind ``rosbag``: bags of ROS 1 and 2 and MCAP files, with ground truth across drives from their lidar."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field, field_validator
+
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.importers.assembly import open_writer
+from relocbench.datasets.importers.rosbag.point_times import parse_point_times
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
+from relocbench.files import check_distinct, plain_name
+from relocbench.progress import Reporter
+
+if TYPE_CHECKING:
+    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.importers.rosbag.settings import BagSettings
+
+
+class Options(FieldOptions):
+    """Options of ``relocbench build-dataset rosbag``."""
+
+    cameras: tuple[str, ...] = Field(
+        (), description="cameras whose images are paired, by name or topic; default: the first one"
+    )
+    lidars: tuple[str, ...] = Field(
+        (), description="topics of lidars, such as /velodyne_points,/rear; default: guessed"
+    )
+    odometry: str = Field(
+        "", description="topic of the odometry, 'tf', or 'lidar' to compute it from a spinning lidar; default: guessed"
+    )
+    gnss: str = Field(
+        "",
+        description="topic of NavSatFix, or of poses in a map that all drives share, or 'none'; default: the fixes",
+    )
+    base_frame: str = Field("", description="frame that is the rig (x forward, y left, z up); default: guessed")
+    extrinsics: Path | None = Field(
+        None, description="YAML file with poses of sensors and cameras, for bags without tf"
+    )
+    point_time: str = Field(
+        "auto", description="times of points: auto, none, or FIELD:UNIT:BASE with s|ms|us|ns and scan|epoch|first"
+    )
+    motion: Literal["auto", "compensated", "distorted"] = Field(
+        "auto", description="'compensated' ignores times of points, 'distorted' takes them from the azimuth if need be"
+    )
+    pattern: Literal["auto", "spinning", "push-broom"] = Field(
+        "auto", description="push-broom if the points of a scan lie in one plane; default: by the scans"
+    )
+    min_range: float = Field(0.5, ge=0, description="metres; nearer points are left out")
+    max_range: float = Field(100.0, gt=0, description="metres; farther points are left out")
+    lidar_sigma: float = Field(0.03, gt=0, description="standard deviation of a range, metres")
+    stamps: Literal["header", "receive"] = Field(
+        "header", description="times by the headers of messages, or by when they were received"
+    )
+    max_gap: float = Field(1.0, gt=0, description="longest gap in seconds between two poses to interpolate over")
+
+    @field_validator("point_time")
+    @classmethod
+    def _known_times(cls, text: str) -> str:
+        parse_point_times(text)
+        return text
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """Build a dataset from a reference drive (the first source) and one or more query drives.
+
+    Raises:
+        DatasetError: with file, topic and time: something in a bag is missing or wrong, or no pair can be accepted.
+        ConfigError: the options do not fit the recordings, or rosbags is not installed.
+    """
+    from relocbench.datasets.core.build import Build
+    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
+    from relocbench.datasets.groundtruth.odometry.files import kept_in
+    from relocbench.datasets.importers.rosbag.recording import camera_names, open_bag, read_bag
+
+    assert isinstance(options, Options)
+    names = drive_names(sources)
+    if len(names) < 2:
+        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(names)}")
+    options.check_conditions(names)
+    settings = settings_of(options)
+    opened = [open_bag(source, settings.wanted, reporter) for source in sources]
+    writer = open_writer("rosbag", sources, options, out, "rosbag_" + names[0])
+    recordings, origin = [], None
+    for one, name in zip(opened, names, strict=True):
+        recording, origin = read_bag(
+            one,
+            name,
+            settings,
+            origin=origin,
+            kept=out / "groundtruth" / "index" / f"{name}.npz",
+            reporter=reporter,
+            from_lidar=kept_in(out / "groundtruth" / "odometry" / f"{name}.csv"),
+        )
+        recordings.append(recording)
+    chosen = options.model_copy(update={"cameras": camera_names(opened[0], options.cameras)})
+    check_recordings(recordings, chosen)
+    return build_ground_truth(recordings, Build(writer, chosen, reporter, run))
+
+
+def settings_of(options: Options) -> BagSettings:
+    """How the options say that bags are read. Raises DatasetError with file and line of the extrinsics."""
+    from relocbench.datasets.importers.rosbag.extrinsics import read_extrinsics
+    from relocbench.datasets.importers.rosbag.roles import Wanted
+    from relocbench.datasets.importers.rosbag.settings import BagSettings
+
+    if options.min_range >= options.max_range:
+        raise ConfigError(f"--min-range {options.min_range:g} is not below --max-range {options.max_range:g}")
+    return BagSettings(
+        wanted=Wanted(options.lidars, options.cameras, options.odometry, options.gnss),
+        base_frame=options.base_frame,
+        extrinsics=read_extrinsics(options.extrinsics),
+        extrinsics_file=options.extrinsics,
+        point_times=parse_point_times(options.point_time),
+        motion=options.motion,
+        pattern=options.pattern,
+        min_range_m=options.min_range,
+        max_range_m=options.max_range,
+        sigma_m=options.lidar_sigma,
+        stamps=options.stamps,
+        max_gap_ns=round(options.max_gap * 1e9),
+    )
+
+
+def drive_names(sources: Sequence[Path]) -> list[str]:
+    """A name for each recording: that of its file without the ending, or of its folder.
+
+    Raises:
+        DatasetError: there is no source, or two have the same name.
+    """
+    from relocbench.datasets.importers.rosbag.bag import SUFFIXES
+
+    if not sources:
+        raise DatasetError("no recording was given; expected one or more bags")
+    names: dict[str, Path] = {}
+    for source in sources:
+        found = source.resolve()
+        try:
+            name = plain_name(found.stem if found.suffix in SUFFIXES else found.name, "traversal name")
+        except ValueError:
+            raise DatasetError("its name cannot name a traversal; rename or link it", source) from None
+        if name in names:
+            again = names[name].resolve() == found
+            told = "is given twice; expected different recordings" if again else f"is the second called '{name}'"
+            raise DatasetError(told if again else f"{told} (first: {names[name]})", source)
+        names[name] = source
+    try:
+        check_distinct(names, "recordings")
+    except ValueError as bad:
+        raise DatasetError(str(bad)) from None
+    return list(names)

@@ -1,0 +1,96 @@
+"""MCAP files of other profiles than that of ROS 2, which rosbags does not read: messages of ROS 1, or no profile.
+
+The class has the part of the interface of the readers of rosbags that is used here.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from relocbench.errors import ConfigError, DatasetError
+
+_MAGIC = b"\x89MCAP0\r\n"
+_LARGEST_RECORD = 2**30
+_ENCODINGS = ("ros1", "cdr")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """The messages of one topic by one writer."""
+
+    topic: str
+    msgtype: str
+    msgcount: int
+    encoding: str
+    digest: str = ""
+
+
+def profile_of(path: Path) -> str:
+    """The profile in the header of an MCAP file; ``ros2`` if it cannot be told, so that rosbags tells why."""
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(8 + 1 + 8 + 4)
+            length = struct.unpack("<I", start[17:21])[0]
+            if start[:8] != _MAGIC or start[8] != 1 or length > 100:
+                return "ros2"
+            return stream.read(length).decode()
+    except (OSError, struct.error, IndexError, UnicodeDecodeError):
+        return "ros2"
+
+
+class McapFile:
+    """An MCAP file, read by the package mcap."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises ConfigError if mcap is not installed."""
+        self.path = path
+        self.connections: list[Channel] = []
+        self.start_time = self.end_time = 0
+        self._stream: BinaryIO | None = None
+        self._reader: Any = None
+        try:
+            import mcap.reader  # noqa: F401  it is needed when the file is opened
+        except ImportError:
+            told = "needs the package 'mcap', which is not installed here (the extra 'bags' brings it)"
+            raise ConfigError(told, path) from None
+
+    def open(self) -> None:
+        """Read the summary.
+
+        Raises:
+            DatasetError: there is none.
+        """
+        from mcap.reader import SeekingReader
+
+        self._stream = self.path.open("rb")
+        self._reader = SeekingReader(self._stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
+        summary = self._reader.get_summary()
+        if summary is None or summary.statistics is None:
+            raise DatasetError("has no summary, which says what is in it; `mcap recover` writes one", self.path)
+        counts = summary.statistics.channel_message_counts
+        for number, channel in summary.channels.items():
+            schema = summary.schemas.get(channel.schema_id)
+            name = schema.name if schema is not None else "no schema"
+            encoding = channel.message_encoding
+            kind = _normalised(name) if encoding in _ENCODINGS else f"{name} ({encoding})"
+            self.connections.append(Channel(channel.topic, kind, counts.get(number, 0), encoding))
+        self.start_time = summary.statistics.message_start_time
+        self.end_time = summary.statistics.message_end_time + 1
+
+    def messages(
+        self, connections: Sequence[Channel], start: int | None = None
+    ) -> Iterator[tuple[Channel, int, bytes]]:
+        """Channel, time of receipt in nanoseconds and bytes of the messages of some topics, ordered by time."""
+        by_topic = {channel.topic: channel for channel in connections}
+        for _, channel, message in self._reader.iter_messages(topics=list(by_topic), starting_at=start):
+            yield by_topic[channel.topic], int(message.log_time), bytes(message.data)
+
+
+def _normalised(name: str) -> str:
+    """``sensor_msgs/Image`` of ROS 1 as ``sensor_msgs/msg/Image``."""
+    package, _, last = name.partition("/")
+    return f"{package}/msg/{last}" if last and "/" not in last else name

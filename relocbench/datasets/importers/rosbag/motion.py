@@ -1,0 +1,151 @@
+"""The motion of a drive by its bag: odometry, and positions by GNSS in a map that all drives share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from relocbench.arrays import Array, Times
+from relocbench.datasets.importers.rosbag.index import Fixes
+from relocbench.datasets.sensors.recording import Trajectory
+from relocbench.geometry import invert, make_transform, transform_from_tq
+
+_A, _F = 6378137.0, 1 / 298.257223563
+_E2 = _F * (2 - _F)
+"""semi-major axis in metres, flattening, and square of the eccentricity of WGS 84 (NIMA TR8350.2)"""
+_AROUND_M = 50.0
+"""metres of road before and after a fix that its heading is fitted to"""
+_LEAST_M = 5.0
+"""least extent of these metres"""
+_GNSS_GAP_NS = 2_000_000_000
+
+
+@dataclass(frozen=True)
+class GeodeticOrigin:
+    """Origin of the map of all drives. Its axes are x east, y north, z up at the origin (a tangent plane)."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+    @classmethod
+    def of(cls, fixes: Fixes) -> GeodeticOrigin:
+        """The first fix, rounded to a hundredth of a degree."""
+        latitude, longitude, altitude, _ = fixes.values[0]
+        return cls(round(float(latitude), 2), round(float(longitude), 2), float(np.floor(altitude)))
+
+    def __str__(self) -> str:
+        return f"latitude {self.latitude_deg:g}, longitude {self.longitude_deg:g}, {self.altitude_m:g} m"
+
+
+def east_north_up(values: Array, origin: GeodeticOrigin) -> Array:
+    """Positions (N, 3) in metres of latitudes and longitudes in degrees and altitudes in metres (N, 3).
+
+    Through Cartesian coordinates of WGS 84 (Hofmann-Wellenhof et al., GNSS, 2008, chapter 8): exact, whatever the
+    distance from the origin.
+    """
+    start = np.array([[origin.latitude_deg, origin.longitude_deg, origin.altitude_m]])
+    difference = _cartesian(values) - _cartesian(start)
+    return np.asarray(difference @ _rotation(origin).T)
+
+
+def latitude_longitude(enu: Array, origin: GeodeticOrigin) -> Array:
+    """Latitudes and longitudes in degrees and altitudes in metres (N, 3) of positions (N, 3): the inverse.
+
+    Latitude and altitude by fixed-point iteration, which gains more than two digits a step near the ground.
+    """
+    start = np.array([[origin.latitude_deg, origin.longitude_deg, origin.altitude_m]])
+    x, y, z = (_cartesian(start) + enu @ _rotation(origin)).T
+    level = np.hypot(x, y)
+    phi, height = np.arctan2(z, level * (1 - _E2)), np.zeros(len(x))
+    for _ in range(8):
+        normal = _A / np.sqrt(1 - _E2 * np.sin(phi) ** 2)
+        height = level / np.cos(phi) - normal
+        phi = np.arctan2(z, level * (1 - _E2 * normal / (normal + height)))
+    return np.column_stack([np.degrees(phi), np.degrees(np.arctan2(y, x)), height])
+
+
+def _rotation(origin: GeodeticOrigin) -> Array:
+    """(3, 3) from Cartesian coordinates of the earth to east, north, up."""
+    phi, lam = np.radians([origin.latitude_deg, origin.longitude_deg])
+    return np.array(
+        [
+            [-np.sin(lam), np.cos(lam), 0.0],
+            [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
+            [np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)],
+        ]
+    )
+
+
+def _cartesian(values: Array) -> Array:
+    phi, lam, height = np.radians(values[:, 0]), np.radians(values[:, 1]), values[:, 2]
+    normal = _A / np.sqrt(1 - _E2 * np.sin(phi) ** 2)
+    return np.column_stack(
+        [
+            (normal + height) * np.cos(phi) * np.cos(lam),
+            (normal + height) * np.cos(phi) * np.sin(lam),
+            (normal * (1 - _E2) + height) * np.sin(phi),
+        ]
+    )
+
+
+def in_order(times_ns: Times) -> Times:
+    """Indices that sort times; of equal ones the first."""
+    order = np.argsort(times_ns, kind="stable")
+    first = np.concatenate([[True], np.diff(times_ns[order]) > 0]) if len(order) else np.zeros(0, dtype=bool)
+    return np.asarray(order[first], dtype=np.int64)
+
+
+def odometry(times_ns: Times, values: Array, T_body_rig: Array, max_gap_ns: int) -> Trajectory:
+    """The trajectory of the rig in the frame of its first pose, from poses (N, 7) of a frame fixed to it."""
+    kept = in_order(times_ns)
+    T_world_rig = poses(values[kept]) @ T_body_rig
+    return Trajectory(times_ns[kept], np.asarray(invert(T_world_rig[0]) @ T_world_rig), max_gap_ns)
+
+
+def poses(values: Array) -> Array:
+    """(N, 4, 4) of tx, ty, tz, qx, qy, qz, qw (N, 7); quaternions are normalised."""
+    q = values[:, 3:]
+    norms = np.linalg.norm(q, axis=1, keepdims=True)
+    # What is a unit quaternion already keeps its digits.
+    q = np.where(np.abs(norms - 1.0) < 1e-15, q, q / norms)
+    return np.asarray(transform_from_tq(values[:, :3], q))
+
+
+def map_of_fixes(times_ns: Times, enu: Array, motion: Trajectory, antenna: Array) -> Trajectory | None:
+    """``T_map_rig`` at the times of fixes that the odometry covers; None if none can be placed.
+
+    GNSS tells positions, odometry tells how the rig is turned relative to its own frame. The angle between this frame
+    and the map is fitted to the metres of road around each fix (Procrustes in the plane), so that it follows the drift
+    of the odometry and holds also where the rig stands or reverses.
+
+    Args:
+        times_ns: (N,) strictly increasing.
+        enu: (N, 3) positions of the antenna.
+        antenna: (3,) position of the antenna on the rig.
+    """
+    kept = motion.covers(times_ns)
+    if kept.sum() < 2:
+        return None
+    times, there = times_ns[kept], enu[kept]
+    T_odom_rig = motion.at(times)
+    here = (T_odom_rig @ np.append(antenna, 1.0))[:, :3]
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(here[:, :2], axis=0), axis=1))])
+    begin = np.searchsorted(travelled, travelled - _AROUND_M, side="left")
+    end = np.searchsorted(travelled, travelled + _AROUND_M, side="right")
+    a, b = here[:, 0] + 1j * here[:, 1], there[:, 0] + 1j * there[:, 1]
+    heading = np.full(len(times), np.nan)
+    for i, (first, last) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
+        p, q = a[first:last] - a[first:last].mean(), b[first:last] - b[first:last].mean()
+        if np.abs(p).max() >= _LEAST_M / 2 and np.abs(q).max() >= _LEAST_M / 2:
+            heading[i] = np.angle(np.sum(np.conj(p) * q))
+    known = np.flatnonzero(np.isfinite(heading))
+    if not len(known):
+        return None
+    cosine, sine = np.cos(heading[known]), np.sin(heading[known])
+    R = np.zeros((len(known), 3, 3))
+    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = cosine, -sine, sine, cosine, 1.0
+    R_map_rig = R @ T_odom_rig[known, :3, :3]
+    position = there[known] - R_map_rig @ antenna
+    return Trajectory(times[known], make_transform(R_map_rig, position), _GNSS_GAP_NS)

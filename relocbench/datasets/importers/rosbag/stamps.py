@@ -1,0 +1,67 @@
+"""The times of messages: by the stamps of their headers, or by when they were received where stamps cannot be right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from relocbench.arrays import Times
+from relocbench.datasets.importers.rosbag.motion import in_order
+from relocbench.errors import DatasetError
+from relocbench.progress import Reporter
+
+Stamps = Literal["header", "receive"]
+_MOST_BACKWARDS, _FEW_BACKWARDS = 0.01, 2
+"""share and number of stamps earlier than the one before that messages which overtook each other explain"""
+_ONE_CLOCK_NS = 1_000_000_000
+"""sensors on one clock are received within this time of each other after their stamps"""
+
+
+def times_of(
+    stamps_ns: Times, received_ns: Times, what: str, how: Stamps, reporter: Reporter
+) -> tuple[Times, Times, bool]:
+    """Times (M,) strictly increasing, the indices (M,) of their messages, and whether they are stamps of headers.
+
+    Stamps of headers are used, unless all are zero, or more than one in a hundred (and more than two) is earlier than
+    the one before: then the times of receipt are. Of messages with equal times the first is used; those with a stamp of
+    zero are left out.
+    """
+    count = len(stamps_ns)
+    by_header = how == "header"
+    if by_header and count and not stamps_ns.any():
+        reporter.note(f"{what}: all stamps are zero; times of receipt are used")
+        by_header = False
+    backwards = int((np.diff(stamps_ns[stamps_ns != 0]) < 0).sum())
+    if by_header and backwards > max(_FEW_BACKWARDS, _MOST_BACKWARDS * count):
+        reporter.note(f"{what}: {backwards} of {count} stamps run backwards; times of receipt are used")
+        by_header = False
+    times = stamps_ns if by_header else received_ns
+    kept = in_order(times)
+    if by_header:
+        kept = kept[times[kept] != 0]
+    if len(kept) < count:
+        reporter.note(f"{what}: {count - len(kept)} of {count} messages are left out: time zero or that of another one")
+    return times[kept], kept, by_header
+
+
+def check_clocks(lags_ns: Mapping[str, float], source: Path) -> None:
+    """Check that the stamps of all topics come from one clock.
+
+    Args:
+        lags_ns: topic -> median time from stamp to receipt.
+
+    Raises:
+        DatasetError: two topics differ by more than a second.
+    """
+    if not lags_ns:
+        return
+    first, last = min(lags_ns, key=lambda t: lags_ns[t]), max(lags_ns, key=lambda t: lags_ns[t])
+    if lags_ns[last] - lags_ns[first] > _ONE_CLOCK_NS:
+        raise DatasetError(
+            f"stamps are of different clocks: {last} is received {lags_ns[last] / 1e9:.1f} s after its stamps, {first} "
+            f"{lags_ns[first] / 1e9:.1f} s; --stamps receive takes the times of receipt for all",
+            source,
+        )

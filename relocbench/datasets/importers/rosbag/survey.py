@@ -1,0 +1,104 @@
+"""What a recording holds: its topics with type, number of messages, rate, and what their first message tells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from relocbench.datasets.importers.rosbag import kinds
+from relocbench.datasets.importers.rosbag.bag import Part, frame_name, open_parts
+from relocbench.datasets.importers.rosbag.clouds import field_names
+from relocbench.errors import DatasetError
+
+
+@dataclass(frozen=True, eq=False)
+class Topic:
+    """One topic of a recording."""
+
+    name: str
+    type: str
+    count: int
+    rate_hz: float
+    """messages a second over the whole recording"""
+    frame: str = ""
+    """frame of the first message's header"""
+    child: str = ""
+    """for odometry, the frame whose poses it holds"""
+    fields: tuple[str, ...] = ()
+    """fields of a cloud"""
+    encoding: str = ""
+    """encoding of an image, or the format of a compressed one"""
+    size: tuple[int, int] = (0, 0)
+    """width and height of an image or of the images that a CameraInfo is of; (0, 0) if unknown"""
+    fault: str = ""
+    """why its first message cannot be read; such a topic is used only if it is named, and then it is an error"""
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """The topics of a recording, and the files that they are in."""
+
+    source: Path
+    parts: tuple[Part, ...]
+    """ordered by time"""
+    topics: dict[str, Topic]
+
+    def of_types(self, types: Sequence[str]) -> list[Topic]:
+        """The topics of some types that have messages which can be read, by name."""
+        return [t for t in self.topics.values() if t.type in types and t.count and not t.fault]
+
+    def first(self, topic: str) -> Any:
+        """The first message of a topic, decoded. Raises DatasetError with the file."""
+        for part in self.parts:
+            if part.counts.get(topic):
+                part.check_standard(topic)
+                for _, received_ns, raw in part.messages([topic]):
+                    return part.decode(topic, raw, received_ns)
+        raise self.parts[0].fault(topic, 0, "there is none")
+
+
+def survey(source: Path, paths: Sequence[Path]) -> Survey:
+    """Look at a recording's topics and at one message of each that can be read.
+
+    Raises:
+        DatasetError: a file is damaged, or files are too far apart in time to be one drive.
+    """
+    parts = open_parts(paths)
+    begin = min(part.begin_ns for part in parts if any(part.counts.values()))
+    end = max(part.end_ns for part in parts if any(part.counts.values()))
+    found = Survey(source, tuple(parts), {})
+    names = sorted({name for part in parts for name in part.counts})
+    for name in names:
+        there = [part for part in parts if name in part.types]
+        message_type = there[0].types[name]
+        for part in there:
+            if part.types[name] != message_type:
+                raise part.fault(name, part.begin_ns, f"is of another type than in {there[0].path.name}")
+        count = sum(part.counts[name] for part in there)
+        rate = (count - 1) / ((end - begin) / 1e9) if count > 1 and end > begin else 0.0
+        found.topics[name] = _peek(found, Topic(name, message_type, count, rate))
+    return found
+
+
+def _peek(found: Survey, topic: Topic) -> Topic:
+    name, kind = topic.name, topic.type
+    if not topic.count or kind not in kinds.READ or kind in kinds.ALL_TRANSFORMS:
+        return topic
+    try:
+        message = found.first(name)
+    except DatasetError as bad:
+        return Topic(name, kind, topic.count, topic.rate_hz, fault=str(bad))
+    told: dict[str, Any] = {"frame": frame_name(str(message.header.frame_id))}
+    if kind == kinds.CLOUD:
+        told["fields"] = field_names(message)
+    elif kind == kinds.IMAGE:
+        told |= {"encoding": str(message.encoding), "size": (int(message.width), int(message.height))}
+    elif kind == kinds.COMPRESSED:
+        told["encoding"] = str(message.format)
+    elif kind == kinds.CAMERA_INFO:
+        told["size"] = (int(message.width), int(message.height))
+    elif kind in (kinds.ODOMETRY, kinds.TRANSFORM):
+        told["child"] = frame_name(str(message.child_frame_id))
+    return Topic(name, kind, topic.count, topic.rate_hz, **told)

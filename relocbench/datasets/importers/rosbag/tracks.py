@@ -1,0 +1,127 @@
+"""The odometry and the GNSS prior of a bag, as trajectories of the rig."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relocbench.arrays import Array, Times
+from relocbench.datasets.core.schema import Transform
+from relocbench.datasets.importers.rosbag import motion
+from relocbench.datasets.importers.rosbag.index import Poses
+from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin
+from relocbench.datasets.importers.rosbag.reading import Reading
+from relocbench.datasets.sensors.recording import Trajectory
+from relocbench.errors import DatasetError
+from relocbench.geometry import invert
+
+_PRIOR_SIGMA_M = 10.0
+
+
+def odometry(reading: Reading) -> Trajectory | None:
+    """The motion by a topic or by tf; None if it has to be computed from scans."""
+    chosen = reading.roles.odometry
+    if chosen == "lidar":
+        return None
+    if chosen in reading.index.poses:
+        found, what = reading.index.poses[chosen], chosen
+    else:
+        link = _moving_link(reading, required=chosen == "tf")
+        if link is None:
+            return None
+        found, what = link, f"tf, '{link.child}' in '{link.parent}'"
+        reading.note(f"odometry is that of {what}")
+    times, kept = reading.times(what, found.times_ns, found.received_ns)
+    if len(times) < 2:
+        raise DatasetError(f"{what} holds {len(times)} poses; odometry needs at least 2", reading.source)
+    return motion.odometry(
+        times,
+        found.values[kept],
+        _T_body_rig(reading, found, reading.settings.extrinsics.T_rig_odometry),
+        reading.settings.max_gap_ns,
+    )
+
+
+def _T_body_rig(reading: Reading, poses: Poses, told: Transform | None) -> Array:
+    """From the rig to the frame whose poses are given.
+
+    Args:
+        told: its pose on the rig by the extrinsics.
+    """
+    if told is not None:
+        return np.asarray(invert(reading.settings.extrinsics.T_new_rig @ told.matrix))
+    if not poses.child:
+        reading.note(f"the poses in '{poses.parent}' name no frame of the vehicle; they are taken for those of the rig")
+        return np.asarray(invert(reading.settings.extrinsics.T_new_rig))
+    if reading.settings.extrinsics_file is not None and poses.child not in reading.frames:
+        return np.asarray(invert(reading.settings.extrinsics.T_new_rig))
+    return reading.frames.transform(poses.child, reading.base)
+
+
+def _moving_link(reading: Reading, required: bool) -> Poses | None:
+    """The transform that changes and leads to the rig; that from 'odom' if there are several."""
+    there = [link for link in reading.frames.moving if reading.frames.connected(link.child, reading.base)]
+    best = [link for link in there if link.parent == "odom"] or there
+    if len(best) > 1:
+        names = ", ".join(f"{link.parent} to {link.child}" for link in best)
+        raise DatasetError(f"tf has several moving transforms ({names}); name a topic by --odometry", reading.source)
+    if required and not best:
+        raise DatasetError(f"--odometry tf: no transform that changes leads to {reading.base!r}", reading.source)
+    return best[0] if best else None
+
+
+def fix_times(reading: Reading) -> tuple[Times, Times] | None:
+    """Times (M,) of the messages of GNSS, and their indices (M,); None without GNSS."""
+    chosen = reading.roles.gnss
+    found = reading.index.fixes.get(chosen) or reading.index.poses.get(chosen)
+    if not chosen or found is None:
+        return None
+    return reading.times(chosen, found.times_ns, found.received_ns)
+
+
+def prior(
+    reading: Reading, measured: Trajectory, origin: GeodeticOrigin | None, times: tuple[Times, Times] | None
+) -> tuple[Trajectory | None, float, GeodeticOrigin | None]:
+    """The prior ``T_map_rig`` with its sigma in metres, and the origin of its map; None without positions.
+
+    Args:
+        measured: the odometry, which tells how the rig is turned.
+        origin: that of the drives before; None: this drive's own.
+        times: what :func:`fix_times` returned.
+    """
+    chosen = reading.roles.gnss
+    if times is None:
+        return None, _PRIOR_SIGMA_M, origin
+    at, kept = times
+    if chosen in reading.index.poses:
+        found = reading.index.poses[chosen]
+        T_map_rig = motion.poses(found.values[kept]) @ _T_body_rig(
+            reading, found, reading.settings.extrinsics.T_rig_gnss
+        )
+        return (Trajectory(at, T_map_rig) if len(at) else None), _PRIOR_SIGMA_M, origin
+    fixes = reading.index.fixes[chosen]
+    if fixes.left_out:
+        reading.note(f"{chosen}: {fixes.left_out} messages without a fix are left out")
+    if not len(at):
+        reading.note(f"{chosen} has no fix; drives are registered without GNSS")
+        return None, _PRIOR_SIGMA_M, origin
+    start = origin or GeodeticOrigin.of(fixes)
+    if origin is None:
+        reading.note(f"GNSS positions are relative to {start}")
+    enu = motion.east_north_up(fixes.values[kept, :3], start)
+    found_prior = motion.map_of_fixes(at, enu, measured, _antenna(reading, fixes.frame))
+    if found_prior is None:
+        reading.note(f"{chosen}: the drive is too short to tell its heading; it is registered without GNSS")
+    known = fixes.values[kept, 3]
+    sigma = float(np.median(known[known > 0])) if (known > 0).any() else 0.0
+    return found_prior, max(_PRIOR_SIGMA_M, sigma), start
+
+
+def _antenna(reading: Reading, frame: str) -> Array:
+    """Position (3,) of the antenna on the rig."""
+    told = reading.settings.extrinsics.T_rig_gnss
+    if told is not None:
+        return np.asarray((reading.settings.extrinsics.T_new_rig @ told.matrix)[:3, 3])
+    if frame and reading.frames.connected(reading.base, frame):
+        return np.asarray(reading.frames.transform(reading.base, frame)[:3, 3])
+    reading.note(f"the place of the antenna ('{frame}') on the rig is unknown; it is taken for the rig's origin")
+    return np.zeros(3)

@@ -1,0 +1,197 @@
+"""Small bags, written by the package rosbags message by message: ``from made_bags import Bag``."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+SECOND = 10**9
+
+
+class Bag:
+    """Messages that are collected, and written in the order of their times of receipt."""
+
+    def __init__(self, ros1: bool = True) -> None:
+        self.ros1 = ros1
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+        if ros1:
+            self.store.register(
+                get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+            )
+        self.rows: list[tuple[int, str, Any]] = []
+
+    def new(self, kind: str, *values: Any) -> Any:
+        package, name = kind.split("/")
+        return self.store.types[f"{package}/msg/{name}"](*values)
+
+    def header(self, time: int, frame: str) -> Any:
+        stamp = self.new("builtin_interfaces/Time", time // SECOND, time % SECOND)
+        return self.new("std_msgs/Header", *((0,) if self.ros1 else ()), stamp, frame)
+
+    def add(self, topic: str, time: int, message: Any) -> None:
+        self.rows.append((time, topic, message))
+
+    def cloud(
+        self,
+        topic: str,
+        time: int,
+        points: NDArray[Any],
+        frame: str = "lidar",
+        received: int | None = None,
+        **changes: Any,
+    ) -> None:
+        """A cloud of a structured array, whose layout becomes that of the message."""
+        assert points.dtype.fields is not None
+        fields = [
+            self.new("sensor_msgs/PointField", name, int(place[1]), CODES[place[0].str[1:]], 1)
+            for name, place in points.dtype.fields.items()
+        ]
+        step, count = points.dtype.itemsize, len(points)
+        data = np.frombuffer(points.tobytes(), np.uint8)
+        big = any(place[0].str[0] == ">" for place in points.dtype.fields.values())
+        header = self.header(time, frame)
+        message = self.new("sensor_msgs/PointCloud2", header, 1, count, fields, big, step, step * count, data, True)
+        for name, value in changes.items():
+            setattr(message, name, value)
+        self.add(topic, time if received is None else received, message)
+
+    def laser(self, topic: str, time: int, ranges: ArrayLike, frame: str = "lidar", **changes: float) -> None:
+        values = {"angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.01, "time_increment": 1e-4,
+                  "scan_time": 0.02, "range_min": 0.1, "range_max": 50.0} | changes  # fmt: skip
+        found = np.asarray(ranges, dtype=np.float32)
+        header = self.header(time, frame)
+        self.add(
+            topic, time, self.new("sensor_msgs/LaserScan", header, *values.values(), found, np.zeros(0, np.float32))
+        )
+
+    def image(self, topic: str, time: int, pixels: NDArray[Any], encoding: str, frame: str = "cam_optical") -> None:
+        height, width = pixels.shape[:2]
+        data = np.frombuffer(np.ascontiguousarray(pixels).tobytes(), np.uint8)
+        values = (self.header(time, frame), height, width, encoding, 0, len(data) // height, data)
+        self.add(topic, time, self.new("sensor_msgs/Image", *values))
+
+    def compressed(self, topic: str, time: int, data: bytes, told: str, frame: str = "cam_optical") -> None:
+        found = np.frombuffer(data, np.uint8)
+        self.add(topic, time, self.new("sensor_msgs/CompressedImage", self.header(time, frame), told, found))
+
+    def info(
+        self,
+        topic: str,
+        time: int,
+        size: tuple[int, int],
+        model: str = "plumb_bob",
+        D: Sequence[float] = (0, 0, 0, 0, 0),
+        K: Sequence[float] | None = None,
+        **changes: Any,
+    ) -> Any:
+        width, height = size
+        found = np.array(K or (50.0, 0, width / 2, 0, 50.0, height / 2, 0, 0, 1), dtype=np.float64)
+        P = np.column_stack([found.reshape(3, 3), np.zeros(3)]).ravel()
+        region = self.new("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)
+        coefficients = np.array(D, dtype=np.float64)
+        values = (
+            self.header(time, "cam_optical"),
+            height,
+            width,
+            model,
+            coefficients,
+            found,
+            np.eye(3).ravel(),
+            P,
+            0,
+            0,
+        )
+        message = self.new("sensor_msgs/CameraInfo", *values, region)
+        for name, value in changes.items():
+            setattr(message, name, value)
+        self.add(topic, time, message)
+        return message
+
+    def pose(self, values: Sequence[float]) -> Any:
+        """tx, ty, tz, qx, qy, qz, qw"""
+        point = self.new("geometry_msgs/Point", *map(float, values[:3]))
+        return self.new("geometry_msgs/Pose", point, self.new("geometry_msgs/Quaternion", *map(float, values[3:])))
+
+    def odometry(
+        self, topic: str, time: int, values: Sequence[float], frame: str = "odom", child: str = "base_link"
+    ) -> None:
+        zero = self.new("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
+        twist = self.new("geometry_msgs/TwistWithCovariance", self.new("geometry_msgs/Twist", zero, zero), np.zeros(36))
+        pose = self.new("geometry_msgs/PoseWithCovariance", self.pose(values), np.zeros(36))
+        self.add(topic, time, self.new("nav_msgs/Odometry", self.header(time, frame), child, pose, twist))
+
+    def pose_stamped(self, topic: str, time: int, values: Sequence[float], frame: str = "map") -> None:
+        self.add(topic, time, self.new("geometry_msgs/PoseStamped", self.header(time, frame), self.pose(values)))
+
+    def transform(self, time: int, parent: str, child: str, values: Sequence[float]) -> Any:
+        moved = self.new("geometry_msgs/Vector3", *map(float, values[:3]))
+        turned = self.new("geometry_msgs/Quaternion", *map(float, values[3:]))
+        rigid = self.new("geometry_msgs/Transform", moved, turned)
+        return self.new("geometry_msgs/TransformStamped", self.header(time, parent), child, rigid)
+
+    def tf(self, time: int, *links: tuple[str, str, Sequence[float]], topic: str = "/tf_static") -> None:
+        found = [self.transform(time, *link) for link in links]
+        self.add(topic, time, self.new("tf2_msgs/TFMessage", found))
+
+    def fix(self, topic: str, time: int, place: Sequence[float], status: int = 0, frame: str = "base_link") -> None:
+        state = self.new("sensor_msgs/NavSatStatus", status, 1)
+        values = (self.header(time, frame), state, *map(float, place), np.diag([4.0, 4.0, 9.0]).ravel(), 2)
+        self.add(topic, time, self.new("sensor_msgs/NavSatFix", *values))
+
+    def write(self, path: Path, storage: str | None = None, compression: str = "") -> Path:
+        """Write the bag: ``rosbag1`` to a file; ``rosbag2`` or ``mcap`` to a folder."""
+        made: Any
+        if self.ros1:
+            made = Writer1(path)
+            if compression:
+                made.set_compression(Writer1.CompressionFormat[compression])
+            serialised = self.store.serialize_ros1
+        else:
+            plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+            made, serialised = Writer2(path, version=9, storage_plugin=plugin), self.store.serialize_cdr
+        connections: dict[str, Any] = {}
+        with contextlib.ExitStack() as stack:
+            writer = stack.enter_context(made)
+            for time, topic, message in sorted(self.rows, key=lambda row: row[0]):
+                kind = message.__msgtype__
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
+                writer.write(connections[topic], time, serialised(message, kind))
+        return path
+
+    def write_mcap(self, path: Path, profile: str, others: Mapping[str, tuple[str, str, bytes]] | None = None) -> Path:
+        """Write an MCAP file by the package mcap.
+
+        Args:
+            others: topics with messages of other encodings: name of the schema, encoding, content.
+        """
+        from mcap.writer import Writer
+
+        serialised = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        with path.open("wb") as stream:
+            writer = Writer(stream)
+            writer.start(profile=profile, library="")
+            channels: dict[str, int] = {}
+            for time, topic, message in sorted(self.rows, key=lambda row: row[0]):
+                kind = message.__msgtype__
+                if topic not in channels:
+                    name = kind.replace("/msg/", "/") if self.ros1 else kind
+                    text = self.store.generate_msgdef(kind)[0].encode()
+                    schema = writer.register_schema(name, "ros1msg" if self.ros1 else "ros2msg", text)
+                    channels[topic] = writer.register_channel(topic, "ros1" if self.ros1 else "cdr", schema)
+                writer.add_message(channels[topic], time, bytes(serialised(message, kind)), time)
+            for topic, (name, encoding, content) in (others or {}).items():
+                channel = writer.register_channel(topic, encoding, writer.register_schema(name, encoding, b""))
+                writer.add_message(channel, self.rows[0][0], content, self.rows[0][0])
+            writer.finish()  # type: ignore[no-untyped-call]
+        return path
