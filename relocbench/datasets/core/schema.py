@@ -28,7 +28,7 @@ ELSEWHERE_VERSION = 2
 INTRINSICS_VERSION = 3
 """format of datasets whose images may have intrinsics of their own, which programs that know less would not look at"""
 POSES_VERSION = 4
-"""format of datasets with frames of which there are poses and no images, which programs that know less would look for"""
+"""format of datasets with frames that have poses and no images, for which programs that know less would look"""
 _VERSIONS = (FORMAT_VERSION, ELSEWHERE_VERSION, INTRINSICS_VERSION, POSES_VERSION)
 
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "name"))]
@@ -144,7 +144,7 @@ class TraversalFile(Strict):
     rate_hz: float | None = None
     cameras: dict[str, CameraEntry]
     frames: dict[str, Transform] = {}
-    """``T_rig_frame`` of frames of which there are poses and no images: a pair set names one where others name a camera"""
+    """``T_rig_frame`` of frames that have poses and no images; a pair set names one where others name a camera"""
     source: str = ""
     """what it was imported from, in words"""
 

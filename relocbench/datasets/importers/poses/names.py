@@ -37,7 +37,9 @@ def names_of_files(sources: Sequence[Path], given: Sequence[str], what: str) -> 
         try:
             name = plain_name(text, "traversal name")
         except ValueError:
-            raise DatasetError("the file's name cannot name a traversal; give names: --traversals A,B", source) from None
+            raise DatasetError(
+                "the file's name cannot name a traversal; give names: --traversals A,B", source
+            ) from None
         if name in names:
             raise DatasetError(f"is called '{name}' like {names[name]}; give names: --traversals A,B", source)
         names[name] = source

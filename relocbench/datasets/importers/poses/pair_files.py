@@ -149,10 +149,14 @@ def _read(source: Path, options: Options) -> list[Pair]:
     pairs = pairfile.read_pairs(source, source.with_suffix(".csv"))
     if not pairs:
         raise DatasetError("holds no pair", source)
-    sigmas = {"sigma_translation_m": options.sigma, "sigma_rotation_deg": options.sigma_rotation}
-    stated = {name: value for name, value in sigmas.items() if value is not None}
     return [
-        replace(p, source=p.source or source.name, overlap=None, **({} if p.T_query_ref is None else stated))
+        replace(
+            p,
+            source=p.source or source.name,
+            overlap=None,
+            sigma_translation_m=p.sigma_translation_m if options.sigma is None else options.sigma,
+            sigma_rotation_deg=p.sigma_rotation_deg if options.sigma_rotation is None else options.sigma_rotation,
+        )
         for p in pairs
     ]
 

@@ -70,7 +70,9 @@ class Options(PairingOptions):
     @model_validator(mode="after")
     def _one_rule(self) -> Self:
         if self.pair_rule == "step" and (self.revisit_gap or self.query_distance):
-            raise ValueError("pair_rule step pairs frames by their numbers: revisit_gap and query_distance do not apply")
+            raise ValueError(
+                "pair_rule step pairs frames by their numbers: revisit_gap and query_distance do not apply"
+            )
         return self
 
 

@@ -88,7 +88,7 @@ def write_pair_pages(
         kept = chosen if rows > MOST_ROWS else list(range(len(methods[0].errors[name])))
         payload = _answers_payload(dataset, name, methods, kept, chosen)
         written.add(write_data(site, answers_key(dataset, name), payload))
-        if dataset.entry.dataset is not None:
+        if dataset.entry.dataset is not None and _has_images(dataset.entry.dataset, name):
             keys = methods[0].errors[name].keys
             jobs |= _jobs(
                 dataset, dataset.entry.dataset, name, [(int(keys[i, 0]), int(keys[i, 1])) for i in chosen], site
@@ -126,16 +126,21 @@ def _answers_payload(
     pair_set = None if at_hand is None else at_hand.pair_set(name)
     only = None if len(keys) == len(methods[0].errors[name]) else frozenset(keys)
     places = {row: place for place, row in enumerate(kept)}
-    shown = [] if pair_set is None else [places[row] for row in chosen]
+    pictured = at_hand is not None and _has_images(at_hand, name)
+    shown = [places[row] for row in chosen] if pictured else []
     cameras = {} if at_hand is None or pair_set is None else _cameras(at_hand, pair_set, keys, shown)
     return {
         "rows": None if only is None else list(kept),
         "truth": None if pair_set is None else _poses([pair_set.by_key[key].T_query_ref for key in keys]),
         "methods": {method.label: _answers(method, name, keys, only, cameras) for method in methods},
         "pictured": shown,
-        "images": {} if pair_set is None else _folders(pair_set),
+        "images": _folders(pair_set) if pair_set is not None and pictured else {},
         "set": id_of(dataset),
     }
+
+
+def _has_images(at_hand: Dataset, name: str) -> bool:
+    return at_hand.has_images(at_hand.pair_set(name))
 
 
 def _answers(
