@@ -57,7 +57,8 @@ def write_pair_set(job: Build[ImportOptions], reference: str, query: str, camera
     """Write a pair set with the overlap of each pair and, if the options want any, a file of correspondences.
 
     The traversals must have been written before. Pairs of poses alone, and pairs that are rejected, have no pose or
-    show different places, get neither overlap nor correspondences. A set that an earlier run of the same build has finished is kept unchanged.
+    show different places, get neither overlap nor correspondences. A set that an earlier run of the same build has
+    finished is kept unchanged.
     """
     layout, count = job.writer.layout, job.options.correspondences
     name = pair_set_name(reference, query, camera)
