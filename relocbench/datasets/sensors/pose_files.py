@@ -32,9 +32,10 @@ _EXPECTED = (
 _ROTATION_TOLERANCE = 1e-3
 """of rotations that are printed with few digits"""
 _STEADY = 0.97
+_WANDERS = 0.99
 _BETTER = 8.0
-"""of unit directions of travel in the rig's axes: the length of their mean above which they are one direction, and by
-how much farther from 1 it must be in the other order"""
+"""lengths of the mean of unit directions of travel in the rig's axes: above the first it is one direction, below the
+second it need not be; and how many times farther from 1 it must be in the wrong order than in the right one"""
 _FEWEST_STEPS = 20
 
 
@@ -147,7 +148,9 @@ def likely_order(T_world_rig: Array, order: QuaternionOrder) -> QuaternionOrder:
     other = Rotation.from_quat(turned).as_matrix()
     steady = [_steadiness(T_world_rig[:, :3, 3], R) for R in (T_world_rig[:, :3, :3], other)]
     given, turned_round = steady
-    if given is None or turned_round is None or turned_round < _STEADY or 1 - given < _BETTER * (1 - turned_round):
+    if given is None or turned_round is None or given > _WANDERS or turned_round < _STEADY:
+        return order
+    if 1 - given < _BETTER * (1 - turned_round):
         return order
     return "xyzw" if order == "wxyz" else "wxyz"
 

@@ -152,7 +152,7 @@ def _read(source: Path, options: Options) -> list[Pair]:
     return [
         replace(
             p,
-            source=p.source or source.name,
+            source=source.name,
             overlap=None,
             sigma_translation_m=p.sigma_translation_m if options.sigma is None else options.sigma,
             sigma_rotation_deg=p.sigma_rotation_deg if options.sigma_rotation is None else options.sigma_rotation,

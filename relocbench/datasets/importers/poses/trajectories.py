@@ -22,7 +22,7 @@ from relocbench.datasets.importers.poses.sigmas import sigma_of_pair
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.files import check_name, fitting_name
 from relocbench.geometry import rotation_angle
@@ -162,15 +162,19 @@ def _pairs(reference: _Drive, query: _Drive, options: Options) -> list[Pair]:
     keyframes = reference.frames(options.keyframe_distance, keyframes=True)
     asked = keyframes if steps else query.frames(options.query_distance, keyframes=False)
     rule = options if steps or options.pair_rule else options.model_copy(update={"pair_rule": "nearest"})
-    pairs = make_pairs(
-        keyframes,
-        asked,
-        rule,
-        same_traversal=same,
-        source=f"poses of {reference.name}" + ("" if same else f" and {query.name}"),
-        where=query.source,
-        revisit_ns=round(options.revisit_gap * 1e9) if options.revisit_gap else None,
-    )
+    try:
+        pairs = make_pairs(
+            keyframes,
+            asked,
+            rule,
+            same_traversal=same,
+            source=f"poses of {reference.name}" + ("" if same else f" and {query.name}"),
+            where=query.source,
+            revisit_ns=round(options.revisit_gap * 1e9) if options.revisit_gap else None,
+        )
+    except DatasetError as bad:
+        told = "" if same else f", or are {reference.name} and {query.name} in worlds of their own?"
+        raise DatasetError(f"{bad.expected}{told}", bad.path) from None
     return [sigma_of_pair(pair, options.sigma, options.sigma_rotation) for pair in pairs]
 
 
