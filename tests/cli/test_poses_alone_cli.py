@@ -28,7 +28,9 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset of poses alone, predictions of one method that is 5 cm off, and results of it and both floors."""
     root = tmp_path_factory.mktemp("poses")
     for name, poses in (("summer", laps(1)), ("winter", laps(1, start_ns=1_610_000_000_000_000_000))):
-        moved = poses if name == "summer" else {t: T @ make_transform(np.eye(3), [0.8, 0.3, 0]) for t, T in poses.items()}
+        moved = (
+            poses if name == "summer" else {t: T @ make_transform(np.eye(3), [0.8, 0.3, 0]) for t, T in poses.items()}
+        )
         (root / f"{name}.txt").write_text(tum_lines(moved))
     conditions = root / "c.yaml"
     conditions.write_text("conditions: {summer: {season: summer}, winter: {season: winter}}\nsigma: 0.01\n")
@@ -77,7 +79,9 @@ def test_the_identity_is_the_floor_that_others_are_compared_with(root: Path, tmp
 
 def test_inspect_counts_poses(root: Path) -> None:
     found = told("inspect", root / "D")
-    assert [(t["cameras"], t["images"], t["poses"]) for t in found["traversals"]] == [({"rig": "poses alone"}, 0, 60)] * 2
+    assert [(t["cameras"], t["images"], t["poses"]) for t in found["traversals"]] == [
+        ({"rig": "poses alone"}, 0, 60)
+    ] * 2
     assert "rig (poses alone)" in relocbench("inspect", root / "D").out
     assert told("validate", root / "D")["valid"] is True
 
@@ -166,8 +170,8 @@ def test_what_needs_images_says_so_in_one_line_and_writes_nothing(
             "traversal 'winter' has no camera 'rig'",
         ),
         (lambda d: _edit(d / "dataset.yaml", "format_version: 4", "format_version: 1"), "which format_version 4 has"),
-        (lambda d: _add_image(d), "'rig' is a frame without images in traversal.yaml; expected no files of it"),
-        (lambda d: _drop_pose(d), "has no pose at 1600000000000000000, from which the pair was made"),
+        (_add_image, "'rig' is a frame without images in traversal.yaml; expected no files of it"),
+        (_drop_pose, "has no pose at 1600000000000000000, from which the pair was made"),
     ],
 )
 def test_validate_names_what_is_wrong_with_poses_alone(root: Path, tmp_path: Path, change: Any, words: str) -> None:
@@ -197,13 +201,39 @@ def _drop_pose(folder: Path) -> None:
     path.write_text("\n".join([lines[0], *lines[2:]]) + "\n")
 
 
+@pytest.fixture(scope="module")
+def site(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("site") / "site"
+    done = relocbench("report", root / "results", "--out", out, "-q")
+    assert done.status == 0, done.err
+    return out
+
+
+def test_the_pages_of_results_hold_no_pictures(site: Path) -> None:
+    assert {p.name for p in (site / "data").iterdir()}.isdisjoint({"images", "depths"})
+
+
 @needs_browser
 @pytest.mark.slow
-def test_the_page_of_a_pair_has_numbers_and_a_plan_and_no_pictures(root: Path, tmp_path: Path, page: Any) -> None:
-    done = relocbench("report", root / "results", "--out", tmp_path / "site", "-q")
-    assert done.status == 0, done.err
-    assert not (tmp_path / "site" / "data" / "images").exists()
-    (start,) = (tmp_path / "site").glob("set-*.html")
-    page.goto(start.as_uri())
-    page.wait_for_selector("#map .trace", timeout=20_000)
+def test_the_page_of_a_set_has_its_map_and_that_of_a_pair_its_plan(site: Path, page: Any) -> None:
+    page.goto(next(site.glob("set-*.html")).as_uri())
+    page.wait_for_selector("#curves .main-svg")
+    page.locator("#map").scroll_into_view_if_needed()
+    page.wait_for_selector("#map .main-svg")
+    across, up = page.evaluate("((trace) => [[...trace.x], [...trace.y]])(document.getElementById('map').data[0])")
+    drawn = np.array([across, up], dtype=np.float64)
+    # The loop lies flat: it is as wide as it is high, and not seen from the side.
+    assert np.ptp(drawn, axis=1) == pytest.approx([80.0, 80.0], abs=1.5)
     assert serious_faults(page) == []
+
+
+@needs_browser
+@pytest.mark.slow
+def test_the_page_of_a_pair_says_that_there_are_no_images_and_draws_poses_from_above(site: Path, page: Any) -> None:
+    set_id = next(site.glob("set-*.html")).stem.removeprefix("set-")
+    first = min(laps(1)), 1_610_000_000_000_000_000
+    page.goto(f"{(site / 'pair.html').as_uri()}#set={set_id}&pairset={ACROSS}&pair={first[0]}-{first[1]}")
+    page.wait_for_selector("#none p")
+    assert page.locator("#none").inner_text() == "The dataset holds poses alone, without images."
+    assert page.locator("#numbers tr").count() == 3
+    assert page.locator("#pictured").is_disabled()

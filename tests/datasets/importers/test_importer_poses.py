@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
@@ -94,7 +95,8 @@ def test_revisits_of_one_drive_have_older_keyframes_beside_them(tmp_path: Path) 
     assert LAP - 2 <= len(pair_set.pairs) <= LAP
     for pair in pair_set.pairs:
         assert pair.query_timestamp_ns - pair.ref_timestamp_ns >= 20 * 10**9
-        assert pair.distance_m is not None and pair.distance_m < 3
+        assert pair.distance_m is not None
+        assert pair.distance_m < 3
 
 
 def test_one_drive_is_paired_with_its_own_next_poses_at_a_stated_spacing(tmp_path: Path) -> None:
@@ -105,7 +107,7 @@ def test_one_drive_is_paired_with_its_own_next_poses_at_a_stated_spacing(tmp_pat
     near = [p for p in pair_set.pairs if p.group == "step_1"]
     assert {p.group for p in pair_set.pairs} == {"step_1", "step_2"}
     assert all(p.distance_m is not None and 10 < p.distance_m < 15 for p in near)
-    assert all(a.query_timestamp_ns == b.ref_timestamp_ns for a, b in zip(near, near[1:], strict=False))
+    assert all(a.query_timestamp_ns == b.ref_timestamp_ns for a, b in itertools.pairwise(near))
 
 
 def test_spacing_thins_keyframes_and_queries_each_by_its_own_distance(drives: list[Path], tmp_path: Path) -> None:
@@ -179,7 +181,10 @@ def test_what_looks_misread_is_told(tmp_path: Path) -> None:
         (["summer.txt", "--query-distance", "3"], "--query-distance does not apply to a single trajectory"),
         (["summer.txt", "--pair-rule", "step", "--revisit-gap", "3"], "pair_rule step pairs frames by their numbers"),
         (["summer.txt", "--revisit-gap", "9999"], "no pair: the whole drive is shorter than 9999 s"),
-        (["summer.txt", "far.txt"], "177 deg away; --max-distance is 5 m, --max-angle 60 deg: increase --max-distance and --max-angle, or are "),
+        (
+            ["summer.txt", "far.txt"],
+            "177 deg away; --max-distance is 5 m, --max-angle 60 deg: increase --max-distance and --max-angle, or are ",
+        ),
         (["summer.txt", "--frame", "a/b"], "frame 'a/b'"),
         (["summer.txt", "--sigma", "0"], "sigma"),
         (["summer.txt", "--correspondences", "9"], "No such option: --correspondences"),
@@ -238,7 +243,12 @@ def _pairs(*lines: str) -> str:
         ("a_to_b.txt", _pairs("1 2 0 0 0"), [], "a_to_b.txt:1: expected 2 or 9 columns"),
         ("a_to_b.txt", _pairs("1 2", "1 2"), [], "a_to_b.txt:2: pair 1 2 occurs again (first on line 1)"),
         ("a_to_b.txt", _pairs("1.5 2"), [], "'1.5' is not a timestamp in integer nanoseconds"),
-        ("pairs.txt", _pairs("1 2"), [], "its name does not tell which traversals its pairs are of; expected REF__QUERY"),
+        (
+            "pairs.txt",
+            _pairs("1 2"),
+            [],
+            "its name does not tell which traversals its pairs are of; expected REF__QUERY",
+        ),
         ("pairs.txt", _pairs("1 2"), ["--traversals", "a"], "--traversals names the reference and the query"),
         ("a_to_b.txt", _pairs("1 2"), ["--trajectories", "x"], "--trajectories: 'x' is not NAME=FILE"),
         ("a_to_b.txt", _pairs("1 2"), ["--trajectories", "c=x"], "no traversal 'c' in the pairs; there is a, b"),

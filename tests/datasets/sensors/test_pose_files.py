@@ -89,7 +89,10 @@ LINE = f"{START_NS} 1 0 0 0 0 1 0 0 0 0 1 0"
     [
         ("", "holds no pose; expected 8 columns"),
         ("# nothing\n", "holds no pose; expected 8 columns"),
-        ("1.0 2 3\n", "t.txt:1: expected 8 columns (t tx ty tz and a quaternion), 12 (the upper three rows of a pose) or "),
+        (
+            "1.0 2 3\n",
+            "t.txt:1: expected 8 columns (t tx ty tz and a quaternion), 12 (the upper three rows of a pose) or ",
+        ),
         ("1.0 0 0 0 0 0 0 1\n2.0 0 0 0\n", "t.txt:2: expected 8 columns (t tx ty tz qx qy qz qw), found 4"),
         ("1.0 0 0 0 0 0 0 2\n", "t.txt:1: quaternion qx qy qz qw has norm 2, expected 1"),
         ("2.0 0 0 0 0 0 0 1\n1.0 0 0 0 0 0 0 1\n", "t.txt:2: time 1.0 is not later than the previous one"),
