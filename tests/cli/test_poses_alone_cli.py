@@ -96,6 +96,8 @@ def test_poses_are_exported_and_are_those_that_went_in(root: Path, tmp_path: Pat
     (one,), (two,) = (Dataset(folder).pair_sets() for folder in (root / "D", tmp_path / "again"))
     for a, b in zip(one.pairs, two.pairs, strict=True):
         assert a.key == b.key
+        assert a.T_query_ref is not None
+        assert b.T_query_ref is not None
         np.testing.assert_allclose(a.T_query_ref, b.T_query_ref, atol=1e-6)
 
 
@@ -118,6 +120,24 @@ def test_the_viewer_shows_poses_without_images(root: Path, tmp_path: Path) -> No
     assert any(e.endswith(f"pairs/{ACROSS}/answers/mine") for e in entities)
     assert any(e.endswith(f"pairs/{ACROSS}/keyframe") for e in entities)
     assert not any("images" in e for e in entities)
+
+
+def _edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def _add_image(folder: Path) -> None:
+    image = folder / "traversals" / "summer" / "images" / "rig" / "1.png"
+    image.parent.mkdir(parents=True)
+    image.write_bytes(b"")
+
+
+def _drop_pose(folder: Path) -> None:
+    path = folder / "traversals" / "summer" / "poses.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], *lines[2:]]) + "\n")
 
 
 NEEDS_IMAGES: dict[str, tuple[list[str], str]] = {
@@ -181,24 +201,6 @@ def test_validate_names_what_is_wrong_with_poses_alone(root: Path, tmp_path: Pat
     outcome = relocbench("validate", spoilt)
     assert outcome.status != 0
     assert words in outcome.out + outcome.err
-
-
-def _edit(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-
-
-def _add_image(folder: Path) -> None:
-    image = folder / "traversals" / "summer" / "images" / "rig" / "1.png"
-    image.parent.mkdir(parents=True)
-    image.write_bytes(b"")
-
-
-def _drop_pose(folder: Path) -> None:
-    path = folder / "traversals" / "summer" / "poses.csv"
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([lines[0], *lines[2:]]) + "\n")
 
 
 @pytest.fixture(scope="module")

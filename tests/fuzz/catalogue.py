@@ -15,6 +15,7 @@ AREAS = tuple(
         "datasets",
         "sensors",
         "recordings",
+        "poses",
         "photos",
         "places",
         "results",

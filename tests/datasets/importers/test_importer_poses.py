@@ -80,6 +80,9 @@ def test_every_format_gives_the_same_pairs_and_the_same_bytes(drives: list[Path]
     (one,), (two,), (three,) = plain.pair_sets(), found.pair_sets(), own.pair_sets()
     assert [p.key for p in one.pairs] == [p.key for p in two.pairs] == [p.key for p in three.pairs]
     for a, b, c in zip(one.pairs, two.pairs, three.pairs, strict=True):
+        assert a.T_query_ref is not None
+        assert b.T_query_ref is not None
+        assert c.T_query_ref is not None
         np.testing.assert_allclose(a.T_query_ref, b.T_query_ref, atol=2e-9)
         np.testing.assert_allclose(a.T_query_ref, c.T_query_ref, atol=2e-7)
     before = hashes(tmp_path / "d")
@@ -210,7 +213,13 @@ def test_a_file_of_pairs_is_the_truth_as_it_stands(drives: list[Path], tmp_path:
     dataset = built(tmp_path / "p", file, "--sigma", 0.05, "--sigma-rotation", 0.1, kind="pair-files")
     (pair_set,) = dataset.pair_sets()
     assert pair_set.name == "summer__winter__cam0"
-    assert pair_set.layout.pair_file(pair_set.name).read_bytes() == source.read_bytes()
+    known = {line.key: line.T_query_ref for line in read_pose_lines(source)}
+    assert [p.key for p in pair_set.pairs] == list(known)
+    for pair in pair_set.pairs:
+        T_query_ref = known[pair.key]
+        assert T_query_ref is not None
+        assert pair.T_query_ref is not None
+        np.testing.assert_allclose(pair.T_query_ref, T_query_ref, atol=3e-9)
     assert {(p.sigma_translation_m, p.sigma_rotation_deg, p.source) for p in pair_set.pairs} == {
         (0.05, 0.1, "relocalizationFile_summer_to_winter.txt")
     }

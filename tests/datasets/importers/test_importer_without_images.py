@@ -184,6 +184,7 @@ def test_poses_of_the_rig_are_those_of_the_images(kitti: Path, tmp_path: Path) -
     for pair in both:
         T_query_ref = by_key[pair.key].T_query_ref
         assert T_query_ref is not None
+        assert pair.T_query_ref is not None
         np.testing.assert_allclose(pair.T_query_ref, T_rig_cam @ T_query_ref @ invert(T_rig_cam), atol=1e-6)
 
 
