@@ -15,6 +15,9 @@ from relocbench.datasets.pairs.posed_frames import PosedFrames, relative_pose
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import rotation_angle
 
+_MOST_ASKED = 500
+"""queries that the message on missing pairs looks at"""
+
 
 def make_pairs(
     reference: PosedFrames,
@@ -168,9 +171,10 @@ def _why_none_near(
             f"no pair: the best aligned keyframe within reach of a query is {distance:.3g} m and "
             f"{angle:.3g} deg away; {limits}: increase --max-angle"
         )
+    some = _evenly(query, _MOST_ASKED)
     everywhere = [
         (float(d.min()), float(a[d.argmin()]))
-        for _, _, d, a in _within(reference, query, np.inf, same_traversal, revisit_ns)
+        for _, _, d, a in _within(reference, some, np.inf, same_traversal, revisit_ns)
     ]
     if not everywhere and revisit_ns is not None:
         return f"no pair: the whole drive is shorter than {revisit_ns / 1e9:g} s, the least age of a keyframe"
@@ -182,6 +186,13 @@ def _why_none_near(
         f"no pair: the nearest keyframe to any query is {distance:.3g} m and {angle:.3g} deg away; {limits}: "
         f"increase {to_increase}"
     )
+
+
+def _evenly(frames: PosedFrames, count: int) -> PosedFrames:
+    """Up to ``count`` frames, evenly in their order: comparing all with all takes minutes where there are many."""
+    rows = np.unique(np.linspace(0, len(frames.timestamps) - 1, min(count, len(frames.timestamps))).astype(int))
+    times = tuple(frames.timestamps[row] for row in rows)
+    return PosedFrames(times, frames.T_world_cam[rows], frames.keyframes & frozenset(times))
 
 
 def _why_no_step(frames: PosedFrames, steps: Sequence[int]) -> str:
