@@ -16,11 +16,11 @@ def R_frame_camera(T_world_frame: Array) -> Array:
     A frame that travels along its z has a camera's axes already; any other is taken to have z up.
 
     Args:
-        T_world_frame: (N, 4, 4) along a drive; of fewer than two, the frame is taken for a camera.
+        T_world_frame: (N, 4, 4) along a drive; a frame that does not move is taken for a camera.
     """
     steps = np.diff(T_world_frame[:, :3, 3], axis=0)
     travel = np.abs(np.einsum("nji,nj->ni", T_world_frame[:-1, :3, :3], steps)).sum(axis=0)
-    return np.eye(3) if not len(steps) or np.argmax(travel) == 2 else _R_VEHICLE_CAMERA.copy()
+    return np.eye(3) if not travel.any() or np.argmax(travel) == 2 else _R_VEHICLE_CAMERA.copy()
 
 
 def with_camera_axes(T_world_frame: Array) -> Array:
