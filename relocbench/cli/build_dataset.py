@@ -41,6 +41,8 @@ _EXAMPLES = {
     "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
     "colmap": "relocbench build-dataset colmap sparse/0 --images images --queries 'night/*' --out D",
     "kapture": "relocbench build-dataset kapture 7scenes/stairs/mapping 7scenes/stairs/query --out D",
+    "poses": "relocbench build-dataset poses summer.txt winter.txt --max-distance 3 --out D",
+    "pair-files": "relocbench build-dataset pair-files summer__winter__cam0.txt --sigma 0.02 --out D",
     "photographs": "relocbench build-dataset photographs streets parks --licence CC0-1.0 --out D",
     "synthetic": "relocbench build-dataset synthetic --preset demo --conditions Sunny,Rain,Snow --out D",
     "cross-view": "relocbench build-dataset cross-view --places 60 --drone-views 12 --conditions Sunny,Overcast,Rain "
@@ -52,12 +54,16 @@ _SOURCES = {
     "photographs": "Folders of photographs, PNG or JPEG; folders in them are searched too.",
     "rosbag": "Bags: .bag, .mcap or .db3 files, folders of ROS 2, or folders of the files of one drive; the first is "
     "the reference.",
+    "poses": "Trajectories in one world, the first of them the reference; a single one is paired with itself.",
+    "pair-files": "Files of pairs: ref_ts query_ts tx ty tz qx qy qz qw, one for each pair set.",
 }
 """what a kind is made from, if it is not recordings"""
+_OF_FILES = ("poses", "pair-files")
 _PANELS = {
+    "DatasetOptions": "The dataset",
     "ImportOptions": "The dataset",
     "LinkingOptions": "The dataset",
-    "RuleOptions": "Which images make a pair",
+    "PairingOptions": "Which images make a pair",
     "PhotoOptions": "Photo collections",
     "FieldOptions": "From lidar to true poses",
 }
@@ -73,6 +79,8 @@ _SETS = {
     "generic": "max_distance: 3",
     "colmap": "queries: ['night/*']",
     "kapture": "max_distance: 3",
+    "poses": "max_distance: 3",
+    "pair-files": "sigma: 0.02",
     "photographs": "changes: [exposure, night]",
     "synthetic": "conditions: [Sunny, Rain]",
     "cross-view": "conditions: [Sunny, Rain]",
@@ -154,7 +162,8 @@ _DEFAULTS: dict[str, Any] = {"quiet": False, "json": False}
 
 def _common(kind: str) -> dict[str, Any]:
     what = _SOURCES.get(kind, "Recordings; the first is the reference.")
-    sources = Annotated[list[Path], typer.Argument(metavar="FOLDER", help=what, show_default=False)]
+    metavar = "FILE" if kind in _OF_FILES else "FOLDER"
+    sources = Annotated[list[Path], typer.Argument(metavar=metavar, help=what, show_default=False)]
     common: dict[str, Any] = {} if kind in _NO_SOURCE else {"sources": sources}
     return common | {
         "out": Annotated[
@@ -255,7 +264,7 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
     from relocbench.cli.console import print_json, reporter
     from relocbench.cli.counts import of_dataset, of_places, of_recording
     from relocbench.cli.summaries import print_places, print_recording, print_summary
-    from relocbench.datasets.core.build_options import ImportOptions
+    from relocbench.datasets.core.build_options import DatasetOptions
     from relocbench.datasets.importers import importer, place_importer, recorder
     from relocbench.datasets.importers.marks import check_recordings
 
@@ -268,7 +277,7 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
         else:
             print_places(made)
         return
-    assert isinstance(chosen, ImportOptions)
+    assert isinstance(chosen, DatasetOptions)
     records = recorder(kind)
     recorded = records.record(list(sources), chosen, out, reporter(quiet), run) if records else None
     if recorded is not None:

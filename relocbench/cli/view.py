@@ -180,6 +180,7 @@ def _draw_pair(
 
     sets = chosen_sets(dataset, pair_set)
     of_set, chosen = nth_pair(sets, pair_index) if pair is None else one_pair(sets, pair)  # type: ignore[arg-type]
+    dataset.require_images([of_set], "there is no picture to draw; without --pair and --pair-index, poses are shown")
     target = _target(
         out or Path(f"{of_set.name}_{chosen.ref_timestamp_ns}_{chosen.query_timestamp_ns}.png"), ".png", dataset
     )

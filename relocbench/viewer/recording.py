@@ -21,6 +21,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import jpeg_bytes
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.core.upright import with_camera_axes
 from relocbench.datasets.core.worlds import world_of_traversals
 from relocbench.errors import ConfigError
 from relocbench.files import atomic_write, remove_parts
@@ -126,7 +127,7 @@ class _Work:
         self.rec = rr.RecordingStream("relocbench", recording_id=digest.hexdigest()[:32], send_properties=False)
         self.rec.set_log_time_enabled(False)
         self.rec.set_log_tick_enabled(False)
-        self.rec.save(path, default_blueprint=blueprint(self.sets, self.worlds, errors=bool(answers)))
+        self.rec.save(path, default_blueprint=self._blueprint())
         self.rec.send_recording_name(dataset.name)
         for world in self.origins:
             self.rec.log(paths.world(world), rr.ViewCoordinates(xyz=_view(dataset, world)), static=True)
@@ -134,6 +135,10 @@ class _Work:
             self._add_traversal(dataset.traversal(name))
         for name in self.sets:
             self._style_errors(name)
+
+    def _blueprint(self) -> rr.blueprint.Blueprint:
+        pictured = {name for name, pair_set in self.sets.items() if self.dataset.has_images(pair_set)}
+        return blueprint(self.sets, self.worlds, errors=bool(self.answers), pictured=pictured)
 
     def add(self, one: ShownPair) -> None:
         """Log a pair on both timelines."""
@@ -147,13 +152,15 @@ class _Work:
         T_world_ref = self._pose(pair_set, pair.ref_timestamp_ns)
         root = paths.pair_set(self.worlds[pair_set.reference], pair_set.name)
         self._add_keyframe(one, root, T_world_ref)
-        query = self.dataset.query(pair_set, pair)
-        small = self._add_image(pair_set, paths.QUERY, query.image, query.camera)
+        camera, small = None, None
+        if self.dataset.has_images(pair_set):
+            query = self.dataset.query(pair_set, pair)
+            camera, small = query.camera, self._add_image(pair_set, paths.QUERY, query.image, query.camera)
         true = _placed(T_world_ref, pair.T_query_ref)
-        self._add_camera(f"{root}/{paths.QUERY}", query.camera, true, _TRUE, small)
+        self._add_camera(f"{root}/{paths.QUERY}", camera, true, _TRUE, small)
         for method in self.answers:
             answer = self.answers[method].get(pair_set.name, {}).get(pair.key)
-            self._add_answer(one, root, method, answer, query.camera, T_world_ref)
+            self._add_answer(one, root, method, answer, camera, T_world_ref)
         self._add_rig(one)
         words = rr.TextDocument(self._words(one), media_type="text/markdown")
         self.rec.log(paths.told(pair_set.name), words)
@@ -219,11 +226,10 @@ class _Work:
             indexes=[rr.TimeColumn(paths.QUERY_TIMELINE, timestamp=times)],
             columns=rr.Transform3D.columns(translation=centres, quaternion=quaternions),
         )
-        for name in traversal.cameras:
+        for name in [*traversal.cameras, *traversal.frames]:
             entity = f"{root}/rig{paths.path(name)}"
-            self.rec.log(
-                entity, _transform(traversal.T_rig_cam(name)), _pinhole(traversal.camera(name), _RIG), static=True
-            )
+            shape = _axes(_RIG) if name in traversal.frames else _pinhole(traversal.camera(name), _RIG)
+            self.rec.log(entity, _transform(traversal.T_rig_cam(name)), shape, static=True)
 
     def _add_rig(self, one: ShownPair) -> None:
         """The query's rig at its own pose, on the timeline of pairs, which the poses over time do not fill."""
@@ -252,6 +258,9 @@ class _Work:
         if self._keyframes.get(pair_set.name) == time:
             return
         self._keyframes[pair_set.name] = time
+        if not self.dataset.has_images(pair_set):
+            self._add_camera(f"{root}/{paths.KEYFRAME}", None, T_world_ref, _REF, None)
+            return
         reference = self.dataset.reference(pair_set, one.pair)
         small = self._add_image(pair_set, paths.KEYFRAME, reference.image, reference.camera)
         self._add_camera(f"{root}/{paths.KEYFRAME}", reference.camera, T_world_ref, _REF, small)
@@ -268,7 +277,7 @@ class _Work:
         root: str,
         method: str,
         answer: ShownAnswer | None,
-        camera: Camera,
+        camera: Camera | None,
         T_world_ref: Array | None,
     ) -> None:
         """A method's camera, and its errors where they are finite; nothing where it did not answer."""
@@ -299,13 +308,17 @@ class _Work:
                 self.rec.log(paths.error(what, name, method), lines, markers, static=True)
 
     def _add_camera(
-        self, entity: str, camera: Camera, T_world_cam: Array | None, colour: Colour, small: bytes | None
+        self, entity: str, camera: Camera | None, T_world_cam: Array | None, colour: Colour, small: bytes | None
     ) -> None:
-        """A camera with its image at a pose; what stood there before is taken away where there is no pose."""
+        """A camera with its image at a pose, or where there are no images the axes of the frame.
+
+        What stood there before is taken away where there is no pose.
+        """
         if T_world_cam is None:
             self.rec.log(entity, rr.Clear(recursive=True))
             return
-        self.rec.log(entity, _transform(T_world_cam), _pinhole(camera, colour))
+        shape = _axes(colour) if camera is None else _pinhole(camera, colour)
+        self.rec.log(entity, _transform(T_world_cam), shape)
         if small is not None:
             self.rec.log(f"{entity}/image", rr.EncodedImage(contents=small, media_type="image/jpeg"))
 
@@ -364,6 +377,11 @@ def _transform(T_parent_child: Array) -> rr.Transform3D:
     return rr.Transform3D(translation=translation, quaternion=rr.Quaternion(xyzw=quaternion))
 
 
+def _axes(colour: Colour) -> rr.Arrows3D:
+    """The axes of a frame without images, in the colour of what it stands for."""
+    return rr.Arrows3D(vectors=np.eye(3) * _PLANE_M, colors=[colour] * 3)
+
+
 def _pinhole(camera: Camera, colour: Colour) -> rr.Pinhole:
     """The camera without its distortion, as a frustum."""
     camera = reduced(camera)
@@ -380,12 +398,15 @@ def _pinhole(camera: Camera, colour: Colour) -> rr.Pinhole:
 
 
 def _view(dataset: Dataset, world: str) -> rr.components.ViewCoordinates:
-    """Which way is up: against the image's y axis of the first camera, rounded to an axis of the world."""
+    """Which way is up: against the y axis of the first camera or frame, rounded to an axis of the world."""
     traversal = dataset.traversal(world)
     up = np.array([0.0, 0.0, 1.0])
-    if traversal.poses:
+    if traversal.poses and traversal.cameras:
         first = next(iter(traversal.poses.values())) @ traversal.T_rig_cam(traversal.cameras[0])
         up = -first[:3, 1]
+    elif traversal.poses:
+        poses = np.array(list(traversal.poses.values())) @ traversal.T_rig_cam(traversal.frames[0])
+        up = -with_camera_axes(poses)[0, :3, 1]
     axis = int(np.argmax(np.abs(up)))
     names = {(0, True): "RIGHT_HAND_X_UP", (0, False): "RIGHT_HAND_X_DOWN", (1, True): "RIGHT_HAND_Y_UP"}
     names |= {(1, False): "RIGHT_HAND_Y_DOWN", (2, True): "RIGHT_HAND_Z_UP", (2, False): "RIGHT_HAND_Z_DOWN"}

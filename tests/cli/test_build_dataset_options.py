@@ -23,8 +23,10 @@ def help_of(kind: str) -> str:
 @pytest.mark.parametrize(
     ("option", "kinds"),
     [
-        ("--pair-rule", (*RECORDINGS, "synthetic")),
-        ("--pair-step", (*RECORDINGS, "synthetic")),
+        ("--pair-rule", (*RECORDINGS, "poses", "synthetic")),
+        ("--pair-step", (*RECORDINGS, "poses", "synthetic")),
+        ("--revisit-gap", ("poses",)),
+        ("--trajectories", ("pair-files",)),
         ("--copy-images", (*RECORDINGS, "kitti-lidar", "generic-lidar")),
         ("--matcher", LIDAR),
         ("--preset", ("synthetic",)),
@@ -49,7 +51,7 @@ def test_options_stand_under_what_they_are_about() -> None:
 def test_an_option_of_other_kinds_is_refused_with_their_names(
     tmp_path: Path, kind: str, option: str, value: str
 ) -> None:
-    those = "build-dataset kitti, tum-rgbd, four-seasons, generic, colmap, kapture and synthetic"
+    those = "build-dataset kitti, tum-rgbd, four-seasons, generic, colmap, kapture, poses and synthetic"
     done = relocbench("build-dataset", kind, "a", "b", option, value, "--out", tmp_path / "o")
     assert done.status == 2
     assert f"No such option: {option}; it is an option of relocbench {those} (see" in done.complaint

@@ -16,6 +16,7 @@ AREAS = tuple(
         "sensors",
         "bags",
         "recordings",
+        "poses",
         "photos",
         "places",
         "results",

@@ -130,7 +130,7 @@ def _check_frames(
     drives: dict[str, CheckedTraversal],
     found: Findings,
 ) -> None:
-    """Check that the pairs' images and depth exist and that their poses agree with those of the traversals."""
+    """Check that the pairs' images and depth exist, or their poses, and that these agree with the traversals'."""
     path = layout.pair_file(name)
     parts = name.split("__")
     if len(parts) != 3:
@@ -142,9 +142,31 @@ def _check_frames(
         return
     reference, query, camera = drives[parts[0]], drives[parts[1]], parts[2]
     for drive in (reference, query):
-        if drive.file is not None and camera not in drive.file.cameras:
+        if drive.file is not None and camera not in {**drive.file.cameras, **drive.file.frames}:
             found.fault(f"traversal '{drive.layout.root.name}' has no camera '{camera}'", path)
             return
+    bare = [drive.file is not None and camera in drive.file.frames for drive in (reference, query)]
+    if all(bare):
+        _check_posed(path, reference, query, lines, rows, found)
+    elif any(bare):
+        told = "has images in one of the two traversals and poses alone in the other; expected the same in both"
+        found.fault(f"'{camera}' {told}", path)
+        return
+    else:
+        _check_images(layout, path, reference, query, camera, lines, found)
+    _compare_poses(path, reference, query, camera, lines, rows, found)
+
+
+def _check_images(
+    layout: DatasetLayout,
+    path: Path,
+    reference: CheckedTraversal,
+    query: CheckedTraversal,
+    camera: str,
+    lines: dict[PairKey, PoseLine],
+    found: Findings,
+) -> None:
+    """Check that there are the images of all pairs, and the depth of their keyframes."""
     for key, line in lines.items():
         for drive, time in ((reference, key[0]), (query, key[1])):
             if time not in drive.times["images", camera]:
@@ -153,7 +175,32 @@ def _check_frames(
             found.fault(f"keyframe {key[0]} has neither depth nor points", path, line.line)
         elif (camera, key[0]) in reference.without_depth:
             found.fault(f"keyframe {key[0]} has no pixel with depth", path, line.line)
-    _compare_poses(path, reference, query, camera, lines, rows, found)
+
+
+def _check_posed(
+    path: Path,
+    reference: CheckedTraversal,
+    query: CheckedTraversal,
+    lines: dict[PairKey, PoseLine],
+    rows: dict[PairKey, TableRow],
+    found: Findings,
+) -> None:
+    """Check that pairs of poses alone that were made from the traversals' poses have them; note what others lack."""
+    unposed = 0
+    for key, line in lines.items():
+        missing = [(d, time) for d, time in ((reference, key[0]), (query, key[1])) if time not in d.poses]
+        if missing and key in rows and _from_poses(rows[key].source):
+            drive, time = missing[0]
+            told = f"traversal '{drive.layout.root.name}' has no pose at {time}, from which the pair was made"
+            found.fault(f"{told} ('{rows[key].source}')", path, line.line)
+        unposed += key[0] not in reference.poses
+    if unposed:
+        found.note(f"{unposed} of {len(lines)} keyframes have no pose in poses.csv, and so no place on a map", path)
+
+
+def _from_poses(source: str) -> bool:
+    """Whether a pair was made from the poses of its traversals, as its source tells."""
+    return "poses" in source.lower().split()
 
 
 def _compare_poses(
@@ -172,7 +219,7 @@ def _compare_poses(
     """
     if reference.file is None or query.file is None:
         return
-    T_rig_ref, T_rig_query = (d.file.cameras[camera].T_rig_cam.matrix for d in (reference, query) if d.file)
+    T_rig_ref, T_rig_query = (_T_rig(d.file, camera) for d in (reference, query) if d.file)
     elsewhere = []
     for key, line in lines.items():
         if line.T_query_ref is None or key[0] not in reference.poses or key[1] not in query.poses:
@@ -184,7 +231,7 @@ def _compare_poses(
         if metres <= POSE_TOLERANCE_M and degrees <= POSE_TOLERANCE_DEG:
             continue
         source = rows[key].source if key in rows else ""
-        if "poses" in source.lower().split():
+        if _from_poses(source):
             found.fault(
                 f"pose differs by {metres:.4g} m and {degrees:.4g} deg from poses.csv, its source ('{source}')",
                 path,
@@ -199,3 +246,8 @@ def _compare_poses(
             f"(median {metres:.4g} m, {degrees:.4g} deg)",
             path,
         )
+
+
+def _T_rig(file: TraversalFile, name: str) -> Array:
+    """(4, 4) pose on the rig of a camera, or of a frame without images."""
+    return file.frames[name].matrix if name in file.frames else file.cameras[name].T_rig_cam.matrix

@@ -21,7 +21,7 @@ from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
 from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
-from relocbench.datasets.core.schema import INTRINSICS_VERSION, DatasetFile, TraversalFile
+from relocbench.datasets.core.schema import INTRINSICS_VERSION, POSES_VERSION, DatasetFile, TraversalFile
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.execution import default_workers
 from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
@@ -53,6 +53,7 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
     drives = _check_traversals(layout, found)
     version = None if file is None else file.format_version
     _check_intrinsics_version(drives, version, found)
+    _check_poses_version(drives, version, found)
     _check_content(layout, drives, digests, found, reporter, quick)
     pair_sets = check_pair_sets(layout, drives, found, reporter, version)
     _check_correspondences(layout, pair_sets, digests, found, reporter, quick)
@@ -94,6 +95,17 @@ def _check_intrinsics_version(drives: dict[str, CheckedTraversal], version: int 
                     f"this dataset's is {version}",
                     drive.layout.intrinsics(camera),
                 )
+
+
+def _check_poses_version(drives: dict[str, CheckedTraversal], version: int | None, found: Findings) -> None:
+    """Programs that know only earlier formats would look for images of frames."""
+    for drive in drives.values():
+        if version is not None and version < POSES_VERSION and drive.file is not None and drive.file.frames:
+            found.fault(
+                f"has frames without images ({', '.join(drive.file.frames)}), which format_version {POSES_VERSION} "
+                f"has; this dataset's is {version}",
+                drive.layout.traversal_yaml,
+            )
 
 
 def _check_content(
@@ -141,8 +153,11 @@ def _check_cameras(drive: CheckedTraversal, found: Findings) -> None:
         return
     for kind, camera in sorted(drive.times):
         if camera not in drive.file.cameras:
-            known = ", ".join(drive.file.cameras)
-            found.fault(f"no camera '{camera}' in traversal.yaml; there is {known}", drive.layout.root / kind / camera)
+            known = ", ".join(drive.file.cameras) or "none"
+            told = f"no camera '{camera}' in traversal.yaml; there is {known}"
+            if camera in drive.file.frames:
+                told = f"'{camera}' is a frame without images in traversal.yaml; expected no files of it"
+            found.fault(told, drive.layout.root / kind / camera)
     for camera in drive.file.cameras:
         if not drive.times.get(("images", camera)):
             found.fault(f"holds no image of camera '{camera}'", drive.layout.root / "images" / camera)

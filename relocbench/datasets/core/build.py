@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import DatasetOptions
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.execution import Run, run_units
 from relocbench.progress import Reporter
 
-Options = TypeVar("Options", bound=ImportOptions, covariant=True)
+Options = TypeVar("Options", bound=DatasetOptions, covariant=True)
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 

@@ -12,21 +12,15 @@ from relocbench.datasets.core.schema import Condition, Strict
 from relocbench.errors import ConfigError
 
 
-class ImportOptions(Strict):
-    """Options of every import. Each field is a command-line option (``max_distance`` is ``--max-distance``) and a YAML
-    key."""
+class DatasetOptions(Strict):
+    """Options of every dataset, with or without images. Each field is a command-line option (``max_distance`` is
+    ``--max-distance``) and a YAML key."""
 
     name: str = Field("", description="name of the dataset; default: made from the kind and the recordings")
     licence: str = Field("unknown", description="licence of the recordings, kept in dataset.yaml")
-    max_distance: float = Field(5.0, gt=0, description="farthest pair in metres")
-    max_angle: float = Field(60.0, gt=0, le=180, description="widest pair in degrees")
-    correspondences: int = Field(
-        2000, ge=0, description="ground-truth correspondences kept for each pair, spread over the image; 0 for none"
-    )
     conditions: dict[str, Condition] = Field(
         {}, description="condition of each traversal (weather, season, time_of_day, tags); YAML only"
     )
-    seed: int = Field(0, ge=0, description="seed of every random choice")
 
     def recorded(self) -> dict[str, Any]:
         """The options as ``build.yaml`` and ``dataset.yaml`` keep them; the question digest covers these."""
@@ -48,6 +42,17 @@ class ImportOptions(Strict):
         return False
 
 
+class ImportOptions(DatasetOptions):
+    """Options of every import of images."""
+
+    max_distance: float = Field(5.0, gt=0, description="farthest pair in metres")
+    max_angle: float = Field(60.0, gt=0, le=180, description="widest pair in degrees")
+    correspondences: int = Field(
+        2000, ge=0, description="ground-truth correspondences kept for each pair, spread over the image; 0 for none"
+    )
+    seed: int = Field(0, ge=0, description="seed of every random choice")
+
+
 class LinkingOptions(ImportOptions):
     """Options of imports that can link to images of a recording."""
 
@@ -58,8 +63,8 @@ class LinkingOptions(ImportOptions):
         return self.copy_images
 
 
-class RuleOptions(ImportOptions):
-    """Options of imports that pair frames by a rule."""
+class PairingOptions(DatasetOptions):
+    """Options of the rules by which frames make pairs."""
 
     max_distance: float = Field(5.0, gt=0, description="farthest pair in metres (nearest rule)")
     max_angle: float = Field(60.0, gt=0, le=180, description="widest pair in degrees (nearest rule)")
@@ -71,7 +76,7 @@ class RuleOptions(ImportOptions):
     pair_step: tuple[int, ...] = Field(
         (1,), description="frames between reference and query, such as 1,2,4 (step rule)"
     )
-
+    seed: int = Field(0, ge=0, description="seed of every random choice")
     elsewhere: int = Field(
         0,
         ge=0,
@@ -105,6 +110,10 @@ class RuleOptions(ImportOptions):
         if len(set(self.pair_step)) != len(self.pair_step):
             raise ValueError("pair_step names a step twice")
         return self
+
+
+class RuleOptions(PairingOptions, ImportOptions):
+    """Options of imports that pair images by a rule."""
 
 
 class PosedRecordingOptions(RuleOptions, LinkingOptions):

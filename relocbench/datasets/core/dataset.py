@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 
@@ -98,6 +98,30 @@ class Dataset:
             known = ", ".join(self.splits) or "none"
             raise DatasetError(f"no split '{split}'; there is {known}", self.layout.dataset_yaml)
         return [self.pair_set(name) for name in self.splits[split]]
+
+    def has_images(self, pair_set: PairSet) -> bool:
+        """Whether the pairs of a set are of images, and not of poses alone.
+
+        Raises:
+            DatasetError: the description of a traversal is bad or missing.
+        """
+        drives = self.traversal(pair_set.reference), self.traversal(pair_set.query)
+        return not any(pair_set.camera in drive.frames for drive in drives)
+
+    def require_images(self, pair_sets: Iterable[PairSet], instead: str) -> None:
+        """Check that pairs are of images, for what cannot be done without.
+
+        Args:
+            instead: what cannot be done, and what can.
+
+        Raises:
+            DatasetError: a pair set is of poses alone.
+        """
+        bare = [pair_set.name for pair_set in pair_sets if not self.has_images(pair_set)]
+        if bare:
+            whole = len(bare) == len(self.pair_set_names)
+            told = "this dataset has no images" if whole else f"there are no images of {', '.join(bare)}"
+            raise DatasetError(f"{told}: {instead}", self.root)
 
     def reference(self, pair_set: PairSet, pair: Pair, neighbours: int = 0) -> Reference:
         """The tracker's view of a pair's keyframe."""

@@ -61,6 +61,8 @@ def _traversal(traversal: Traversal) -> dict[str, Any]:
     file = traversal.file.model_dump(mode="json", exclude={"source", "name"})
     for entry in file["cameras"].values():
         entry["T_rig_cam"] = _digest(_transform_fields(entry["T_rig_cam"]))
+    for name, T_rig_frame in file.get("frames", {}).items():
+        file["frames"][name] = _digest(_transform_fields(T_rig_frame))
     images = {name: traversal.layout.timestamps("images", name) for name in traversal.file.cameras}
     times = sorted(traversal.poses)
     asked = {

@@ -5,7 +5,17 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    StringConstraints,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from relocbench.arrays import Array
 from relocbench.errors import quoted
@@ -17,7 +27,9 @@ ELSEWHERE_VERSION = 2
 """format of datasets with pairs of different places, which programs that know only the first would score like others"""
 INTRINSICS_VERSION = 3
 """format of datasets whose images may have intrinsics of their own, which programs that know less would not look at"""
-_VERSIONS = (FORMAT_VERSION, ELSEWHERE_VERSION, INTRINSICS_VERSION)
+POSES_VERSION = 4
+"""format of datasets with frames that have poses and no images, for which programs that know less would look"""
+_VERSIONS = (FORMAT_VERSION, ELSEWHERE_VERSION, INTRINSICS_VERSION, POSES_VERSION)
 
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "name"))]
 """name of a traversal, a camera or a split, which becomes part of a path"""
@@ -131,6 +143,8 @@ class TraversalFile(Strict):
     location: str = ""
     rate_hz: float | None = None
     cameras: dict[str, CameraEntry]
+    frames: dict[str, Transform] = {}
+    """``T_rig_frame`` of frames that have poses and no images; a pair set names one where others name a camera"""
     source: str = ""
     """what it was imported from, in words"""
 
@@ -146,6 +160,21 @@ class TraversalFile(Strict):
             check_name(name, "camera name")
         check_distinct(cameras, "camera names")
         return cameras
+
+    @model_validator(mode="after")
+    def _plain_frames(self) -> Self:
+        for name in self.frames:
+            check_name(name, "frame name")
+        check_distinct([*self.cameras, *self.frames], "names of cameras and frames")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_empty_frames(self, usual: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Descriptions without frames are written, and digested, as earlier versions did."""
+        values: dict[str, Any] = usual(self)
+        if not self.frames:
+            values.pop("frames", None)
+        return values
 
 
 class DatasetFile(Strict):

@@ -42,13 +42,18 @@ class Traversal:
     def cameras(self) -> list[str]:
         return list(self.file.cameras)
 
+    @property
+    def frames(self) -> list[str]:
+        """The frames of which there are poses and no images."""
+        return list(self.file.frames)
+
     def camera(self, camera: str, timestamp_ns: int | None = None) -> Camera:
         """Model, intrinsics and size of a camera, or those of its image at a time.
 
         They differ only where images have intrinsics of their own.
 
         Raises:
-            DatasetError: no such camera, or its table of intrinsics is bad.
+            DatasetError: no such camera, or a frame without images; or its table of intrinsics is bad.
         """
         usual = self._entry(camera).camera
         return usual if timestamp_ns is None else self.intrinsics(camera).get(timestamp_ns, usual)
@@ -60,15 +65,18 @@ class Traversal:
         return self._intrinsics[camera]
 
     def T_rig_cam(self, camera: str) -> Array:
-        """Pose of a camera in the rig's frame, (4, 4)."""
-        return self._entry(camera).T_rig_cam.matrix
+        """Pose of a camera, or of a frame without images, in the rig's frame, (4, 4)."""
+        frame = self.file.frames.get(camera)
+        return self._entry(camera).T_rig_cam.matrix if frame is None else frame.matrix
 
     def timestamps(self, camera: str) -> list[int]:
-        """Sorted times of the camera's images, nanoseconds."""
-        return self.layout.timestamps("images", camera)
+        """Sorted times of the camera's images, nanoseconds; of a frame without images, those of its poses."""
+        return list(self.poses) if camera in self.file.frames else self.layout.timestamps("images", camera)
 
     def keyframe_timestamps(self, camera: str) -> list[int]:
-        """Sorted times of the camera's images with depth or sparse points, nanoseconds."""
+        """Sorted times of the camera's images with depth or sparse points, or of a frame's poses, nanoseconds."""
+        if camera in self.file.frames:
+            return self.timestamps(camera)
         known = {*self.layout.timestamps("depth", camera), *self.layout.timestamps("points", camera)}
         return [t for t in self.timestamps(camera) if t in known]
 
@@ -93,7 +101,7 @@ class Traversal:
         """An image, (H, W) grey or (H, W, 3) RGB.
 
         Raises:
-            DatasetError: the image is missing, damaged or not of its camera's size.
+            DatasetError: the image is missing, damaged or not of its camera's size, or the frame has no images.
         """
         path = self.layout.find_image(camera, timestamp_ns) or self.layout.image(camera, timestamp_ns)
         return images.read_image(path, self._expected_size(camera, timestamp_ns))
@@ -136,7 +144,10 @@ class Traversal:
         try:
             return self.file.cameras[camera]
         except KeyError:
-            known = ", ".join(self.file.cameras)
+            if camera in self.file.frames:
+                told = f"there are poses of '{camera}' and no images"
+                raise DatasetError(told, self.layout.traversal_yaml) from None
+            known = ", ".join([*self.file.cameras, *self.file.frames]) or "none"
             raise DatasetError(f"no camera '{camera}'; there is {known}", self.layout.traversal_yaml) from None
 
     def _neighbours(self, camera: str, timestamp_ns: int, count: int) -> Iterator[Neighbour]:

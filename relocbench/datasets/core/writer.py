@@ -24,10 +24,11 @@ from relocbench.datasets.core.schema import (
     ELSEWHERE_VERSION,
     FORMAT_VERSION,
     INTRINSICS_VERSION,
+    POSES_VERSION,
     DatasetFile,
     TraversalFile,
 )
-from relocbench.datasets.core.traversal import POSE_COLUMNS
+from relocbench.datasets.core.traversal import POSE_COLUMNS, Traversal
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.files import (
     YamlFault,
@@ -154,6 +155,8 @@ class DatasetWriter:
         version = ELSEWHERE_VERSION if elsewhere else FORMAT_VERSION
         if any(self.layout.traversals.glob("*/intrinsics/*.csv")):
             version = INTRINSICS_VERSION
+        if any(Traversal(self.layout.traversal(name)).frames for name in self._traversal_names()):
+            version = POSES_VERSION
         file = DatasetFile(
             format_version=version,
             name=self.name,
@@ -164,6 +167,9 @@ class DatasetWriter:
         )
         write_text(self.layout.dataset_yaml, dump_yaml(file.model_dump(mode="json")))
         return Dataset(self.layout.root)
+
+    def _traversal_names(self) -> list[str]:
+        return sorted(path.parent.name for path in self.layout.traversals.glob("*/traversal.yaml"))
 
     def _claim_folder(self) -> None:
         root, mark = self.layout.root, self.layout.build_yaml

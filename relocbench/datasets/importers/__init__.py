@@ -2,7 +2,7 @@
 
 ``photos`` is what importers of collections of named images share, ``assembly`` what all do.
 
-An importer module has ``Options``, a subclass of :class:`ImportOptions` whose fields are command-line options and keys
+An importer module has ``Options``, a subclass of :class:`DatasetOptions` whose fields are command-line options and keys
 of a configuration file, and ``build(sources, options, out, reporter, run) -> Dataset``. Recordings are never changed,
 and their images are linked rather than copied unless the user asks for copies.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 if TYPE_CHECKING:
-    from relocbench.datasets.core.build_options import ImportOptions
+    from relocbench.datasets.core.build_options import DatasetOptions
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.core.recording_folder import RecordingFolder
     from relocbench.datasets.core.schema import Strict
@@ -33,6 +33,8 @@ KINDS: dict[str, str] = {
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
     "colmap": "a sparse model of COLMAP: photo collections with a camera for each image",
     "kapture": "folders in the kapture format: map and queries, with rigs, depth maps or points",
+    "poses": "trajectories alone, without images: to score predictions that were made elsewhere",
+    "pair-files": "relocalization files of nine columns alone, as the truth, without images",
     "photographs": "single photographs, each seen again by a camera that moved: made-up depth, exact truth",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
     "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
@@ -50,6 +52,8 @@ _MODULES = {
     "generic": "generic.dataset",
     "colmap": "colmap.dataset",
     "kapture": "kapture.dataset",
+    "poses": "poses.trajectories",
+    "pair-files": "poses.pair_files",
     "photographs": "single_photographs.dataset",
     "synthetic": "rendered.dataset",
     "cross-view": "rendered.cross_view",
@@ -60,10 +64,10 @@ _MODULES = {
 class Importer(Protocol):
     """What an importer module offers."""
 
-    Options: type[ImportOptions]
+    Options: type[DatasetOptions]
 
     def build(
-        self, sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run
+        self, sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run
     ) -> Dataset: ...
 
 
@@ -71,7 +75,7 @@ class Recorder(Protocol):
     """What an importer module offers in addition if it can make recordings."""
 
     def record(
-        self, sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run
+        self, sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run
     ) -> RecordingFolder | None:
         """Make recordings, or return None if the options ask for a dataset."""
         ...

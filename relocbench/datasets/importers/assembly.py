@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
+from relocbench.datasets.core.build_options import DatasetOptions, RuleOptions
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.pairs.pairing import make_pairs
@@ -16,7 +16,7 @@ from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.errors import DatasetError
 
 
-def configuration(kind: str, sources: Sequence[Path], options: ImportOptions) -> dict[str, Any]:
+def configuration(kind: str, sources: Sequence[Path], options: DatasetOptions) -> dict[str, Any]:
     """Everything that determines the build, in the form that ``build.yaml`` has."""
     return {
         "kind": kind,
@@ -26,7 +26,7 @@ def configuration(kind: str, sources: Sequence[Path], options: ImportOptions) ->
 
 
 def open_writer(
-    kind: str, sources: Sequence[Path], options: ImportOptions, out: Path, default_name: str
+    kind: str, sources: Sequence[Path], options: DatasetOptions, out: Path, default_name: str
 ) -> DatasetWriter:
     """The writer of a build. Raises DatasetError or ConfigError like :class:`DatasetWriter`."""
     name = options.name or default_name

@@ -80,7 +80,11 @@ def write_pictures(
 
     Args:
         seed: seed of the choice of points.
+
+    Raises:
+        DatasetError: a pair set has no images, or one of them is damaged.
     """
+    dataset.require_images(pair_sets, "there is nothing to draw points in; the map of `relocbench report` needs none")
     chosen = [(s, pair) for s in pair_sets for pair in spread_pairs(s.pairs, count)]
     pictures = []
     with reporter.stage("drawing pairs", len(chosen)) as advance:

@@ -37,7 +37,7 @@ class TraversalSummary:
     condition: str
     location: str
     cameras: dict[str, str]
-    """name -> model and size"""
+    """name -> model and size; of a frame without images, that there are poses alone"""
     images: int
     keyframes: int
     poses: int
@@ -112,7 +112,8 @@ def summarize_traversal(traversal: Traversal) -> TraversalSummary:
         name=traversal.name,
         condition=str(traversal.condition),
         location=traversal.file.location,
-        cameras={name: _camera_in_words(traversal, name) for name in traversal.cameras},
+        cameras={name: _camera_in_words(traversal, name) for name in traversal.cameras}
+        | dict.fromkeys(traversal.frames, "poses alone"),
         images=sum(len(traversal.timestamps(camera)) for camera in traversal.cameras),
         keyframes=sum(len(traversal.keyframe_timestamps(camera)) for camera in traversal.cameras),
         poses=len(centres),

@@ -53,6 +53,7 @@ def drive_places(root: Path, radius_m: float = RADIUS_M, apart_m: float = APART_
             poses are in different worlds.
     """
     dataset = Dataset(root)
+    dataset.require_images(dataset.pair_sets(), "there is nothing to learn from")
     refuse_test_split(dataset, SPLIT)
     for pair_set in dataset.pair_sets(SPLIT):
         reference, query = dataset.traversal(pair_set.reference), dataset.traversal(pair_set.query)

@@ -59,7 +59,9 @@ class DatasetPairs:
         self._images: dict[str, tuple[int, str, int]] = {}
         self._open: dict[tuple[Path, str], Traversal] = {}
         for root in datasets:
-            self._add(Dataset(root.resolve()), split)
+            dataset = Dataset(root.resolve())
+            dataset.require_images(dataset.pair_sets(), "there is nothing to learn from")
+            self._add(dataset, split)
         if not self._entries:
             lacking = "correspondences" if correspondences else "a true pose"
             raise ConfigError(f"split '{split}' has no pair with {lacking} to learn from", datasets[0])

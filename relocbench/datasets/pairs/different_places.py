@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.core.build_options import RuleOptions
+from relocbench.datasets.core.build_options import PairingOptions
 from relocbench.datasets.core.pairfile import ELSEWHERE, Pair
 from relocbench.datasets.pairs.posed_frames import PosedFrames, relative_pose
 from relocbench.errors import DatasetError
@@ -24,7 +24,7 @@ _STREAM = 10
 
 
 def with_different_places(
-    pairs: Sequence[Pair], reference: PosedFrames, query: PosedFrames, options: RuleOptions, where: Path | None
+    pairs: Sequence[Pair], reference: PosedFrames, query: PosedFrames, options: PairingOptions, where: Path | None
 ) -> list[Pair]:
     """The pairs, followed by ``options.elsewhere`` pairs of different places.
 

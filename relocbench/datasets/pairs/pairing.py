@@ -8,24 +8,28 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array, Indices
-from relocbench.datasets.core.build_options import RuleOptions
+from relocbench.datasets.core.build_options import PairingOptions
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.pairs.different_places import with_different_places
 from relocbench.datasets.pairs.posed_frames import PosedFrames, relative_pose
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import rotation_angle
 
+_MOST_ASKED = 500
+"""queries that the message on missing pairs looks at"""
+
 
 def make_pairs(
     reference: PosedFrames,
     query: PosedFrames,
-    options: RuleOptions,
+    options: PairingOptions,
     *,
     same_traversal: bool,
     source: str,
     where: Path | None = None,
     sigma_translation_m: float | None = None,
     sigma_rotation_deg: float | None = None,
+    revisit_ns: int | None = None,
 ) -> list[Pair]:
     """Pairs by the rule of the options, by default ``step`` within one traversal and ``nearest`` across two.
 
@@ -35,6 +39,8 @@ def make_pairs(
         source: how the poses were obtained, stored with each pair.
         where: the recording's folder, for messages.
         sigma_translation_m, sigma_rotation_deg: one standard deviation of ``T_query_ref``, if known.
+        revisit_ns: within one traversal, the least age of a keyframe at the time of its query, so that pairs by the
+            nearest rule are revisits; None: a keyframe may be any other frame, before or after the query.
 
     Raises:
         DatasetError: there is no pair, and the message says how near the nearest candidates were; or the road is too
@@ -52,12 +58,12 @@ def make_pairs(
         found = step_matches(reference, options.pair_step)
     else:
         limits = options.max_distance, options.max_angle
-        found = nearest_matches(reference, query, *limits, same_traversal=same_traversal)
+        found = nearest_matches(reference, query, *limits, same_traversal=same_traversal, revisit_ns=revisit_ns)
     if not found:
         why = (
             _why_no_step(reference, options.pair_step)
             if rule == "step"
-            else _why_none_near(reference, query, options, same_traversal)
+            else _why_none_near(reference, query, options, same_traversal, revisit_ns)
         )
         raise DatasetError(why, where)
     pairs = [
@@ -91,7 +97,13 @@ def step_matches(frames: PosedFrames, steps: Sequence[int]) -> list[tuple[int, i
 
 
 def nearest_matches(
-    reference: PosedFrames, query: PosedFrames, max_distance: float, max_angle: float, *, same_traversal: bool
+    reference: PosedFrames,
+    query: PosedFrames,
+    max_distance: float,
+    max_angle: float,
+    *,
+    same_traversal: bool,
+    revisit_ns: int | None = None,
 ) -> list[tuple[int, int, str]]:
     """Matches (reference row, query row, group ``nearest``) of each query frame with the nearest admissible keyframe.
 
@@ -100,10 +112,11 @@ def nearest_matches(
     Args:
         max_distance: greatest distance between the camera centres, metres.
         max_angle: greatest angle of the relative rotation, degrees.
+        revisit_ns: within the same traversal, the least age of a keyframe at the time of its query.
     """
     rows = reference.keyframe_rows
     found = []
-    for q, near, distances, angles in _within(reference, query, max_distance, same_traversal):
+    for q, near, distances, angles in _within(reference, query, max_distance, same_traversal, revisit_ns):
         admissible = angles <= max_angle
         if np.any(admissible):
             best = near[admissible][np.argmin(distances[admissible])]
@@ -112,7 +125,7 @@ def nearest_matches(
 
 
 def _within(
-    reference: PosedFrames, query: PosedFrames, max_distance: float, same_traversal: bool
+    reference: PosedFrames, query: PosedFrames, max_distance: float, same_traversal: bool, revisit_ns: int | None
 ) -> Iterator[tuple[int, Indices, Array, Array]]:
     """For each query row, the keyframes within reach (as positions in ``keyframe_rows``), distances and angles."""
     rows = reference.keyframe_rows
@@ -124,7 +137,9 @@ def _within(
     for q, T_world_query in enumerate(query.T_world_cam):
         centre = T_world_query[:3, 3]
         near = np.array(tree.query_ball_point(centre, max_distance, return_sorted=True), dtype=np.int64)
-        if same_traversal:
+        if same_traversal and revisit_ns is not None:
+            near = near[key_times[near] <= query.timestamps[q] - revisit_ns]
+        elif same_traversal:
             near = near[key_times[near] != query.timestamps[q]]
         if near.size:
             distances = np.linalg.norm(keys[near, :3, 3] - centre, axis=1)
@@ -137,11 +152,17 @@ def _angles_deg(T_world_query: Array, T_world_ref: Array) -> Array:
     return np.degrees(np.asarray(rotation_angle(relative)))
 
 
-def _why_none_near(reference: PosedFrames, query: PosedFrames, options: RuleOptions, same_traversal: bool) -> str:
+def _why_none_near(
+    reference: PosedFrames,
+    query: PosedFrames,
+    options: PairingOptions,
+    same_traversal: bool,
+    revisit_ns: int | None = None,
+) -> str:
     limits = f"--max-distance is {options.max_distance:g} m, --max-angle {options.max_angle:g} deg"
     within = [
         (a, d)
-        for _, _, ds, angles in _within(reference, query, options.max_distance, same_traversal)
+        for _, _, ds, angles in _within(reference, query, options.max_distance, same_traversal, revisit_ns)
         for a, d in zip(angles.round(6), ds, strict=True)
     ]
     if within:
@@ -150,9 +171,13 @@ def _why_none_near(reference: PosedFrames, query: PosedFrames, options: RuleOpti
             f"no pair: the best aligned keyframe within reach of a query is {distance:.3g} m and "
             f"{angle:.3g} deg away; {limits}: increase --max-angle"
         )
+    some = _evenly(query, _MOST_ASKED)
     everywhere = [
-        (float(d.min()), float(a[d.argmin()])) for _, _, d, a in _within(reference, query, np.inf, same_traversal)
+        (float(d.min()), float(a[d.argmin()]))
+        for _, _, d, a in _within(reference, some, np.inf, same_traversal, revisit_ns)
     ]
+    if not everywhere and revisit_ns is not None:
+        return f"no pair: the whole drive is shorter than {revisit_ns / 1e9:g} s, the least age of a keyframe"
     if not everywhere:
         return f"no pair: the only keyframe is the only query ({limits})"
     distance, angle = min(everywhere)
@@ -161,6 +186,13 @@ def _why_none_near(reference: PosedFrames, query: PosedFrames, options: RuleOpti
         f"no pair: the nearest keyframe to any query is {distance:.3g} m and {angle:.3g} deg away; {limits}: "
         f"increase {to_increase}"
     )
+
+
+def _evenly(frames: PosedFrames, count: int) -> PosedFrames:
+    """Up to ``count`` frames, evenly in their order: comparing all with all takes minutes where there are many."""
+    rows = np.unique(np.linspace(0, len(frames.timestamps) - 1, min(count, len(frames.timestamps))).astype(int))
+    times = tuple(frames.timestamps[row] for row in rows)
+    return PosedFrames(times, frames.T_world_cam[rows], frames.keyframes & frozenset(times))
 
 
 def _why_no_step(frames: PosedFrames, steps: Sequence[int]) -> str:

@@ -56,15 +56,19 @@ def _sigma_pose(pair: Pair) -> tuple[float, float] | None:
 def write_pair_set(job: Build[ImportOptions], reference: str, query: str, camera: str, pairs: Sequence[Pair]) -> None:
     """Write a pair set with the overlap of each pair and, if the options want any, a file of correspondences.
 
-    The traversals must have been written before. Pairs that are rejected, have no pose or show different places get
-    neither overlap nor correspondences. A set that an earlier run of the same build has finished is kept unchanged.
+    The traversals must have been written before. Pairs of poses alone, and pairs that are rejected, have no pose or
+    show different places, get neither overlap nor correspondences. A set that an earlier run of the same build has
+    finished is kept unchanged.
     """
     layout, count = job.writer.layout, job.options.correspondences
     name = pair_set_name(reference, query, camera)
     ordered = sorted(pairs, key=lambda p: p.key)
+    traversals = [Traversal(layout.traversal(t)) for t in (reference, query)]
+    if any(camera in traversal.frames for traversal in traversals):
+        job.writer.pairs(reference, query, camera, ordered)
+        return
     if is_finished(layout, name, ordered, with_correspondences=count > 0):
         return
-    traversals = [Traversal(layout.traversal(t)) for t in (reference, query)]
     measured = [p for p in ordered if p.accepted and p.T_query_ref is not None and not p.is_elsewhere]
     units = [_Unit(traversals[0], traversals[1], camera, pair, count, job.options.seed) for pair in measured]
     run = job.run if len(units) >= _WORTH_WORKERS else job.run.alone()

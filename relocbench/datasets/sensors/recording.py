@@ -133,6 +133,21 @@ class CameraStream(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class RigStream:
+    """The rig of a drive without images, at the times of the scans of a lidar."""
+
+    name: str
+    lidar: str
+    times_ns: Times
+    """(M,) strictly increasing"""
+
+    @property
+    def T_rig_cam(self) -> Array:
+        """(4, 4) the identity: the frame is that of the rig."""
+        return np.eye(4)
+
+
+@dataclass(frozen=True, eq=False)
 class FieldRecording:
     """One recorded drive: odometry, lidar scans, and optionally images and a GNSS prior."""
 
@@ -150,3 +165,8 @@ class FieldRecording:
     location: str = ""
     odometry_lidar: str = ""
     """name of the lidar that the odometry was computed from; empty if other sensors measured it"""
+
+    def rig_stream(self, name: str) -> RigStream:
+        """The rig at the scans of the first lidar, which stands in for a camera where there is none."""
+        first = self.lidars[0]
+        return RigStream(name, first.name, first.times_ns)

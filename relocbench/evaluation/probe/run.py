@@ -125,6 +125,7 @@ def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
     dataset = open_for_evaluation(options.dataset, options.out)
     specs = blind_methods(dataset, options.methods, options.set, options.seed)
     asked = chosen_pairs(dataset, options)
+    dataset.require_images([pair_set for pair_set, _ in asked], "there are no pixels to probe")
     with kept_workers():
         return _probe(dataset, specs, asked, options, reporter)
 

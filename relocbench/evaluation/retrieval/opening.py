@@ -76,6 +76,7 @@ def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) ->
     if options.by_condition:
         raise ConfigError("--by-condition splits the queries of a cross-view set; a drive has a single condition")
     dataset = open_for_evaluation(folder, out)
+    dataset.require_images(dataset.pair_sets(), "retrievers have nothing to rank")
     if options.positives == "pairs" and options.radius_m is not None:
         raise ConfigError("--radius does not apply to --positives pairs")
     places = StreetPlaces(

@@ -30,10 +30,13 @@ def export_blind(dataset: Dataset, out: Path, edition: int, reporter: Reporter) 
     neither groups nor sigmas of pairs.
 
     Raises:
-        DatasetError: the truth is withheld already, or ``out`` holds something else.
+        DatasetError: the truth is withheld already, there are no images, or ``out`` holds something else.
         ConfigError: ``out`` lies inside the dataset, or the dataset is a blind export itself.
     """
     check_outside(out, dataset.root)
+    dataset.require_images(
+        dataset.pair_sets(), "a blind export would hold keys alone, and nobody could tell of which frames they are"
+    )
     if blind_name(dataset.name) is not None:
         raise ConfigError(f"'{dataset.name}' is a blind export already", dataset.root)
     keys = BlindKeys(dataset, edition)

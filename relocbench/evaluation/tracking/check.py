@@ -263,6 +263,7 @@ def _smooth(values: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 def _from_dataset(path: Path) -> list[_Question]:
     dataset = Dataset(path)
+    dataset.require_images(dataset.pair_sets(), "there is nothing to try a method on")
     for pair_set in dataset.pair_sets():
         if pair_set.pairs:
             return [

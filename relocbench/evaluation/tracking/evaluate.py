@@ -27,6 +27,7 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.tracking.clock import CLOCK, run_clock
 from relocbench.evaluation.tracking.external import import_predictions
+from relocbench.evaluation.tracking.identity import is_identity, run_identity
 from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import Overwrite, run_method
 from relocbench.evaluation.tracking.score import score_method
@@ -100,6 +101,7 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     named = [name for name in options.methods if name != CLOCK]
     specs = [] if options.predictions else blind_methods(dataset, named, options.set, options.seed)
+    pictured = _check_images(dataset, pair_sets, specs)
     results = dataset_results(options.out, dataset)
     if options.predictions is not None:
         label = _label(options)
@@ -108,14 +110,26 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     else:
         write_dataset_record(results, dataset)
         with kept_workers():
-            folders = [_run(dataset, pair_sets, spec, results, options, reporter) for spec in specs]
-            if options.matching:
+            if pictured:
+                folders = [_run(dataset, pair_sets, spec, results, options, reporter) for spec in specs]
+            else:
+                folders = [run_identity(dataset, pair_sets, spec, results) for spec in specs]
+            if options.matching and pictured:
                 _match(dataset, pair_sets, specs, folders, options, reporter)
         if CLOCK in options.methods:
             folders.append(run_clock(dataset, pair_sets, results))
     for folder in folders:
         score_method(dataset, pair_sets, folder)
     return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _broken(f, pair_sets)])
+
+
+def _check_images(dataset: Dataset, pair_sets: list[PairSet], specs: list[MethodSpec]) -> bool:
+    """Whether there are images of all pairs. Raises DatasetError where there are not, for trackers that need them."""
+    if any(not is_identity(spec) for spec in specs):
+        dataset.require_images(
+            pair_sets, "no tracker can run, but the floors identity and clock; score predictions with --predictions"
+        )
+    return all(dataset.has_images(pair_set) for pair_set in pair_sets)
 
 
 def _run(

@@ -23,6 +23,7 @@ from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
 
 ExportFormat = Literal["tum", "kitti", "colmap", "kapture", "hloc", "mlad"]
+_OF_IMAGES = ("colmap", "kapture", "hloc")
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 _NS = 1_000_000_000
 
@@ -49,14 +50,18 @@ def export_poses(
 
     Raises:
         PredictionError: no such predictions, none with a pose, or ground truth that is withheld.
+        DatasetError: the format is of images, and there are none.
     """
+    if format in _OF_IMAGES:
+        told = f"{format} files name images; tum, kitti and mlad hold poses alone"
+        dataset.require_images([dataset.pair_set(name) for name in pair_sets], told)
     lines = {name: _lines_of(dataset, name, results, method) for name in pair_sets}
     if format == "mlad":
         export_mlad(dataset, lines, out, relocalization_files)
         return [out]
     written = []
     for name, predictions in lines.items():
-        path = out / (name if format in ("colmap", "kapture", "hloc") else f"{name}.txt")
+        path = out / (name if format in _OF_IMAGES else f"{name}.txt")
         if format == "kapture":
             export_kapture(dataset, name, predictions, path, reporter or Silent())
         else:

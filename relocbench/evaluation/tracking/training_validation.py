@@ -62,6 +62,7 @@ class TrackerValidation:
                 "or --no-validation to keep the last weights"
             )
         for dataset in with_split:
+            dataset.require_images(dataset.pair_sets(VALIDATION_SPLIT), "no tracker can be tried on it")
             for fault in fingerprint.faults(dataset.layout, content="text"):
                 raise fault
         self._asked = _evenly([each for dataset in with_split for each in _pairs_of(dataset)], pairs, seed)

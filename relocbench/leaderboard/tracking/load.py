@@ -32,6 +32,7 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.submission.kept import KeptCard, kept_card
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
+from relocbench.evaluation.tracking.identity import IDENTITY, IDENTITY_TARGETS
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
     faults_of_record,
@@ -45,9 +46,8 @@ from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder
 
-FLOOR = "identity"
+FLOOR = IDENTITY
 """the method that every other one is compared with"""
-_FLOOR_CLASS = "baselines.identity:Identity"
 SEED = "seed"
 
 
@@ -92,7 +92,7 @@ class Method:
     @property
     def is_floor(self) -> bool:
         """Whether the method is the identity pose, whatever its label."""
-        return self.run.target.removeprefix(PREDICTIONS) in (FLOOR, _FLOOR_CLASS)
+        return self.run.target.removeprefix(PREDICTIONS) in IDENTITY_TARGETS
 
     @property
     def is_clock(self) -> bool:

@@ -366,7 +366,7 @@ def code_blocks(document: str, language: str) -> list[str]:
 
 
 def test_camera_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
-    traversal, single, rig, lidars = code_blocks("file-formats.md", "yaml")
+    traversal, frames, single, rig, lidars = code_blocks("file-formats.md", "yaml")
     (tmp_path / "lidar.yaml").write_text(lidars)
     assert list(read_lidar_file(tmp_path).lidars) == ["top"]
     path = tmp_path / "camera.yaml"
@@ -377,6 +377,8 @@ def test_camera_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
     np.testing.assert_array_equal(T_rig_right, make_transform(np.eye(3), [0.3, 0, 0]))
     path.write_text(traversal)
     assert load_yaml(path, TraversalFile, "a traversal").condition.tags == ("wet road",)
+    path.write_text(f"name: winter\n{frames}")
+    assert list(load_yaml(path, TraversalFile, "a traversal").frames) == ["rig"]
 
 
 def test_the_importer_worked_out_in_the_documentation_works(tmp_path: Path) -> None:

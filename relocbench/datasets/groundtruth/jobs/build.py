@@ -31,6 +31,10 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run, run_units
 from relocbench.progress import Reporter
 
+RIG = "rig"
+"""the frame of pairs without images"""
+_ALONE = "--cameras none pairs poses of the rig without images"
+
 
 def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOptions]) -> Dataset:
     """Build the dataset of a reference drive and its query drives.
@@ -44,6 +48,11 @@ def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOpt
     """
     options, reporter, run = job.options, job.reporter, job.run
     cameras, first = check_recordings(recordings, options)
+    if cameras == (RIG,) and RIG not in recordings[0].cameras:
+        recordings = [replace(recording, cameras={}) for recording in recordings]
+        reporter.note(
+            "poses of the rig at scans of lidar are paired, without images: no tracker can run on this dataset"
+        )
     folder = job.writer.layout.root / "groundtruth"
     if not options.use_prior:
         recordings = [replace(recording, prior=None) for recording in recordings]
@@ -75,22 +84,31 @@ def check_recordings(
 ) -> tuple[tuple[str, ...], FirstPose | None]:
     """Check recordings against the options. Returns the cameras whose images are paired, and the pose given by hand.
 
+    Where no recording has images, or none are wanted, the one camera is :data:`RIG`, whose poses are paired.
+
     Raises:
         ConfigError: there are fewer than two drives, one of them lacks a camera, or the pose given by hand cannot be
             read or is of a time outside the drives.
-        DatasetError: the reference has no images.
+        DatasetError: the reference has no images, and another drive has.
     """
     if len(recordings) < 2:
         raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(recordings)}")
     there = recordings[0].cameras
+    if (options.without_images and "none" not in there) or not (
+        options.cameras or any(recording.cameras for recording in recordings)
+    ):
+        if options.depth == "stereo":
+            raise ConfigError("--depth stereo needs images of two cameras, and poses of the rig are paired without any")
+        return (RIG,), _first_pose(recordings, options)
     wanted = options.cameras or tuple(there)[:1]
     if not wanted:
-        raise DatasetError("holds no images", recordings[0].folder)
+        raise DatasetError(f"holds no images, and others do: {_ALONE}", recordings[0].folder)
     for recording in recordings:
         for name in wanted:
             if name not in recording.cameras:
                 known = ", ".join(recording.cameras) or "none"
-                raise ConfigError(f"--cameras: {recording.name} has no images of a camera '{name}'; it has {known}")
+                told = f"--cameras: {recording.name} has no images of a camera '{name}'; it has {known}"
+                raise ConfigError(told if recording.cameras else f"{told}; {_ALONE}")
     return wanted, _first_pose(recordings, options)
 
 

@@ -1,15 +1,15 @@
-"""Selection of the images of a drive that are paired, at equal distances along the road."""
+"""Selection of the images of a drive that are paired, or of poses of its rig, at equal distances along the road."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
-from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, RigStream
 
 
 def select_images(
-    recording: FieldRecording, stream: CameraStream, nodes: Nodes, apart_m: float, *, in_gaps: bool = False
+    recording: FieldRecording, stream: CameraStream | RigStream, nodes: Nodes, apart_m: float, *, in_gaps: bool = False
 ) -> list[int]:
     """Indices of images at least ``apart_m`` of road apart, between the first and the last node of the drive.
 

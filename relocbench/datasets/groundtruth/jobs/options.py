@@ -17,9 +17,12 @@ from relocbench.datasets.groundtruth.registration.submap_pair import RegisterOpt
 class FieldOptions(ImportOptions):
     """The options of the build that a user can set."""
 
-    cameras: tuple[str, ...] = Field((), description="cameras whose images are paired; default: the first one")
+    cameras: tuple[str, ...] = Field(
+        (),
+        description="cameras whose images are paired, or none for poses of the rig; default: the first one, if any",
+    )
     keyframe_distance: float = Field(1.0, gt=0, description="metres of road between keyframes of the reference")
-    query_distance: float = Field(1.0, gt=0, description="metres of road between images of a query drive")
+    query_distance: float = Field(1.0, gt=0, description="metres of road between images (or poses) of a query drive")
     submap: float = Field(60.0, ge=10, le=300, description="metres of road in a submap")
     depth_submap: float = Field(60.0, ge=10, le=300, description="metres of road in a submap that depth is drawn from")
     depth: Literal["lidar", "stereo"] = Field(
@@ -44,6 +47,11 @@ class FieldOptions(ImportOptions):
         0.05, gt=0, description="largest sigma of an accepted pair's position on each axis, metres"
     )
     max_sigma_rotation: float = Field(0.15, gt=0, description="largest sigma of its rotation, degrees")
+
+    @property
+    def without_images(self) -> bool:
+        """Whether poses of the rig are wanted alone."""
+        return self.cameras == ("none",)
 
     @property
     def alignment(self) -> AlignmentOptions:

@@ -1,4 +1,4 @@
-"""Writing the traversals of a dataset: descriptions, poses, images and depth."""
+"""Writing the traversals of a dataset: descriptions, poses, images and depth, or poses alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.layout import DatasetLayout
-from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.schema import CameraEntry, Transform, TraversalFile
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
@@ -19,7 +19,7 @@ from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.submaps.drive import Drive
-from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, RigStream
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import chunks, run_units
 from relocbench.geometry import invert
@@ -29,9 +29,9 @@ _IMAGES_A_UNIT = 16
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The selected images of one camera of one drive."""
+    """The selected images of one camera of one drive, or where it has none, the selected poses of its rig."""
 
-    stream: CameraStream
+    stream: CameraStream | RigStream
     pair: StereoPair | None
     """the stereo pair of this camera, if it has one"""
     indices: tuple[int, ...]
@@ -44,12 +44,14 @@ class Frames:
 def choose_frames(
     recording: FieldRecording, drive: Drive, camera: str, options: FieldOptions, *, is_reference: bool
 ) -> Frames:
-    """Select the images of a camera.
+    """Select the images of a camera, or poses of the rig where the recording has no such camera.
 
     Raises:
         ConfigError: depth by stereo is wanted and the camera has no stereo pair.
         DatasetError: no image can be selected.
     """
+    if camera not in recording.cameras:
+        return _choose_poses(recording, drive, camera, options, is_reference=is_reference)
     stream, pair = recording.cameras[camera], stereo_pair(recording.cameras, camera)
     if options.depth == "stereo" and pair is None:
         raise ConfigError(f"--depth stereo: {recording.name} has no camera to the right of {camera}, rectified with it")
@@ -64,6 +66,17 @@ def choose_frames(
     return Frames(stream, pair, tuple(indices))
 
 
+def _choose_poses(
+    recording: FieldRecording, drive: Drive, frame: str, options: FieldOptions, *, is_reference: bool
+) -> Frames:
+    stream = recording.rig_stream(frame)
+    apart = options.keyframe_distance if is_reference else options.query_distance
+    indices = select_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
+    if not indices:
+        raise DatasetError(f"no scan of {stream.lidar} was taken while odometry was recorded", recording.folder)
+    return Frames(stream, None, tuple(indices))
+
+
 def rig_poses(
     recordings: Sequence[FieldRecording], frames: Sequence[Mapping[str, Frames]], paired: Sequence[Paired]
 ) -> list[dict[int, Array]]:
@@ -75,10 +88,10 @@ def rig_poses(
     times = sorted({time for chosen in frames[0].values() for time in chosen.times})
     T_world_ref = dict(zip(times, reference.odometry.at(np.array(times, dtype=np.int64)), strict=True))
     out = [T_world_ref]
-    for recording, answer in zip(recordings[1:], paired, strict=True):
+    for chosen, answer in zip(frames[1:], paired, strict=True):
         poses: dict[int, Array] = {}
         for camera, outcomes in answer.outcomes.items():
-            T_rig_refcam, T_rig_cam = reference.cameras[camera].T_rig_cam, recording.cameras[camera].T_rig_cam
+            T_rig_refcam, T_rig_cam = frames[0][camera].stream.T_rig_cam, chosen[camera].stream.T_rig_cam
             for o in outcomes:
                 if o.accepted and o.T_query_ref is not None and o.query_timestamp_ns not in poses:
                     T_world_refcam = T_world_ref[o.ref_timestamp_ns] @ T_rig_refcam
@@ -97,9 +110,15 @@ def write_traversal(
     """Write the description, poses, images and depth of one drive; only images with a pose have depth."""
     writer, options = job.writer, job.options
     name, length, entries = recording.name, options.depth_submap, {}
+    bare: dict[str, Transform] = {}
+    origin = f"depth from lidar submaps of {length:g} m" if options.depth == "lidar" else "depth from stereo"
     for camera, chosen in frames.items():
-        _write_images(job, name, chosen)
         stream = chosen.stream
+        if isinstance(stream, RigStream):
+            bare[camera] = Transform.of(stream.T_rig_cam)
+            origin = f"poses of the rig at scans of {stream.lidar}"
+            continue
+        _write_images(job, name, stream, chosen)
         view = DepthView(drive, stream.camera, stream.T_rig_cam, options.depth, chosen.pair, length, DepthOptions())
         path = writer.layout.traversal(name).depth
         wanted = [DepthFrame(time, path(camera, time)) for time in chosen.times if time in poses]
@@ -108,13 +127,13 @@ def write_traversal(
         if agreement is not None and chosen.pair is not None:
             job.reporter.note(f"{name}, {camera}: lidar against stereo with {chosen.pair.right.name}: {agreement}")
         entries[camera] = CameraEntry.of(stream.camera, stream.T_rig_cam, sigma)
-    origin = f"lidar submaps of {length:g} m" if options.depth == "lidar" else "stereo"
     file = TraversalFile(
         name=name,
         condition=options.conditions.get(name, recording.condition),
         location=recording.location,
         cameras=entries,
-        source=f"recording {recording.folder.name}, depth from {origin}",
+        frames=bare,
+        source=f"recording {recording.folder.name}, {origin}",
     )
     writer.traversal(file, dict(poses))
 
@@ -129,8 +148,8 @@ class _ImageUnit:
     indices: tuple[int, ...]
 
 
-def _write_images(job: Build[FieldOptions], traversal: str, chosen: Frames) -> None:
-    writer, stream, developed = job.writer, chosen.stream, []
+def _write_images(job: Build[FieldOptions], traversal: str, stream: CameraStream, chosen: Frames) -> None:
+    writer, developed = job.writer, []
     with job.reporter.stage(f"images of {traversal}", len(chosen.indices)) as advance:
         for index, time in zip(chosen.indices, chosen.times, strict=True):
             source = stream.file(index)

@@ -133,7 +133,7 @@ def _draw_apart(figure: Figure, ref: Cloud, query: Cloud, lines: list[str]) -> N
     figure.suptitle("\n".join(lines), fontsize=10)
     top, bottom = figure.subplots(2, 1)
     _from_above(top, [(ref, REFERENCE)], "the reference around the keyframe")
-    _from_above(bottom, [(query, QUERY)], "the query around its image")
+    _from_above(bottom, [(query, QUERY)], "the query around its pose")
 
 
 def _from_above(axes: Axes, clouds: list[tuple[Cloud, str]], title: str) -> None:

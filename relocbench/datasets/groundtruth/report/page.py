@@ -47,6 +47,7 @@ def write_page(path: Path, dataset: Dataset, drawn: Sequence[DrawnSet], residual
         dataset=dataset,
         residuals=residuals,
         sets=[_pair_set(one) for one in drawn],
+        pictured=any(spot.keyframe is not None for one in drawn for spot in one.spots),
         address=quote,
         stem=lambda file: Path(file).stem,
     )

@@ -1,7 +1,8 @@
 """``relocbench inspect --ground-truth``: the pictures of a dataset's ground truth and the page that shows them.
 
 ``OUT/index.html``, ``OUT/residuals.png``, and for each pair set ``OUT/PAIRSET/map.png``, ``overlay_NN.png`` and
-``keyframe_NN.png``, where an overlay and a keyframe with the same number are of the same pair.
+``keyframe_NN.png``, where an overlay and a keyframe with the same number are of the same pair; without images, there is
+no keyframe.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def write_ground_truth(
 def _write_spot(dataset: Dataset, found: InspectedSet, spot: Spot, number: int, folder: Path, seed: int) -> DrawnSpot:
     overlay = f"{found.name}/overlay_{number:02d}.png"
     write_overlay(folder / overlay, found, spot, number)
-    if spot.pair.T_query_ref is None:
+    if spot.pair.T_query_ref is None or not dataset.has_images(found.pair_set):
         return DrawnSpot(spot, number, overlay, None, None)
     keyframe = f"{found.name}/keyframe_{number:02d}.png"
     name = f"{number}   {found.name}"

@@ -48,7 +48,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         models=options.models,
         tags=options.tags,
         lidars=options.lidars or None,
-        cameras=_with_right_camera(sources, options.cameras),
+        cameras=() if options.without_images else _with_right_camera(sources, options.cameras),
         odometry=options.odometry,
         reporter=reporter,
     )

@@ -35,7 +35,7 @@
       }
       const rows = answers.rows || Array.from({ length: errors.pairs }, (_, i) => i);
       decoded.set(key, {
-        setId, name, set, record, methods, pairs: errors.pairs, images: answers.images,
+        setId, name, set, record, methods, pairs: errors.pairs, images: answers.images, alone: answers.alone,
         reference: integers(errors.reference), query: integers(errors.query), groups: errors.groups, group: floats(errors.group),
         distance: floats(errors.distance_m), angle: floats(errors.angle_deg), truth: answers.truth && floats(answers.truth),
         places: new Map(rows.map((row, place) => [row, place])), pictured: new Set(answers.pictured.map((place) => rows[place])),
@@ -201,8 +201,8 @@
     document.querySelector(".pair-grid").classList.toggle("numbers-only", !shown);
     $("none").replaceChildren();
     if (!shown) {
-      const why = of.truth
-        ? "No images were written for this pair. Write the pages again with a larger --pairs N: the N worst pairs of each method, and N drawn at random, have images in each pair set."
+      const why = of.alone ? "The dataset holds poses alone, without images."
+        : of.truth ? "No images were written for this pair. Write the pages again with a larger --pairs N: the N worst pairs of each method, and N drawn at random, have images in each pair set."
         : "No images and no true poses: the dataset was not at hand when these pages were written. Write them again with --dataset FOLDER; --pairs N says how many pairs get images.";
       $("none").append(element("p", { class: "empty" }, why));
       return;

@@ -18,10 +18,11 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, read_pose_lines
+from relocbench.datasets.core.upright import R_frame_camera
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.execution import run_units
-from relocbench.geometry import Camera
+from relocbench.geometry import Camera, invert, make_transform
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import floats, write_data
 from relocbench.leaderboard.html.pair_page.matches import shown_matches
@@ -88,7 +89,7 @@ def write_pair_pages(
         kept = chosen if rows > MOST_ROWS else list(range(len(methods[0].errors[name])))
         payload = _answers_payload(dataset, name, methods, kept, chosen)
         written.add(write_data(site, answers_key(dataset, name), payload))
-        if dataset.entry.dataset is not None:
+        if dataset.entry.dataset is not None and _has_images(dataset.entry.dataset, name):
             keys = methods[0].errors[name].keys
             jobs |= _jobs(
                 dataset, dataset.entry.dataset, name, [(int(keys[i, 0]), int(keys[i, 1])) for i in chosen], site
@@ -126,16 +127,25 @@ def _answers_payload(
     pair_set = None if at_hand is None else at_hand.pair_set(name)
     only = None if len(keys) == len(methods[0].errors[name]) else frozenset(keys)
     places = {row: place for place, row in enumerate(kept)}
-    shown = [] if pair_set is None else [places[row] for row in chosen]
+    pictured = at_hand is not None and _has_images(at_hand, name)
+    shown = [places[row] for row in chosen] if pictured else []
     cameras = {} if at_hand is None or pair_set is None else _cameras(at_hand, pair_set, keys, shown)
+    alone = at_hand is not None and pair_set is not None and not pictured
+    axes = _camera_axes(at_hand, pair_set) if at_hand is not None and pair_set is not None and alone else None
+    truth = None if pair_set is None else _poses([pair_set.by_key[key].T_query_ref for key in keys], axes)
     return {
         "rows": None if only is None else list(kept),
-        "truth": None if pair_set is None else _poses([pair_set.by_key[key].T_query_ref for key in keys]),
-        "methods": {method.label: _answers(method, name, keys, only, cameras) for method in methods},
+        "truth": truth,
+        "methods": {method.label: _answers(method, name, keys, only, cameras, axes) for method in methods},
+        **({"alone": True} if alone else {}),
         "pictured": shown,
-        "images": {} if pair_set is None else _folders(pair_set),
+        "images": _folders(pair_set) if pair_set is not None and pictured else {},
         "set": id_of(dataset),
     }
+
+
+def _has_images(at_hand: Dataset, name: str) -> bool:
+    return at_hand.has_images(at_hand.pair_set(name))
 
 
 def _answers(
@@ -144,10 +154,11 @@ def _answers(
     keys: Sequence[PairKey],
     only: frozenset[PairKey] | None,
     cameras: Mapping[int, tuple[Camera, Camera]],
+    axes: Array | None,
 ) -> dict[str, Any]:
     """The poses of a method, its messages, and the matches that it tells of pairs with pictures, by their places."""
     if method.results is None:
-        return {"poses": _poses([None] * len(keys)), "messages": {}, "matches": {}}
+        return {"poses": _poses([None] * len(keys), axes), "messages": {}, "matches": {}}
     path = method.results.predictions(name)
     lines = read_pose_lines(path, PredictionError, allow_non_finite=True, only=only)
     found = {line.key: line.T_query_ref for line in lines}
@@ -160,7 +171,7 @@ def _answers(
         if keys[place] in answers
     }
     return {
-        "poses": _poses([found.get(key) for key in keys]),
+        "poses": _poses([found.get(key) for key in keys], axes),
         "messages": {place: message for place, message in messages.items() if message},
         "matches": {place: some for place, some in matches.items() if some},
     }
@@ -175,12 +186,19 @@ def _cameras(
     return {p: (reference.camera(camera, keys[p][0]), query.camera(camera, keys[p][1])) for p in shown}
 
 
-def _poses(poses: Sequence[Array | None]) -> str:
-    """The upper three rows of each ``T_query_ref``, one after the other."""
+def _camera_axes(at_hand: Dataset, pair_set: PairSet) -> Array:
+    """(4, 4) from the axes of a camera, in which the page draws poses from above, to those of a frame."""
+    reference = at_hand.traversal(pair_set.reference)
+    poses = np.array(list(reference.poses.values())).reshape(-1, 4, 4) @ reference.T_rig_cam(pair_set.camera)
+    return make_transform(R_frame_camera(poses), np.zeros(3))
+
+
+def _poses(poses: Sequence[Array | None], axes: Array | None) -> str:
+    """The upper three rows of each ``T_query_ref``, in other axes (4, 4) if they are given, one after the other."""
     out = np.full((len(poses), 3, 4), np.nan)
     for place, pose in enumerate(poses):
         if pose is not None:
-            out[place] = pose[:3]
+            out[place] = (pose if axes is None else invert(axes) @ pose @ axes)[:3]
     with np.errstate(over="ignore"):
         return floats(out.astype(np.float32))
 

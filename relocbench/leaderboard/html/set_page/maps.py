@@ -16,6 +16,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.upright import with_camera_axes
 from relocbench.datasets.core.worlds import world_of_traversals
 from relocbench.geometry import invert
 from relocbench.leaderboard.html.data import floats
@@ -94,11 +95,11 @@ class Maps:
         return np.concatenate([self._routes[name] for name in self._drives(world)])
 
     def _poses(self, name: str) -> Array:
-        """(N, 4, 4) ``T_world_cam`` of a traversal, of the camera of its first pair set."""
+        """(N, 4, 4) ``T_world_cam`` of a traversal, of the camera or frame of its first pair set, in camera axes."""
         traversal = self._dataset.traversal(name)
         camera = next(s.camera for s in self._sets if name in (s.reference, s.query))
-        poses = np.array(list(traversal.poses.values())).reshape(-1, 4, 4)
-        return np.asarray(poses @ traversal.T_rig_cam(camera))
+        poses = np.array(list(traversal.poses.values())).reshape(-1, 4, 4) @ traversal.T_rig_cam(camera)
+        return with_camera_axes(poses) if camera in traversal.frames else np.asarray(poses)
 
 
 def _route(T_world_cam: Array, plan: Plan) -> dict[str, str]:

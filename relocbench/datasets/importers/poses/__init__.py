@@ -1,0 +1,1 @@
+"""Datasets of poses alone: from trajectories, and from files of pairs."""

@@ -1,0 +1,201 @@
+"""Kind ``poses``: pairs of the poses of trajectories in one world, for predictions that were made elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from relocbench.arrays import Array
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import DatasetOptions, PairingOptions
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.schema import Transform, TraversalFile
+from relocbench.datasets.importers.assembly import open_writer
+from relocbench.datasets.importers.poses.names import names_of_files
+from relocbench.datasets.importers.poses.sigmas import sigma_of_pair
+from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.pairs.posed_frames import PosedFrames
+from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
+from relocbench.files import check_name, fitting_name
+from relocbench.geometry import rotation_angle
+from relocbench.progress import Reporter
+
+_AT_ORIGIN = (1e-3, 1e-3)
+"""metres and radians within which a first pose is the origin of its own world"""
+
+
+class Options(PairingOptions):
+    """Options of ``relocbench build-dataset poses``."""
+
+    quaternions: Literal["xyzw", "wxyz"] = Field(
+        "xyzw", description="order of quaternions in files of 8 columns: qx qy qz qw, or qw qx qy qz"
+    )
+    times: tuple[Path, ...] = Field(
+        (), description="files of times for poses of 12 columns, one each, in the order of the trajectories"
+    )
+    traversals: tuple[str, ...] = Field((), description="names of the traversals; default: the files' names")
+    frame: str = Field("rig", description="name of the frame whose poses these are, such as cam0 or lidar")
+    keyframe_distance: float = Field(
+        0.0, ge=0, description="metres driven between keyframes; 0 takes every pose of the reference"
+    )
+    query_distance: float = Field(
+        0.0, ge=0, description="metres driven between queries; 0 takes every pose (nearest rule)"
+    )
+    revisit_gap: float = Field(
+        0.0,
+        ge=0,
+        description="of a single trajectory: pair only revisits, with a keyframe so many seconds older than its query "
+        "at least (nearest rule); 0 pairs any two frames",
+    )
+    sigma: float | None = Field(
+        None, gt=0, description="standard deviation of each pose's position along each axis, metres, if it is known"
+    )
+    sigma_rotation: float | None = Field(
+        None, gt=0, description="standard deviation of each pose's rotation about each axis, degrees, if it is known"
+    )
+
+    @model_validator(mode="after")
+    def _plain_frame(self) -> Self:
+        check_name(self.frame, "frame")
+        return self
+
+    @model_validator(mode="after")
+    def _one_rule(self) -> Self:
+        if self.pair_rule == "step" and (self.revisit_gap or self.query_distance):
+            raise ValueError(
+                "pair_rule step pairs frames by their numbers: revisit_gap and query_distance do not apply"
+            )
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    """One trajectory."""
+
+    name: str
+    source: Path
+    poses: dict[int, Array]
+    """timestamp_ns -> (4, 4) ``T_world_frame``"""
+
+    def frames(self, apart_m: float, *, keyframes: bool) -> PosedFrames:
+        """Its poses at least ``apart_m`` of its path apart."""
+        times, T_world_frame = list(self.poses), np.array(list(self.poses.values()))
+        rows = spaced(T_world_frame[:, :3, 3], apart_m)
+        chosen = tuple(times[row] for row in rows)
+        return PosedFrames(chosen, T_world_frame[rows], frozenset(chosen if keyframes else ()))
+
+
+def spaced(positions: Array, apart_m: float) -> list[int]:
+    """Rows of positions (N, 3) at least ``apart_m`` along the path from the one before, the first among them."""
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    rows, last = [], -np.inf
+    for row, metres in enumerate(travelled.tolist()):
+        if metres - last >= apart_m - 1e-9:
+            rows.append(row)
+            last = metres
+    return rows
+
+
+def build(sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """Pair the poses of the first trajectory, as keyframes, with those of the others, or with its own.
+
+    Raises:
+        DatasetError: with file and line: a file of poses is bad, or there is no pair.
+        ConfigError: the options do not fit the files.
+    """
+    assert isinstance(options, Options)
+    names = names_of_files(sources, options.traversals, "files of poses")
+    options.check_conditions(names)
+    if options.times and len(options.times) != len(sources):
+        raise ConfigError(f"--times gives {len(options.times)} files for {len(sources)} trajectories")
+    if options.revisit_gap and len(sources) > 1:
+        raise ConfigError("--revisit-gap is for a single trajectory, which is paired with itself")
+    if options.query_distance and len(sources) == 1 and not (options.revisit_gap or options.pair_rule):
+        raise ConfigError(
+            "--query-distance does not apply to a single trajectory paired by frame numbers; give --pair-rule nearest, "
+            "or --revisit-gap for revisits"
+        )
+    writer = open_writer("poses", sources, options, out, fitting_name("poses-" + "-".join(names)))
+    if writer.complete:
+        return Dataset(out)
+    job = Build(writer, options, reporter, run)
+    files = options.times or (None,) * len(sources)
+    with reporter.stage("reading poses", len(sources)) as advance:
+        drives = []
+        for name, source, times in zip(names, sources, files, strict=True):
+            drives.append(_Drive(name, source, read_pose_file(source, options.quaternions, times)))
+            advance(1)
+    _tell_doubts(drives, job)
+    for drive in drives:
+        writer.traversal(_description(drive, options), drive.poses)
+    reference, *others = drives
+    with reporter.stage("pairs", len(others) or 1) as advance:
+        for query in others or [reference]:
+            pairs = _pairs(reference, query, options)
+            writer.pairs(reference.name, query.name, options.frame, pairs)
+            advance(1)
+    return writer.finish()
+
+
+def _description(drive: _Drive, options: Options) -> TraversalFile:
+    return TraversalFile(
+        name=drive.name,
+        condition=options.condition_of(drive.name),
+        cameras={},
+        frames={options.frame: Transform.of(np.eye(4))},
+        source=f"poses of {drive.source.name}",
+    )
+
+
+def _pairs(reference: _Drive, query: _Drive, options: Options) -> list[Pair]:
+    """The pairs of two drives, or of one with itself, with the sigmas that follow from those of the poses."""
+    same = query is reference
+    steps = same and options.pair_rule in (None, "step") and not options.revisit_gap
+    keyframes = reference.frames(options.keyframe_distance, keyframes=True)
+    asked = keyframes if steps else query.frames(options.query_distance, keyframes=False)
+    rule = options if steps or options.pair_rule else options.model_copy(update={"pair_rule": "nearest"})
+    try:
+        pairs = make_pairs(
+            keyframes,
+            asked,
+            rule,
+            same_traversal=same,
+            source=f"poses of {reference.name}" + ("" if same else f" and {query.name}"),
+            where=query.source,
+            revisit_ns=round(options.revisit_gap * 1e9) if options.revisit_gap else None,
+        )
+    except DatasetError as bad:
+        told = "" if same else f", or are {reference.name} and {query.name} in worlds of their own?"
+        raise DatasetError(f"{bad.expected}{told}", bad.path) from None
+    return [sigma_of_pair(pair, options.sigma, options.sigma_rotation) for pair in pairs]
+
+
+def _tell_doubts(drives: Sequence[_Drive], job: Build[Options]) -> None:
+    """Note what looks like poses that were misread: no number of a pair would tell."""
+    order = job.options.quaternions
+    for drive in drives:
+        poses = np.array(list(drive.poses.values()))
+        if (likely := likely_order(poses, order)) != order:
+            job.reporter.note(
+                f"{drive.name}: read as {order}, its rotations do not go with its way, and read as {likely} they do: "
+                f"expected --quaternions {likely}"
+            )
+    starts = [next(iter(drive.poses.values())) for drive in drives]
+    if len(drives) > 1 and all(_is_origin(T) for T in starts):
+        job.reporter.note(
+            "all trajectories begin at the origin, as those do that have a world of their own: pairs are right only if "
+            "they share one"
+        )
+
+
+def _is_origin(T_world_frame: Array) -> bool:
+    metres, radians = _AT_ORIGIN
+    return bool(np.linalg.norm(T_world_frame[:3, 3]) <= metres and rotation_angle(T_world_frame[:3, :3]) <= radians)

@@ -1,0 +1,202 @@
+"""Lidar drives without images become datasets of poses alone, whose pairs hold the same targets as pairs of images."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Outcome, relocbench
+from fenced_street import fenced_street_mesh
+from recording_reading import Truth, hashes
+from small_street import SolidTexture, StraightRoad, Street
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
+from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
+from relocbench.datasets.synthetic.jobs.recording import record
+from relocbench.geometry import invert, rotation_angle
+from relocbench.progress import Silent
+
+SMALL = ("--submap", 30, "--keyframe-distance", 1.5, "--query-distance", 3, "--max-distance", 3, "--matcher", "fgr")
+
+pytestmark = pytest.mark.slow
+
+
+@dataclass(frozen=True)
+class Drives:
+    """Two recordings of one street without a camera, and what the builder made of them."""
+
+    folders: tuple[Path, ...]
+    truths: tuple[Truth, ...]
+    T_car_rig: np.ndarray
+    out: Path
+    outcome: Outcome
+
+    @property
+    def pair_set(self) -> str:
+        return f"{self.folders[0].name}__{self.folders[1].name}__rig"
+
+    @property
+    def dataset(self) -> Dataset:
+        return Dataset(self.out)
+
+    def exact(self, pair: Pair) -> np.ndarray:
+        """``T_query_ref`` of the rig as the importer defines it."""
+        ref, query = self.truths
+        T_world_ref = ref.rig(pair.ref_timestamp_ns) @ self.T_car_rig
+        T_world_query = query.rig(pair.query_timestamp_ns) @ self.T_car_rig
+        return np.asarray(invert(T_world_query) @ T_world_ref)
+
+
+def build(out: Path, *arguments: object) -> Outcome:
+    return relocbench("build-dataset", "robotcar", "--out", out, "-j", 1, *SMALL, *arguments)
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Drives:
+    root = tmp_path_factory.mktemp("recordings")
+    recorded = [
+        record(
+            Street(), StraightRoad(), CONDITIONS[condition].factors, root, "robotcar", frames=64, scale=0.06,
+            number=number, cameras=(), renderer_factory=SolidTexture, compose=fenced_street_mesh,
+        )
+        for number, condition in enumerate(("Sunny", "Overcast"))
+    ]  # fmt: skip
+    folders = tuple(one.folder for one in recorded)
+    truths = tuple(Truth(one.truth) for one in recorded)
+    # The recording states where sensors are on its car, the importer where they are on its rig.
+    lidar = read_robotcar_drives(list(folders), cameras=(), reporter=Silent())[0].lidars[0]
+    T_car_rig = truths[0].T_rig[lidar.name] @ invert(lidar.T_rig_lidar)
+    out = tmp_path_factory.mktemp("built") / "dataset"
+    return Drives(folders, truths, T_car_rig, out, build(out, *folders))
+
+
+def test_pairs_of_the_rig_are_right_to_centimetres_and_their_sigmas_too(drives: Drives) -> None:
+    assert drives.outcome.status == 0, drives.outcome.err
+    pairs = drives.dataset.pair_set(drives.pair_set).all_pairs
+    accepted = [p for p in pairs if p.accepted]
+    assert len(pairs) >= 8
+    assert len(accepted) >= 0.9 * len(pairs)
+    errors, normalised = [], []
+    for pair in accepted:
+        assert pair.T_query_ref is not None
+        wrong = drives.exact(pair) @ invert(pair.T_query_ref)
+        errors.append((np.linalg.norm(wrong[:3, 3]), np.degrees(rotation_angle(wrong[:3, :3]))))
+        normalised.append(np.mean(np.square(wrong[:3, 3] / np.array(pair.axis_sigmas, dtype=np.float64))))
+    metres, degrees = np.array(errors).T
+    assert np.median(metres) < 0.03
+    assert metres.max() < 0.10
+    assert degrees.max() < 0.15
+    assert np.mean(normalised) < 2.5
+
+
+def test_every_pair_has_its_sigmas_or_its_reason_and_times_are_those_of_scans(drives: Drives) -> None:
+    dataset = drives.dataset
+    scans = [{int(p.stem) * 1000 for p in (folder / "lms_front").glob("*.bin")} for folder in drives.folders]
+    pairs = dataset.pair_set(drives.pair_set).all_pairs
+    assert {p.source for p in pairs} == {"lidar registration, pose graph"}
+    for pair in pairs:
+        assert pair.ref_timestamp_ns in scans[0]
+        assert pair.query_timestamp_ns in scans[1]
+        sigmas = (*pair.axis_sigmas, pair.sigma_translation_m, pair.sigma_rotation_deg)
+        assert all(s is not None and 0 < s <= 0.15 for s in sigmas) if pair.accepted else pair.reason
+        assert pair.overlap is None
+    gaps = np.diff(sorted(p.query_timestamp_ns for p in pairs))
+    assert (gaps > 0).all()
+
+
+def test_the_dataset_has_frames_and_neither_images_nor_depth(drives: Drives) -> None:
+    for name in drives.dataset.traversal_names:
+        traversal = drives.dataset.traversal(name)
+        assert (traversal.cameras, traversal.frames) == ([], ["rig"])
+        assert traversal.file.source.endswith("poses of the rig at scans of lms_front")
+        assert {p.name for p in traversal.layout.root.iterdir()} == {"traversal.yaml", "poses.csv"}
+    assert not (drives.out / "correspondences").exists()
+    assert "without images: no tracker can run on this dataset" in drives.outcome.err
+    assert "rig: " in drives.outcome.err
+    checked = relocbench("validate", drives.out)
+    assert checked.status == 0, checked.out
+
+
+def test_the_ground_truth_is_drawn_without_images(drives: Drives, tmp_path: Path) -> None:
+    done = relocbench("inspect", drives.out, "--ground-truth", tmp_path / "gt", "--pairs", 2, "-q")
+    assert done.status == 0, done.err
+    names = {p.name for p in (tmp_path / "gt").rglob("*.png")}
+    assert {"residuals.png", "map.png", "overlay_01.png"} <= names
+    assert not any(name.startswith("keyframe") for name in names)
+    assert "in both images" not in (tmp_path / "gt" / "index.html").read_text()
+
+
+def test_a_build_that_is_run_again_ends_with_the_same_bytes(drives: Drives, tmp_path: Path) -> None:
+    shutil.copytree(drives.out, tmp_path / "d")
+    before = hashes(tmp_path / "d")
+    (tmp_path / "d" / "dataset.yaml").unlink()
+    shutil.rmtree(tmp_path / "d" / "pairs")
+    assert build(tmp_path / "d", *drives.folders).status == 0
+    assert hashes(tmp_path / "d") == before
+
+
+def test_predictions_on_it_are_scored(drives: Drives, tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "r", "--json", "-q")
+    outcome = relocbench("evaluate", "-d", drives.out, "-m", "identity", "-m", "clock", *out)
+    assert outcome.status == 0, outcome.err
+    scored = json.loads(outcome.out)["methods"]
+    assert scored["identity"][drives.pair_set]["all"]["coverage"] == 1.0
+
+
+def test_stereo_depth_of_no_images_is_refused_before_any_work(drives: Drives, tmp_path: Path) -> None:
+    outcome = build(tmp_path / "d", *drives.folders, "--depth", "stereo")
+    assert outcome.status == 2
+    assert "--depth stereo needs images of two cameras" in outcome.complaint
+    assert not (tmp_path / "d").exists()
+
+
+@pytest.fixture(scope="module")
+def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sequences along one street, with a camera."""
+    root = tmp_path_factory.mktemp("kitti")
+    for number in range(2):
+        record(
+            Street(), StraightRoad(), CONDITIONS["Sunny"].factors, root, "kitti", frames=26, scale=0.1, rings=16,
+            azimuths=360, number=number, cameras=("image_0",), renderer_factory=SolidTexture,
+            compose=fenced_street_mesh,
+        )  # fmt: skip
+    return root
+
+
+def test_poses_of_the_rig_are_those_of_the_images(kitti: Path, tmp_path: Path) -> None:
+    """Images and scans of KITTI have the same times, so that both builds pair the same moments."""
+    small = ("--sequence", "00,01", "--odometry", "poses", "--submap", 20, "--depth-submap", 12, "--keyframe-distance",
+             2, "--query-distance", 3, "--correspondences", 0, "--matcher", "fgr", "-j", 1, "-q")  # fmt: skip
+    pictured, alone = tmp_path / "pictured", tmp_path / "alone"
+    assert relocbench("build-dataset", "kitti-lidar", kitti, *small, "--out", pictured).status == 0
+    assert relocbench("build-dataset", "kitti-lidar", kitti, *small, "--cameras", "none", "--out", alone).status == 0
+    (of_images,), (of_rig,) = (Dataset(folder).pair_sets() for folder in (pictured, alone))
+    T_rig_cam = Dataset(pictured).traversal("kitti_00").T_rig_cam("image_0")
+    by_key = {p.key: p for p in of_images.pairs}
+    both = [p for p in of_rig.pairs if p.key in by_key]
+    assert len(both) >= 4
+    for pair in both:
+        T_query_ref = by_key[pair.key].T_query_ref
+        assert T_query_ref is not None
+        assert pair.T_query_ref is not None
+        np.testing.assert_allclose(pair.T_query_ref, T_rig_cam @ T_query_ref @ invert(T_rig_cam), atol=1e-6)
+
+
+def test_drives_of_which_only_some_have_images_are_told_how_to_go_on(kitti: Path, tmp_path: Path) -> None:
+    for sequence, words in (
+        ("00", "holds no images, and others do: --cameras none pairs poses of the rig without images"),
+        ("01", "has no images of a camera 'image_0'; it has none; --cameras none pairs poses of the rig"),
+    ):
+        half = tmp_path / sequence
+        shutil.copytree(kitti, half)
+        shutil.rmtree(half / "sequences" / sequence / "image_0")
+        outcome = relocbench("build-dataset", "kitti-lidar", half, "--sequence", "00,01", "--odometry", "poses",
+                             "--out", tmp_path / f"d{sequence}")  # fmt: skip
+        assert outcome.status == 2
+        assert words in outcome.err

@@ -1,0 +1,137 @@
+"""Files of poses are read alike in every format, and quaternions in the wrong order are found out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from repository import ROOT
+from two_laps import START_NS, laps, matrix_lines, tum_lines
+
+from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file
+from relocbench.errors import DatasetError
+
+POSES = laps(1)
+REAL = Path(os.environ.get("RELOCBENCH_REAL_DATA", ROOT.parent / "shared" / "data")) / "fourseasons_trajectories"
+
+
+def _own(path: Path) -> None:
+    header = "timestamp_ns,tx,ty,tz,qx,qy,qz,qw\n"
+    rows = tum_lines(POSES, between=",").splitlines()
+    times = (str(time) for time in POSES)
+    path.write_text(header + "".join(f"{t},{row.split(',', 1)[1]}\n" for t, row in zip(times, rows, strict=True)))
+
+
+def _kitti(path: Path) -> None:
+    path.write_text(matrix_lines(POSES, timed=False))
+    path.with_name(f"{path.stem}.times.txt").write_text("".join(f"{t}\n" for t in POSES))
+
+
+FORMATS: dict[str, Callable[[Path], object]] = {
+    "TUM": lambda path: path.write_text(tum_lines(POSES)),
+    "TUM with a comment and commas": lambda path: path.write_text("# t, tx\n" + tum_lines(POSES, between=", ")),
+    "poses.csv": _own,
+    "KITTI with times beside": _kitti,
+    "KITTI with times before": lambda path: path.write_text(matrix_lines(POSES, timed=True)),
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_gives_the_same_poses(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "a drive.txt"
+    FORMATS[name](path)
+    found = read_pose_file(path)
+    assert list(found) == list(POSES)
+    np.testing.assert_allclose(np.array(list(found.values())), np.array(list(POSES.values())), atol=1e-12)
+
+
+def test_both_orders_of_quaternions_are_read_as_told(tmp_path: Path) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(tum_lines(POSES, "wxyz"))
+    np.testing.assert_allclose(list(read_pose_file(path, "wxyz").values()), list(POSES.values()), atol=1e-12)
+    assert not np.allclose(list(read_pose_file(path).values()), list(POSES.values()), atol=0.1)
+
+
+@pytest.mark.parametrize("written", ["xyzw", "wxyz"])
+@pytest.mark.parametrize("read", ["xyzw", "wxyz"])
+def test_the_order_in_which_a_car_drives_ahead_is_the_likely_one(tmp_path: Path, written: str, read: str) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(tum_lines(POSES, written))
+    poses = np.array(list(read_pose_file(path, read).values()))  # type: ignore[arg-type]
+    assert likely_order(poses, read) == written  # type: ignore[arg-type]
+
+
+def test_of_what_drives_straight_or_stands_no_order_is_told() -> None:
+    straight = np.tile(np.eye(4), (50, 1, 1))
+    assert likely_order(straight, "xyzw") == "xyzw"
+    straight[:, 0, 3] = np.arange(50)
+    assert likely_order(straight, "xyzw") == "xyzw"
+    assert likely_order(straight, "wxyz") == "wxyz"
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason=f"no real trajectories at {REAL}")
+def test_the_order_of_real_trajectories_is_found() -> None:
+    files = sorted(REAL.glob("*.txt"))
+    assert len(files) == 3
+    for path in files:
+        wrong, right = (np.array(list(read_pose_file(path, order).values())) for order in ("xyzw", "wxyz"))
+        assert (likely_order(wrong, "xyzw"), likely_order(right, "wxyz")) == ("wxyz", "wxyz"), path.name
+
+
+LINE = f"{START_NS} 1 0 0 0 0 1 0 0 0 0 1 0"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "holds no pose; expected 8 columns"),
+        ("# nothing\n", "holds no pose; expected 8 columns"),
+        (
+            "1.0 2 3\n",
+            "t.txt:1: expected 8 columns (t tx ty tz and a quaternion), 12 (the upper three rows of a pose) or ",
+        ),
+        ("1.0 0 0 0 0 0 0 1\n2.0 0 0 0\n", "t.txt:2: expected 8 columns (t tx ty tz qx qy qz qw), found 4"),
+        ("1.0 0 0 0 0 0 0 2\n", "t.txt:1: quaternion qx qy qz qw has norm 2, expected 1"),
+        ("2.0 0 0 0 0 0 0 1\n1.0 0 0 0 0 0 0 1\n", "t.txt:2: time 1.0 is not later than the previous one"),
+        (f"{LINE}\n{LINE}\n", f"t.txt:2: time {START_NS} is not later than the previous one"),
+        (f"{LINE} 7\n", "found 14"),
+        (f"{LINE}\n{START_NS + 1} 1\n", "t.txt:2: expected 13 columns as in the first line, found 2"),
+        (LINE.replace(" 1 ", " 2 ", 1), "t.txt:1: the left 3x3 of the pose is not a rotation"),
+        (LINE.replace(" 1 ", " x ", 1), "t.txt:1: r11 is 'x', expected a number"),
+        ("timestamp_ns,tx,ty,tz,qx,qy,qz,qw\n", "holds no pose below its header"),
+        (LINE.split(" ", 1)[1], "12 columns are poses without times; expected t.times.txt beside it, or --times FILE"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(text)
+    with pytest.raises(DatasetError) as refused:
+        read_pose_file(path)
+    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        ("1.0\n", "holds 1 times, but t.txt has 2 poses"),
+        ("1.0\n2.0\n3.0\n", "holds 3 times, but t.txt has 2 poses"),
+        ("1.0\n1.0\n", "times.txt:2: time 1.0 is not later than the previous one"),
+        ("1.0 2.0\n", "times.txt:1: expected one time, found 2 columns"),
+        ("one\n", "times.txt:1: 'one' is not a time"),
+    ],
+)
+def test_times_that_do_not_fit_are_refused(tmp_path: Path, times: str, words: str) -> None:
+    path, of = tmp_path / "t.txt", tmp_path / "times.txt"
+    path.write_text(matrix_lines(dict(list(POSES.items())[:2]), timed=False))
+    of.write_text(times)
+    with pytest.raises(DatasetError) as refused:
+        read_pose_file(path, times=of)
+    assert words in str(refused.value)
+
+
+def test_a_folder_is_no_file_of_poses(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="is a folder; expected a file of poses"):
+        read_pose_file(tmp_path)
