@@ -20,6 +20,7 @@ from relocbench.datasets.sensors.recording import FieldRecording
 SIZE = 7
 """unknowns of one lidar: translation (3, metres), rotation (3, radians), time offset (seconds)"""
 RIG = "all lidars"
+EVERY = "all drives/"
 KINDS = ("extrinsics", "time")
 
 
@@ -39,6 +40,8 @@ class Sigmas:
 
 NOMINAL = Sigmas(0.005, float(np.radians(0.05)), 0.003)
 """of a calibration that is as good as it should be"""
+STEADY = Sigmas(0.002, float(np.radians(0.02)), 0.001)
+"""of its changes from drive to drive"""
 FAULTY = Sigmas(0.10, float(np.radians(2.0)), 0.10)
 """of one that is not"""
 
@@ -48,12 +51,17 @@ class Cause:
     """An error that one or several lidars share."""
 
     of: str
-    """:data:`RIG` (of all drives), the name of a drive (all its lidars), or ``DRIVE/LIDAR``"""
+    """:data:`RIG` (of all drives), ``all drives/LIDAR``, the name of a drive (all its lidars), or ``DRIVE/LIDAR``"""
     kind: str
     """one of :data:`KINDS`"""
 
     def __str__(self) -> str:
         return f"{self.kind} of {self.of}"
+
+    @property
+    def nominal(self) -> Sigmas:
+        """Standard deviations of this error if the calibration is as good as it should be."""
+        return NOMINAL if self.of == RIG or self.of.startswith(EVERY) else STEADY
 
 
 @dataclass(frozen=True)
@@ -111,6 +119,9 @@ class Sensors:
         """
         free = [d for d in self.drives if not d.odometry]
         out = [Cause(RIG, "extrinsics")] if len(free) > 1 else []
+        if len(free) > 1:
+            common = [name for name in free[0].lidars if all(name in d.lidars and len(d.lidars) > 1 for d in free)]
+            out += [Cause(f"{EVERY}{lidar}", kind) for lidar in common for kind in KINDS]
         for one in self.drives:
             if not one.odometry:
                 out += [Cause(one.drive, kind) for kind in KINDS]
@@ -124,7 +135,7 @@ class Sensors:
         rows = np.arange(6) if cause.kind == "extrinsics" else np.array([6])
         out = np.zeros((self.unknowns, len(rows)))
         for k, (drive, lidar) in enumerate(self.names):
-            if k not in self.fixed and cause.of in (RIG, drive, f"{drive}/{lidar}"):
+            if k not in self.fixed and cause.of in (RIG, f"{EVERY}{lidar}", drive, f"{drive}/{lidar}"):
                 out[SIZE * k + rows, np.arange(len(rows))] = 1.0
         return out
 
@@ -134,7 +145,7 @@ class Sensors:
         out = np.zeros((self.unknowns, self.unknowns))
         for cause in self.causes():
             spread = self.spread(cause)
-            variances = (FAULTY if cause in bad else NOMINAL).variances(cause.kind)
+            variances = (FAULTY if cause in bad else cause.nominal).variances(cause.kind)
             out += spread @ (variances[:, None] * spread.T)
         return out
 

@@ -25,7 +25,7 @@ from relocbench.datasets.groundtruth.calibration.files import (
     write_evidence,
 )
 from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
-from relocbench.datasets.groundtruth.calibration.unknowns import RIG, SIZE, Cause, DriveLidars, Sensors
+from relocbench.datasets.groundtruth.calibration.unknowns import EVERY, RIG, SIZE, Cause, DriveLidars, Sensors
 from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, optimise
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -124,7 +124,9 @@ def _settled(found: Calibration) -> bool:
 def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:
     """Names of the drives whose lidars are in error."""
     of = {cause.of for cause in found.causes}
-    return {r.name for r in recordings if RIG in of or any(o == r.name or o.startswith(f"{r.name}/") for o in of)}
+    if any(o == RIG or o.startswith(EVERY) for o in of):
+        return {r.name for r in recordings}
+    return {r.name for r in recordings if any(o == r.name or o.startswith(f"{r.name}/") for o in of)}
 
 
 def _of_drives(sensors: Sensors, names: set[str]) -> Array:

@@ -2,7 +2,8 @@
 
 ``common`` is the route that all traversals of a dataset follow. ``detour`` leaves it for other streets and comes back;
 ``crossing`` passes one of its crossings in another direction; ``return`` drives it from its end to its beginning, in
-the other lane; ``periodic`` runs along the street with repeating facades. All of this happens within the driven part of the path, which begins and ends ``MARGIN_M`` from its ends.
+the other lane; ``periodic`` runs along the street with repeating facades. All of this happens within the driven part
+of the path, which begins and ends ``MARGIN_M`` from its ends.
 """
 
 from __future__ import annotations
