@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from relocbench.arrays import Array, Image, Times
-from relocbench.datasets.core import images
+from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.importers.generic.dataset import (
     CAMERA_FILE,
     POSE_FILE,
     CameraFolder,
-    expected_size,
     read_folder,
 )
 from relocbench.datasets.importers.generic.scans import LIDAR_FILE, read_lidar_file, read_lidars
+from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
-from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
-from relocbench.geometry import Camera, invert, make_transform
+from relocbench.geometry import invert, make_transform
 from relocbench.progress import Reporter, Silent
 
 OdometrySource = Literal["auto", "poses", "lidar"]
@@ -36,31 +33,6 @@ _T_NEW_RIG: dict[str, Array] = {
         np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.0, 0.0, 0.0]
     ),
 }
-
-
-@dataclass(frozen=True, eq=False)
-class GenericCameraStream:
-    """The images of one camera, undistorted when read."""
-
-    name: str
-    distorted: Camera
-    T_rig_cam: Array
-    files: tuple[Path, ...]
-    times_ns: Times
-
-    @property
-    def camera(self) -> Camera:
-        return self.distorted.pinhole()
-
-    def read(self, index: int) -> Image:
-        """Read an undistorted image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
-        path = self.files[index]
-        image = images.read_image(path, expected_size(self.distorted))
-        return image if self.distorted.model == "pinhole" else undistort(image, self.distorted)
-
-    def file(self, index: int) -> Path | None:
-        """The image file if it needs no undistortion, else None."""
-        return self.files[index] if self.distorted.model == "pinhole" else None
 
 
 def read_generic(
@@ -118,10 +90,10 @@ def read_generic(
     )
 
 
-def _camera(name: str, entry: CameraFolder, T_new_rig: Array) -> GenericCameraStream:
+def _camera(name: str, entry: CameraFolder, T_new_rig: Array) -> ImageFiles:
     times = np.array(list(entry.images), dtype=np.int64)
     T_rig_cam = T_new_rig @ entry.camera.T_rig_cam.matrix
-    return GenericCameraStream(name, entry.camera.camera, T_rig_cam, tuple(entry.images.values()), times)
+    return ImageFiles(name, entry.camera.camera, T_rig_cam, tuple(entry.images.values()), times, CAMERA_FILE)
 
 
 def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int) -> Trajectory:

@@ -12,15 +12,15 @@ from typing import Literal
 
 import numpy as np
 
-from relocbench.arrays import Array, Image, Times
-from relocbench.datasets.core import images
+from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.importers.kitti.files import KittiSequence
+from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.geometry import Camera, invert
+from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
 
 ScanMotion = Literal["compensated", "distorted"]
@@ -73,25 +73,6 @@ def raised(points: Array, elevation_deg: float) -> Array:
     c, s = np.cos(np.radians(elevation_deg)), np.sin(np.radians(elevation_deg))
     scale = c - s * points[:, 2] / np.maximum(level, 1e-9)
     return np.column_stack([points[:, 0] * scale, points[:, 1] * scale, c * points[:, 2] + s * level])
-
-
-@dataclass(frozen=True, eq=False)
-class RectifiedCamera:
-    """The images of a rectified camera, which can be linked unchanged."""
-
-    name: str
-    camera: Camera
-    T_rig_cam: Array
-    files: tuple[Path, ...]
-    times_ns: Times
-
-    def read(self, index: int) -> Image:
-        """Read an image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
-        path = self.files[index]
-        return images.read_image(path, images.ExpectedSize(self.camera.size, f"the first image of {self.name}"))
-
-    def file(self, index: int) -> Path | None:
-        return self.files[index]
 
 
 def read_kitti(
@@ -186,4 +167,5 @@ def _poses(files: KittiSequence, times: Times) -> Trajectory:
 def _camera(files: KittiSequence, name: str, numbers: dict[int, Path], times: Times) -> CameraStream:
     camera = files.camera(name, next(iter(numbers.values())))
     T_rig_cam = invert(files.calibration.T_cam0_lidar()) @ files.calibration.T_cam0_cam(name)
-    return RectifiedCamera(name, camera, T_rig_cam, tuple(numbers.values()), times[list(numbers)])
+    size_from = f"the first image of {name}"
+    return ImageFiles(name, camera, T_rig_cam, tuple(numbers.values()), times[list(numbers)], size_from)

@@ -7,8 +7,7 @@ Maddern et al., 1 Year, 1000 km: The Oxford RobotCar Dataset, IJRR 2017.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,20 +17,20 @@ from scipy.spatial.transform import Rotation
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
-from relocbench.errors import DatasetError, quoted
-from relocbench.files import lines_of, load_yaml_value, parse_floats, read_rows, read_text
+from relocbench.datasets.importers.lidar_drives.conditions import season_of
+from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns, read_named_columns
+from relocbench.errors import DatasetError
+from relocbench.files import load_yaml_value, parse_floats, read_rows
 from relocbench.geometry import is_rotation, make_transform, project_to_rotation
 
 POSE_COLUMNS = "x y z roll pitch yaw"
 VO_COLUMNS = ("source_timestamp", "destination_timestamp", *POSE_COLUMNS.split())
 INS_COLUMNS = ("timestamp", "ins_status", "northing", "easting", "down", "utm_zone", "roll", "pitch", "yaw")
 _GOOD_STATUS = ("INS_SOLUTION_GOOD", "INS_ALIGNMENT_COMPLETE")
-_MOST_US = (2**63 - 1) // 1000
 _ROTATION_TOLERANCE = 1e-3
 _WEATHER = {"snow": "snow", "rain": "rain", "overcast": "overcast", "clouds": "cloudy", "sun": "sunny"}
 """tag -> weather; the first of these that is among a traversal's tags determines its weather"""
 _TIMES_OF_DAY = ("night", "dusk")
-_SEASONS = ("winter", "spring", "summer", "autumn")
 
 
 def transform_from_xyzrpy(values: ArrayLike) -> Array:
@@ -40,13 +39,6 @@ def transform_from_xyzrpy(values: ArrayLike) -> Array:
     # Lower-case axes are fixed (extrinsic): about x first, about z last.
     rotation = Rotation.from_euler("xyz", v[..., 3:].reshape(-1, 3)).as_matrix()
     return make_transform(rotation.reshape(*v.shape[:-1], 3, 3), v[..., :3])
-
-
-def parse_microseconds(text: str, path: Path, line: int | None = None) -> int:
-    """Nanoseconds of a time in microseconds since 1970. Raises DatasetError with file and line."""
-    if not re.fullmatch(r"[0-9]{1,19}", text) or int(text) > _MOST_US:
-        raise DatasetError(f"{quoted(text, 30)} is not a time in whole microseconds", path, line)
-    return int(text) * 1000
 
 
 def read_timestamps(path: Path) -> Times:
@@ -59,7 +51,7 @@ def read_timestamps(path: Path) -> Times:
     for line, fields in read_rows(path, "timestamps (microseconds, chunk)", DatasetError):
         if len(fields) > 2:
             raise DatasetError(f"expected a time in microseconds and a chunk, found {len(fields)} columns", path, line)
-        times.append(parse_microseconds(fields[0], path, line))
+        times.append(microseconds_to_ns(fields[0], path, line))
         _check_order(times, fields[0], path, line)
     return np.array(times, dtype=np.int64)
 
@@ -87,8 +79,8 @@ def read_visual_odometry(path: Path) -> OdometrySteps:
     earlier: list[int] = []
     later: list[int] = []
     values: list[list[float]] = []
-    for line, row in _read_table(path, VO_COLUMNS, "visual odometry"):
-        source, destination = (parse_microseconds(text, path, line) for text in row[:2])
+    for line, row in read_named_columns(path, VO_COLUMNS, "visual odometry"):
+        source, destination = (microseconds_to_ns(text, path, line) for text in row[:2])
         if source <= destination:
             raise DatasetError("source_timestamp is not later than destination_timestamp", path, line)
         if later and destination < later[-1]:
@@ -127,9 +119,9 @@ def read_inertial(path: Path) -> InertialTrack:
     last = -1
     zone = ""
     left_out = 0
-    for line, row in _read_table(path, INS_COLUMNS, "GNSS/INS solutions"):
+    for line, row in read_named_columns(path, INS_COLUMNS, "GNSS/INS solutions"):
         time, status, *numbers = row[0], row[1], *row[2:5], *row[6:]
-        now = parse_microseconds(time, path, line)
+        now = microseconds_to_ns(time, path, line)
         if now <= last:
             raise DatasetError(f"time {time} is not later than the previous one", path, line)
         last = now
@@ -205,27 +197,10 @@ def condition_of(tags: Sequence[str], month: int | None = None) -> Condition:
     by_default = "day" if weather is not None else "unknown"
     return Condition(
         weather="unknown" if weather is None else _WEATHER[weather],
-        season="unknown" if month is None else _SEASONS[month % 12 // 3],
+        season="unknown" if month is None else season_of(month),
         time_of_day=time_of_day or by_default,
         tags=tuple(tag for tag in tags if tag not in (weather, time_of_day)),
     )
-
-
-def _read_table(path: Path, columns: Sequence[str], what: str) -> Iterator[tuple[int, list[str]]]:
-    """Line numbers and the fields of ``columns``, in that order, from a CSV file with a header."""
-    lines = lines_of(read_text(path, f"{what} ({','.join(columns)})", DatasetError))
-    header = [name.strip() for name in lines[0].split(",")] if lines else []
-    missing = [name for name in columns if name not in header]
-    if missing:
-        raise DatasetError(f"the header has no column {', '.join(missing)}", path, 1)
-    wanted = [header.index(name) for name in columns]
-    for number, line in enumerate(lines[1:], start=2):
-        if not line.strip():
-            continue
-        fields = line.split(",")
-        if len(fields) != len(header):
-            raise DatasetError(f"expected {len(header)} columns, found {len(fields)}", path, number)
-        yield number, [fields[i].strip() for i in wanted]
 
 
 def _check_order(times: Sequence[int], text: str, path: Path, line: int) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.importers.lidar_drives.conditions import simulated_condition
 from relocbench.datasets.importers.robotcar import files
 from relocbench.datasets.importers.robotcar.sensors import LmsStream, RobotCarCamera, image_size, present_times
 from relocbench.datasets.importers.robotcar.track import (
@@ -28,7 +29,6 @@ from relocbench.datasets.importers.robotcar.track import (
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.files import read_csv
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.progress import Reporter, Silent
 
@@ -279,15 +279,10 @@ def _condition(folder: Path, tags: Sequence[str]) -> Condition:
 
     The date of a simulated drive means nothing; its condition is named in ``drives.csv`` beside it and becomes a tag.
     """
-    path = folder.resolve()
-    table = next((p / "drives.csv" for p in (path.parent, path.parent.parent) if (p / "drives.csv").is_file()), None)
-    if table is not None:
-        rows = read_csv(table, "which drive is which", DatasetError)
-        header = next(rows, (1, []))[1]
-        drives = [dict(zip(header, row, strict=False)) for _, row in rows]
-        named = [drive.get("condition", "") for drive in drives if drive.get("name") == path.name]
-        return files.condition_of([*tags, *named])
-    date = _NAME.fullmatch(path.name)
+    simulated = simulated_condition(folder)
+    if simulated is not None:
+        return files.condition_of([*tags, simulated] if simulated else tags)
+    date = _NAME.fullmatch(folder.resolve().name)
     month = int(date[2]) if date and 1 <= int(date[2]) <= 12 else None
     return files.condition_of(tags, month)
 

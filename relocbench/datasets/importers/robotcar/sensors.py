@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from relocbench.arrays import Array, Floats, Image, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.core.image_header import MOST_PIXELS
-from relocbench.datasets.importers.robotcar.files import parse_microseconds, read_timestamps
+from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns
+from relocbench.datasets.importers.robotcar.files import read_timestamps
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.errors import DatasetError
@@ -145,7 +146,7 @@ def present_times(folder: Path, timestamps: Path, suffix: str, what: str, report
             path = folder / entry.name
             if path.suffix != suffix or entry.name.startswith("."):
                 continue
-            found.add(parse_microseconds(path.stem, path))
+            found.add(microseconds_to_ns(path.stem, path))
             if suffix == ".bin":
                 if not path.exists():
                     raise DatasetError("is a link to a file that does not exist; expected a scan", path)

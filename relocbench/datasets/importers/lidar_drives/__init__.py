@@ -1,0 +1,1 @@
+"""What importers of published lidar datasets share: the build, options, conditions, tables and maps."""

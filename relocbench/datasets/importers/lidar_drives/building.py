@@ -1,0 +1,61 @@
+"""The build of a dataset from drives of a published lidar dataset, which all their importers share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.odometry.files import kept_in
+from relocbench.datasets.importers.assembly import check_folder, open_writer
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, on_one_map
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.datasets.sensors.trajectories import traversal_names
+from relocbench.errors import ConfigError
+from relocbench.execution import Run
+from relocbench.progress import Reporter
+
+if TYPE_CHECKING:
+    from relocbench.datasets.core.dataset import Dataset
+
+ReadDrive = Callable[[Path, str], DriveFiles]
+"""called with the folder of a drive and its name"""
+
+
+def build_drives(
+    kind: str,
+    sources: Sequence[Path],
+    options: FieldOptions,
+    out: Path,
+    reporter: Reporter,
+    run: Run,
+    read: ReadDrive,
+) -> Dataset:
+    """Build a dataset from a reference drive (the first source) and one or more query drives.
+
+    All files but scans and images are read, and all options are checked, before odometry is computed from a lidar.
+
+    Raises:
+        DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
+        ConfigError: the options do not fit the recordings.
+    """
+    if len(sources) < 2:
+        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(sources)}")
+    for source in sources:
+        check_folder(source, f"a drive in the layout of {kind}")
+    names = traversal_names(sources)
+    options.check_conditions(names)
+    drives = [read(source, name) for source, name in zip(sources, names, strict=True)]
+    check_recordings([drive.with_times_only() for drive in drives], options)
+    writer = open_writer(kind, sources, options, out, f"{kind.replace('-', '_')}_{names[0]}")
+    recordings = finish(on_one_map(drives, reporter), out, reporter)
+    return build_ground_truth(recordings, Build(writer, options, reporter, run))
+
+
+def finish(drives: Sequence[DriveFiles], out: Path, reporter: Reporter) -> list[FieldRecording]:
+    """The recordings of drives; odometry that is computed from lidar is kept in ``OUT/groundtruth/odometry``."""
+    kept = out / "groundtruth" / "odometry"
+    return [drive.recording(kept_in(kept / f"{drive.name}.csv"), reporter) for drive in drives]

@@ -1,0 +1,132 @@
+"""Drives as their files hold them, brought onto one map, with odometry from poses or from their lidar."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.arrays import Array, Times
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.geometry import invert
+from relocbench.progress import Reporter
+
+_ONE_MAP_M = 100_000.0
+"""drives that begin further apart do not state their positions in one map"""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveFiles:
+    """A drive before its odometry is known."""
+
+    name: str
+    folder: Path
+    condition: Condition
+    lidars: tuple[LidarStream, ...]
+    poses: Trajectory | None
+    """odometry by the dataset's poses; None: it is computed from a lidar"""
+    poses_from: str = ""
+    """where the poses are from, for messages"""
+    cameras: Mapping[str, CameraStream] = field(default_factory=dict)
+    prior: Trajectory | None = None
+    """``T_map_rig`` in metres, in a map that drives may share; its coordinates may be large"""
+    prior_sigma_m: float = 10.0
+    location: str = ""
+
+    def with_times_only(self) -> FieldRecording:
+        """The recording with the right times and no motion, which checks of options can be made on."""
+        spinning = self.poses is None
+        times = _between(self.lidars) if spinning else self.poses.times_ns  # type: ignore[union-attr]
+        return self._recording(Trajectory(times, np.tile(np.eye(4), (len(times), 1, 1))))
+
+    def recording(self, from_lidar: FromLidar, reporter: Reporter) -> FieldRecording:
+        """The recording, with odometry by its poses or computed from its first spinning lidar.
+
+        Raises:
+            DatasetError: there are neither poses nor a spinning lidar, or the lidar's scans are damaged.
+        """
+        if self.poses is not None:
+            reporter.note(f"{self.name}: odometry is {self.poses_from}")
+            first = invert(self.poses.T_odom_rig[0])
+            return self._recording(replace(self.poses, T_odom_rig=first @ self.poses.T_odom_rig))
+        lidar = next((lidar for lidar in self.lidars if lidar.pattern == "spinning"), None)
+        if lidar is None:
+            raise DatasetError("has neither poses nor a spinning lidar to compute odometry from", self.folder)
+        reporter.note(f"{self.name}: odometry is computed from the scans of {lidar.name}")
+        return self._recording(from_lidar(lidar, reporter))
+
+    def _recording(self, odometry: Trajectory) -> FieldRecording:
+        return FieldRecording(
+            name=self.name,
+            folder=self.folder,
+            condition=self.condition,
+            odometry=odometry,
+            lidars=self.lidars,
+            cameras=self.cameras,
+            prior=self.prior,
+            prior_sigma_m=self.prior_sigma_m,
+            location=self.location,
+        )
+
+
+def _between(lidars: Sequence[LidarStream]) -> Times:
+    ends = [time for lidar in lidars for time in (int(lidar.times_ns[0]), int(lidar.times_ns[-1]))]
+    return np.unique(np.array(ends, dtype=np.int64))
+
+
+def on_one_map(drives: Sequence[DriveFiles], reporter: Reporter) -> list[DriveFiles]:
+    """The drives with priors relative to one origin near the first of them, so that no digits are lost.
+
+    Drives that state positions more than 100 km from it are on another map: they lose their prior, which is noted.
+    """
+    origin = next((_start(drive.prior) for drive in drives if drive.prior is not None), None)
+    if origin is None:
+        return list(drives)
+    moved = []
+    for drive in drives:
+        prior = drive.prior
+        if prior is not None and float(np.linalg.norm(_start(prior) - origin)) > _ONE_MAP_M:
+            reporter.note(f"{drive.name}: its positions are in another map than those of the first drive; not used")
+            prior = None
+        elif prior is not None:
+            T_map_rig = prior.T_odom_rig.copy()
+            T_map_rig[:, :3, 3] -= origin
+            prior = replace(prior, T_odom_rig=T_map_rig)
+        moved.append(replace(drive, prior=prior))
+    return moved
+
+
+def _start(prior: Trajectory) -> Array:
+    """(3,) corner of the cube of 1 km in which a drive begins."""
+    return np.asarray(np.floor(prior.T_odom_rig[0, :3, 3] / 1000.0) * 1000.0)
+
+
+def trajectory_of(
+    times: Sequence[int] | Times, T_map_body: Array, T_body_rig: Array, path: Path, max_gap_ns: int = 1_000_000_000
+) -> Trajectory:
+    """Poses of the rig from those of another body on it.
+
+    Args:
+        times: (N,) nanoseconds, which need not be sorted; of equal times the first is kept.
+        path: the file that the poses are from.
+
+    Raises:
+        DatasetError: there are fewer than two poses.
+    """
+    unique, first = np.unique(np.asarray(times, dtype=np.int64), return_index=True)
+    if len(unique) < 2:
+        raise DatasetError(f"holds {len(unique)} poses; a trajectory has at least 2", path)
+    return Trajectory(unique, T_map_body[first] @ T_body_rig, max_gap_ns)
+
+
+def chosen_of(asked: Sequence[str], known: Sequence[str], default: Sequence[str], what: str, dataset: str) -> list[str]:
+    """The sensors that were asked for, else the default ones. Raises ConfigError if there is no such sensor."""
+    for name in asked:
+        if name not in known:
+            raise ConfigError(f"{dataset} has no {what} '{name}'; there is {', '.join(known)}")
+    return list(dict.fromkeys(asked or default))

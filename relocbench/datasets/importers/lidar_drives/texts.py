@@ -1,0 +1,95 @@
+"""Tables, matrices and times as the text files of lidar datasets have them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.errors import DatasetError, quoted
+from relocbench.files import lines_of, parse_floats, read_rows, read_text, seconds_to_ns, whole_number
+from relocbench.geometry import is_rotation, make_transform, project_to_rotation
+
+_ROTATION_TOLERANCE = 1e-3
+_MOST_US = (2**63 - 1) // 1000
+
+
+def read_named_columns(path: Path, columns: Sequence[str], what: str) -> Iterator[tuple[int, list[str]]]:
+    """Line numbers and the fields of ``columns``, in that order, from a table with commas and a header.
+
+    Raises:
+        DatasetError: with file and line: a column is missing, or a line has another number of fields than the header.
+    """
+    lines = lines_of(read_text(path, f"{what} ({','.join(columns)})", DatasetError))
+    header = [name.strip() for name in lines[0].split(",")] if lines else []
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise DatasetError(f"the header has no column {', '.join(missing)}", path, 1)
+    wanted = [header.index(name) for name in columns]
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        fields = line.split(",")
+        if len(fields) != len(header):
+            raise DatasetError(f"expected {len(header)} columns, found {len(fields)}", path, number)
+        yield number, [fields[i].strip() for i in wanted]
+
+
+def read_matrix(path: Path, what: str, columns: int = 4) -> Array:
+    """A matrix (rows, columns) of finite numbers, a row a line. Raises DatasetError with file and line."""
+    names = " ".join(f"m{k}" for k in range(columns))
+    found = [
+        parse_floats(fields, path, line, names, DatasetError) for line, fields in read_rows(path, what, DatasetError)
+    ]
+    if len(found) not in (3, 4):
+        raise DatasetError(f"expected 3 or 4 lines of {columns} numbers, found {len(found)}", path)
+    return np.array(found)
+
+
+def read_transform(path: Path, what: str) -> Array:
+    """A transform (4, 4) in a file of 3 or 4 lines. Raises DatasetError with file and line."""
+    return as_transform(read_matrix(path, what), path)
+
+
+def as_transform(matrix: Array, path: Path, line: int | None = None) -> Array:
+    """The transform (4, 4) of a matrix (3 or 4, 4) that was read from ``path``.
+
+    Raises:
+        DatasetError: its upper left part is not a rotation.
+    """
+    if not is_rotation(matrix[:3, :3], _ROTATION_TOLERANCE):
+        raise DatasetError("the upper left 3x3 of the matrix is not a rotation", path, line)
+    return make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
+
+
+def microseconds_to_ns(text: str, path: Path, line: int | None = None) -> int:
+    """Nanoseconds of a time in whole microseconds since 1970. Raises DatasetError with file and line."""
+    value = whole_number(text)
+    if value is None or value > _MOST_US:
+        raise DatasetError(f"{quoted(text, 30)} is not a time in whole microseconds", path, line)
+    return value * 1000
+
+
+def nanoseconds(text: str, path: Path, line: int | None = None) -> int:
+    """A time in whole nanoseconds since 1970. Raises DatasetError with file and line."""
+    value = whole_number(text)
+    if value is None:
+        raise DatasetError(f"{quoted(text, 30)} is not a time in whole nanoseconds", path, line)
+    return value
+
+
+def seconds_or_microseconds_to_ns(text: str, path: Path, line: int | None = None) -> int:
+    """Nanoseconds of a time in seconds, or in microseconds if it is whole and has 14 digits or more.
+
+    Raises:
+        DatasetError: with file and line.
+    """
+    value = whole_number(text)
+    if value is not None and len(text) >= 14:
+        return microseconds_to_ns(text, path, line)
+    try:
+        return seconds_to_ns(text)
+    except ValueError as bad:
+        raise DatasetError(f"{bad}; expected a time in seconds or whole microseconds", path, line) from None
