@@ -10,7 +10,7 @@ from command_line import relocbench
 
 from relocbench.datasets.importers import KINDS, options_of
 
-LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "rosbag")
+LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "boreas", "rosbag")
 RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap", "kapture")
 RENDERED = ("synthetic", "cross-view")
 
@@ -28,6 +28,9 @@ def help_of(kind: str) -> str:
         ("--revisit-gap", ("poses",)),
         ("--trajectories", ("pair-files",)),
         ("--copy-images", (*RECORDINGS, "kitti-lidar", "generic-lidar")),
+        ("--pair-rule", (*RECORDINGS, "synthetic")),
+        ("--pair-step", (*RECORDINGS, "synthetic")),
+        ("--copy-images", (*RECORDINGS, *(kind for kind in LIDAR if kind != "robotcar"))),
         ("--matcher", LIDAR),
         ("--preset", ("synthetic",)),
     ],

@@ -1,6 +1,7 @@
 """Importers: one folder per outside format, each of which turns recordings into a dataset.
 
-``photos`` is what importers of collections of named images share, ``assembly`` what all do.
+``photos`` is what importers of collections of named images share, ``lidar_drives`` what those of published lidar
+datasets share, ``assembly`` what all do.
 
 An importer module has ``Options``, a subclass of :class:`DatasetOptions` whose fields are command-line options and keys
 of a configuration file, and ``build(sources, options, out, reporter, run) -> Dataset``. Recordings are never changed,
@@ -30,6 +31,7 @@ KINDS: dict[str, str] = {
     "kitti-lidar": "KITTI odometry layout: ground truth across sequences from the velodyne",
     "generic-lidar": "the minimal folder with lidar: ground truth across drives from it",
     "rosbag": "bags of ROS 1 and 2 and MCAP files: ground truth across drives from their lidar",
+    "boreas": "Boreas layout: ground truth across drives from the Velodyne",
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
     "colmap": "a sparse model of COLMAP: photo collections with a camera for each image",
     "kapture": "folders in the kapture format: map and queries, with rigs, depth maps or points",
@@ -49,6 +51,7 @@ _MODULES = {
     "kitti-lidar": "kitti.lidar_dataset",
     "generic-lidar": "generic.lidar_dataset",
     "rosbag": "rosbag.dataset",
+    "boreas": "boreas.dataset",
     "generic": "generic.dataset",
     "colmap": "colmap.dataset",
     "kapture": "kapture.dataset",

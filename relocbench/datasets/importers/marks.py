@@ -13,6 +13,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "kitti-lidar": ("sequences",),
     "tum-rgbd": ("rgb.txt",),
     "robotcar": ("vo", "gps", "lms_front", "lms_rear", "velodyne_left", "velodyne_right", "stereo"),
+    "boreas": ("applanix", "lidar", "calib"),
     "generic": ("camera.yaml",),
     "colmap": ("cameras.bin", "cameras.txt"),
     "kapture": ("sensors/sensors.txt", "mapping/sensors/sensors.txt"),

@@ -248,13 +248,29 @@ def test_the_kitti_importer_makes_datasets_of_recordings(kitti: Path, tmp_path: 
     )
 
 
+def test_the_boreas_layout_is_written_by_one_command_and_goes_on_where_it_was_cut(tmp_path: Path) -> None:
+    options = ("--rings", 16, "--azimuths", 360, "--image-scale", 0.06, "--conditions", "Neutral", "--json")
+    arguments = (*SMOKE, "--recording", "boreas", "--workers", 1, *options, "--out", tmp_path / "made")
+    outcome = relocbench(*arguments)
+    assert outcome.status == 0, outcome.err
+    (drive,) = json.loads(outcome.out)["drives"]
+    assert (drive["folder"], drive["images"], drive["scans"]) == ("boreas-2024-03-01-10-00", 4, 4)
+    before = hashes(tmp_path / "made")
+    scan = sorted((tmp_path / "made" / drive["folder"] / "lidar").iterdir())[1]
+    scan.write_bytes(scan.read_bytes()[:-7])
+    assert relocbench(*arguments).status == 0
+    assert hashes(tmp_path / "made") == before
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--recording", "euroc"), "--recording: Input should be 'robotcar' or 'kitti'"),
+        (("--recording", "euroc"), "--recording: Input should be 'robotcar', 'kitti' or 'boreas'"),
         (("--recording", "robotcar", "--cameras", "stereo"), "--cameras applies to datasets"),
         (("--recording", "kitti", "--pair-step", "1,2"), "--pair-step applies to datasets"),
-        (("--recording", "robotcar", "--rings", "32"), "--rings applies to --recording kitti"),
+        (("--recording", "robotcar", "--rings", "32"), "--rings applies to --recording kitti and boreas only"),
+        (("--recording", "boreas", "--motion-distorted"), "--motion-distorted applies to --recording kitti only"),
+        (("--recording", "boreas", "--recording-cameras", "image_0"), "no Boreas camera 'image_0'; there is camera"),
         (("--rings", "32"), "--rings applies to recordings (--recording)"),
         (("--route", "detour"), "--route applies to recordings (--recording)"),
         (("--recording", "kitti", "--rings", "12"), "--rings: Input should be greater than or equal to 16"),

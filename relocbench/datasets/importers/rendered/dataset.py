@@ -35,7 +35,13 @@ if TYPE_CHECKING:
 _RECORDING_FRAMES = 160
 """default of ``steps`` for recordings, unless a preset sets it"""
 _RECORDING_OPTIONS = ("route", "recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
-_KITTI_OPTIONS = ("rings", "azimuths", "motion_distorted")
+_SPINNING_OPTIONS = ("rings", "azimuths")
+_LAYOUT_OPTIONS = {
+    "robotcar": (),
+    "kitti": (*_SPINNING_OPTIONS, "motion_distorted"),
+    "boreas": _SPINNING_OPTIONS,
+}
+"""options of recordings that only some layouts have"""
 _DATASET_OPTIONS = (
     "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
     "cameras", "size", "distance", "reference", "extras", "elsewhere", "elsewhere_distance",
@@ -100,7 +106,7 @@ class Options(RuleOptions):
         (), description="further images to write to OUT/extras: normals, instance, semantic, changed"
     )
 
-    recording: Literal["robotcar", "kitti"] | None = Field(
+    recording: Literal["robotcar", "kitti", "boreas"] | None = Field(
         None,
         description="record drives (camera, lidar, odometry, GNSS) in this layout instead of making a dataset: one per "
         "split, condition, route and traversal",
@@ -114,11 +120,11 @@ class Options(RuleOptions):
     recording_cameras: tuple[str, ...] = Field(
         (),
         description="recording: cameras, such as stereo/left,mono_rear or image_0, or none; default: all six of "
-        "robotcar, the two grey ones of kitti",
+        "robotcar, the two grey ones of kitti, the one of boreas",
     )
     image_scale: float = Field(0.5, ge=0.05, le=1, description="recording: image size relative to the real cameras")
-    rings: int = Field(64, ge=16, le=64, description="kitti recording: rings of the lidar")
-    azimuths: int = Field(2000, ge=100, le=10_000, description="kitti recording: points per ring and turn")
+    rings: int = Field(64, ge=16, le=64, description="kitti and boreas recordings: rings of the lidar")
+    azimuths: int = Field(2000, ge=100, le=10_000, description="kitti and boreas recordings: points per ring and turn")
     motion_distorted: bool = Field(
         False, description="kitti recording: write scans without motion compensation, unlike KITTI's own"
     )
@@ -164,10 +170,17 @@ def _refuse_what_has_no_effect(values: dict[str, Any]) -> None:
     if layout is not None:
         refused, why = _DATASET_OPTIONS, "applies to datasets only, not to recordings (--recording)"
     found = [name for name in refused if name in values]
-    if not found and layout == "robotcar":
-        found, why = [name for name in _KITTI_OPTIONS if name in values], "applies to --recording kitti only"
+    if not found and layout in _LAYOUT_OPTIONS:
+        found = [name for name in _only_some() if name in values and name not in _LAYOUT_OPTIONS[layout]]
+        having = [other for other, names in _LAYOUT_OPTIONS.items() if found and found[0] in names]
+        why = f"applies to --recording {' and '.join(having)} only"
     if found:
         raise PydanticCustomError("no_effect", f"--{found[0].replace('_', '-')} {why}")
+
+
+def _only_some() -> tuple[str, ...]:
+    """The options that only some layouts of recordings have."""
+    return tuple(dict.fromkeys(name for names in _LAYOUT_OPTIONS.values() for name in names))
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -264,7 +277,7 @@ def record(
     )
     each.target(out)
     unused = {*_DATASET_OPTIONS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic"}
-    unused |= set() if options.recording == "kitti" else set(_KITTI_OPTIONS)
+    unused |= set(_only_some()) - set(_LAYOUT_OPTIONS[options.recording])
     settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
     settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     check_folder(out, settings)

@@ -31,6 +31,7 @@ from relocbench.datasets.synthetic.jobs.recording_work import (
     town_compose,
     town_renderer,
 )
+from relocbench.datasets.synthetic.layouts import boreas as boreas_layout
 from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
 from relocbench.datasets.synthetic.layouts.kitti import KittiLayout
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory, car_tracks
@@ -46,7 +47,7 @@ LEAD_NS = 500_000_000
 """time from the start of the drive to the first image or scan, and from the last one to the end"""
 _TRUTH_NS = 10_000_000
 _FIRST_US = 1_709_287_200_000_000
-"""2024-03-01, 10:00; in the RobotCar layout drive n is n days later"""
+"""2024-03-01, 10:00; in the layouts of RobotCar and Boreas drive n is n days later"""
 _DAY_US = 86_400_000_000
 
 
@@ -61,8 +62,8 @@ class Recorded:
     truth: Path
 
 
-LayoutName = Literal["robotcar", "kitti"]
-LAYOUTS: tuple[LayoutName, ...] = ("robotcar", "kitti")
+LayoutName = Literal["robotcar", "kitti", "boreas"]
+LAYOUTS: tuple[LayoutName, ...] = ("robotcar", "kitti", "boreas")
 
 
 @dataclass(frozen=True)
@@ -73,18 +74,18 @@ class DriveOptions:
     seed: int = 0
     """seed, together with ``number``, of everything random"""
     number: int = 0
-    """number of the drive, which determines its day (RobotCar) or sequence (KITTI), its motion and its errors"""
+    """number of the drive, which determines its day or sequence (KITTI), its motion and its errors"""
     frames: int = 160
-    """stereo images per lens (RobotCar, 16 Hz) or frames (KITTI, 10 Hz)"""
+    """stereo images per lens (RobotCar, 16 Hz) or frames (KITTI, Boreas, 10 Hz)"""
     scale: float = 0.5
     """image size relative to that of the real cameras"""
     cameras: tuple[str, ...] | None = None
-    """cameras to record; default: all six of RobotCar, the two grey ones of KITTI"""
+    """cameras to record; default: all six of RobotCar, the two grey ones of KITTI, the one of Boreas"""
     style: DriveStyle = field(default_factory=DriveStyle)
     rings: int = 64
-    """rings of the spinning lidar (KITTI)"""
+    """rings of the spinning lidar (KITTI, Boreas)"""
     azimuths: int = 2000
-    """points per ring and turn of the spinning lidar (KITTI)"""
+    """points per ring and turn of the spinning lidar (KITTI, Boreas)"""
     motion_distorted: bool = False
     """write scans of the spinning lidar without motion compensation (KITTI)"""
 
@@ -108,6 +109,9 @@ class DriveOptions:
             spinning = (self.rings, self.azimuths, not self.motion_distorted)
             return KittiLayout(out, f"{self.number:02d}", self.frames, self.scale, chosen, *spinning)
         start = _FIRST_US + self.number * _DAY_US
+        if self.layout == "boreas":
+            chosen = boreas_layout.CAMERAS if self.cameras is None else self.cameras
+            return boreas_layout.BoreasLayout(out, start, self.frames, self.scale, chosen, self.rings, self.azimuths)
         chosen = robotcar_layout.CAMERAS if self.cameras is None else self.cameras
         return robotcar_layout.RobotCarLayout(out, start, self.frames, self.scale, chosen)
 
@@ -193,7 +197,7 @@ def path_length(frames: int, layout: str, style: DriveStyle | None = None) -> fl
 
 def _steps(frames: int, layout: str) -> int:
     """Number of steps of the drive, including the time before the first and after the last image."""
-    rate = {"robotcar": 16.0, "kitti": 10.0}
+    rate = {"robotcar": 16.0, "kitti": 10.0, "boreas": 10.0}
     if layout not in rate:
         raise ConfigError(f"no recording layout '{layout}'; there is {', '.join(rate)}")
     if frames < 2:

@@ -1,0 +1,122 @@
+"""Short drives along a small street in the Boreas layout, with all that is true about them.
+
+Tests of other layouts write the same drives anew, so that each is judged by the same truth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from fenced_street import fenced_street_mesh
+from numpy.typing import NDArray
+from projected_depth import depth_errors, true_depth
+from small_street import SolidTexture, StraightRoad, Street
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.boreas.recording import read_boreas
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
+from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.jobs.recording import DriveOptions, record
+from relocbench.datasets.synthetic.layouts.recorded import Layout
+from relocbench.datasets.synthetic.lidar.lidar import LidarScene
+from relocbench.geometry import interpolate_trajectory, invert, rotation_angle, transform_from_tq
+from relocbench.progress import Reporter, Silent
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+SMALL = (
+    *("--submap", 20, "--depth-submap", 12, "--keyframe-distance", 2, "--query-distance", 3, "--correspondences", 50),
+    *("--matcher", "fgr"),
+)
+"""options of a build from drives that are this short"""
+
+
+@dataclass(frozen=True, eq=False)
+class StreetDrive:
+    """One drive."""
+
+    root: Path
+    options: DriveOptions
+
+    @cached_property
+    def layout(self) -> Layout:
+        return self.options.target(self.root)
+
+    @property
+    def folder(self) -> Path:
+        return self.layout.folder
+
+    @cached_property
+    def _motion(self) -> tuple[Times, Array]:
+        rows = [
+            r.split(",") for r in (self.root / "truth" / self.layout.name / "poses.csv").read_text().splitlines()[1:]
+        ]
+        values = np.array([[float(v) for v in row[1:]] for row in rows])
+        return np.array([int(row[0]) for row in rows]), transform_from_tq(values[:, :3], values[:, 3:])
+
+    def T_world_car(self, times_ns: Times) -> Array:
+        """(N, 4, 4) of the car, whose origin is on the road below its middle: x forward, y left, z up."""
+        return interpolate_trajectory(*self._motion, times_ns)
+
+    @property
+    def T_car_lidar(self) -> Array:
+        return np.asarray(self.layout.lidars["lidar"].T_rig_lidar)
+
+    @property
+    def T_car_cam(self) -> Array:
+        return np.asarray(self.layout.cameras["camera"].T_rig_cam)
+
+    @cached_property
+    def source(self) -> FieldRecording:
+        """The drive as the importer of Boreas reads it."""
+        return read_boreas(self.folder, self.layout.name).recording(_no_lidar, Silent())
+
+
+def _no_lidar(
+    lidar: LidarStream, reporter: Reporter | None = None, /, *, max_gap_ns: int = 1_000_000_000
+) -> Trajectory:
+    raise AssertionError("poses are there")
+
+
+def record_street(out: Path, number: int, frames: int = 26, *, rings: int = 16, azimuths: int = 720) -> StreetDrive:
+    """Record a drive; drives of different numbers differ in all that is random."""
+    options = DriveOptions("boreas", number=number, frames=frames, scale=0.08, rings=rings, azimuths=azimuths)
+    chosen = {"frames": frames, "scale": 0.08, "rings": rings, "azimuths": azimuths, "number": number}
+    how = {"renderer_factory": SolidTexture, "compose": fenced_street_mesh}
+    record(Street(), StraightRoad(), Factors(), out, "boreas", **chosen, **how)  # type: ignore[arg-type]
+    return StreetDrive(out, options)
+
+
+def street_scene() -> LidarScene:
+    return LidarScene(fenced_street_mesh(Street(), Factors(), ()))
+
+
+def errors_of(
+    drive: StreetDrive, recording: FieldRecording, camera: str, index: int, scene: LidarScene, *, lidar: int = 0
+) -> Array:
+    """:func:`depth_errors` of an image of a recording of the drive in any layout, whose camera is that of the drive."""
+    stream = recording.cameras[camera]
+    T_world_cam = drive.T_world_car(stream.times_ns[[index]])[0] @ drive.T_car_cam
+    return depth_errors(recording, camera, index, true_depth(scene, stream.camera, T_world_cam), lidar=lidar)
+
+
+def from_poses(drive: DriveFiles) -> FieldRecording:
+    """The recording of a drive that has poses."""
+    return drive.recording(_no_lidar, Silent())
+
+
+def worst_pair(dataset: Dataset, pair_set: str, reference: StreetDrive, query: StreetDrive) -> tuple[int, float, float]:
+    """Number of pairs, and the largest errors of their poses in metres and degrees."""
+    errors = []
+    for pair in dataset.pair_set(pair_set).pairs:
+        T_world_ref = reference.T_world_car(np.array([pair.ref_timestamp_ns]))[0] @ reference.T_car_cam
+        T_world_query = query.T_world_car(np.array([pair.query_timestamp_ns]))[0] @ query.T_car_cam
+        assert pair.T_query_ref is not None
+        wrong = pair.T_query_ref @ invert(T_world_ref) @ T_world_query
+        errors.append((np.linalg.norm(wrong[:3, 3]), np.degrees(rotation_angle(wrong[:3, :3]))))
+    metres, degrees = np.array(errors).max(axis=0).tolist()
+    return len(errors), metres, degrees
