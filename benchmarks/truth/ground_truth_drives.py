@@ -166,10 +166,11 @@ def record_legs(
 def read_legs(legs: Sequence[Leg], folders: dict[int, Path]) -> dict[int, Taken]:
     """The drives by number, with priors on one map."""
     recordings = read_robotcar_drives([folders[leg.number] for leg in legs])
-    return {leg.number: _taken(leg, recording) for leg, recording in zip(legs, recordings, strict=True)}
+    return {leg.number: taken_from(leg, recording) for leg, recording in zip(legs, recordings, strict=True)}
 
 
-def _taken(leg: Leg, recording: FieldRecording) -> Taken:
+def taken_from(leg: Leg, recording: FieldRecording) -> Taken:
+    """A drive with its truth, and the times at which it is a metre further."""
     stream = Ticks(recording.odometry.times_ns)
     chosen = select_images(recording, stream, make_nodes(recording), 1.0)
     return Taken(leg, recording, read_truth(recording), tuple(int(stream.times_ns[i]) for i in chosen))

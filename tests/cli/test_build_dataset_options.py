@@ -10,7 +10,7 @@ from command_line import relocbench
 
 from relocbench.datasets.importers import KINDS, options_of
 
-LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "boreas", "rosbag")
+LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "rosbag")
 RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap", "kapture")
 RENDERED = ("synthetic", "cross-view")
 
@@ -30,7 +30,7 @@ def help_of(kind: str) -> str:
         ("--copy-images", (*RECORDINGS, "kitti-lidar", "generic-lidar")),
         ("--pair-rule", (*RECORDINGS, "synthetic")),
         ("--pair-step", (*RECORDINGS, "synthetic")),
-        ("--copy-images", (*RECORDINGS, *(kind for kind in LIDAR if kind != "robotcar"))),
+        ("--copy-images", (*RECORDINGS, *(kind for kind in LIDAR if kind not in ("robotcar", "mulran", "helipr")))),
         ("--matcher", LIDAR),
         ("--preset", ("synthetic",)),
     ],

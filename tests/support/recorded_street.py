@@ -5,7 +5,7 @@ Tests of other layouts write the same drives anew, so that each is judged by the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from small_street import SolidTexture, StraightRoad, Street
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.boreas.recording import read_boreas
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
+from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, record
@@ -120,3 +121,11 @@ def worst_pair(dataset: Dataset, pair_set: str, reference: StreetDrive, query: S
         errors.append((np.linalg.norm(wrong[:3, 3]), np.degrees(rotation_angle(wrong[:3, :3]))))
     metres, degrees = np.array(errors).max(axis=0).tolist()
     return len(errors), metres, degrees
+
+
+def with_camera(drive: StreetDrive, recording: FieldRecording) -> FieldRecording:
+    """A recording that has no images with the camera of the drive, where it is beside the first lidar."""
+    T_rig_cam = recording.lidars[0].T_rig_lidar @ invert(drive.T_car_lidar) @ drive.T_car_cam
+    camera = drive.source.cameras["camera"]
+    assert isinstance(camera, ImageFiles)
+    return replace(recording, cameras={"camera": replace(camera, T_rig_cam=T_rig_cam)})

@@ -14,6 +14,8 @@ MARKS: dict[str, tuple[str, ...]] = {
     "tum-rgbd": ("rgb.txt",),
     "robotcar": ("vo", "gps", "lms_front", "lms_rear", "velodyne_left", "velodyne_right", "stereo"),
     "boreas": ("applanix", "lidar", "calib"),
+    "mulran": ("Ouster", "sensor_data", "global_pose.csv"),
+    "helipr": ("LiDAR", "LiDAR_GT"),
     "generic": ("camera.yaml",),
     "colmap": ("cameras.bin", "cameras.txt"),
     "kapture": ("sensors/sensors.txt", "mapping/sensors/sensors.txt"),
