@@ -10,7 +10,7 @@ from command_line import relocbench
 
 from relocbench.datasets.importers import KINDS, options_of
 
-LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "rosbag")
+LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "clouds", "rosbag")
 RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap", "kapture")
 RENDERED = ("synthetic", "cross-view")
 

@@ -18,7 +18,8 @@ def true_depth(scene: LidarScene, camera: Camera, T_world_cam: Array) -> Array:
     rays, _ = camera.unproject(np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float64))
     directions = rays @ T_world_cam[:3, :3].T
     origins = np.broadcast_to(T_world_cam[:3, 3], directions.shape)
-    return scene.hits(origins, directions).range.reshape(camera.height, camera.width)
+    out: Array = scene.hits(origins, directions).range.reshape(camera.height, camera.width)
+    return out
 
 
 def depth_errors(
@@ -42,7 +43,8 @@ def depth_errors(
     valid &= seen.camera.contains(uv) & (points[:, 2] < farthest_m)
     u, v = np.rint(uv[valid]).astype(int).T
     there = depth[v, u]
-    return np.asarray(points[valid, 2] - there)[np.isfinite(there)]
+    off: Array = points[valid, 2] - there
+    return off[np.isfinite(there)]
 
 
 def agrees(errors: Array, least: int = 200) -> bool:

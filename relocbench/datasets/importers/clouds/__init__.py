@@ -1,0 +1,1 @@
+"""Folders of point clouds with times, which need no description."""

@@ -1,0 +1,196 @@
+"""A folder of point clouds with times, read as a recording: one spinning lidar, which is the rig.
+
+Clouds are PLY, PCD, ``.bin`` or ``.npy``, in the folder itself or in one folder within it. The formats are described in
+``docs/lidar-datasets.md``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from relocbench.arrays import Array, Times
+from relocbench.datasets.core.schema import Condition, Transform
+from relocbench.datasets.importers.clouds.detection import look_at
+from relocbench.datasets.importers.clouds.times import clouds_with_times
+from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
+from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, GenericLidarStream
+from relocbench.datasets.importers.lidar_drives.conditions import dated
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.importers.lidar_drives.texts import as_transform
+from relocbench.datasets.sensors.image_files import ImageFiles
+from relocbench.datasets.sensors.recording import CameraStream, Scan, Trajectory
+from relocbench.datasets.sensors.scan_files import swept
+from relocbench.datasets.sensors.trajectories import read_trajectory
+from relocbench.errors import DatasetError
+from relocbench.files import parse_floats, read_rows
+from relocbench.progress import Reporter
+
+OdometrySource = Literal["auto", "poses", "lidar"]
+ScanMotion = Literal["compensated", "distorted"]
+
+POSE_FILES = ("poses.txt", "poses.csv", "poses.tum")
+_TURN_NS = 100_000_000
+_MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))
+_IDENTITY = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class SweptClouds:
+    """Clouds of a spinning lidar that have no times of points: these follow from the azimuths."""
+
+    clouds: GenericLidarStream
+    pattern: Literal["spinning"] = "spinning"
+
+    @property
+    def name(self) -> str:
+        return self.clouds.name
+
+    @property
+    def T_rig_lidar(self) -> Array:
+        return self.clouds.T_rig_lidar
+
+    @property
+    def times_ns(self) -> Times:
+        return self.clouds.times_ns
+
+    @property
+    def max_range_m(self) -> float:
+        return self.clouds.max_range_m
+
+    @property
+    def sigma_m(self) -> float:
+        return self.clouds.sigma_m
+
+    def read(self, index: int) -> Scan:
+        """Read a cloud. The lidar turns clockwise seen from above and points along x at the cloud's time."""
+        scan = self.clouds.read(index)
+        return Scan(scan.points, scan.times_ns + swept(scan.points, _TURN_NS, clockwise=True))
+
+
+def read_clouds(
+    folder: Path,
+    name: str,
+    reporter: Reporter,
+    *,
+    odometry: OdometrySource = "auto",
+    motion: ScanMotion = "compensated",
+    columns: Sequence[str] = (),
+    rate_hz: float | None = None,
+    pattern: Literal["spinning", "push-broom"] = "spinning",
+    max_range: float = 100.0,
+) -> DriveFiles:
+    """Read a folder; clouds are opened later, on demand, except for the one that is looked at.
+
+    Args:
+        reporter: is told what was found.
+        odometry: ``poses`` is a file of poses, ``lidar`` registers the clouds, ``auto`` uses poses if there are some.
+        motion: whether clouds without times of points are motion-compensated, or those of a lidar that turns.
+        columns: columns of .bin and plain .npy files; default: found.
+        rate_hz: clouds a second, if they have no times.
+
+    Raises:
+        DatasetError: with file and line: there are no clouds or no times, or something in them is damaged.
+    """
+    files = _cloud_files(folder)
+    found, times_from = clouds_with_times(files, folder, rate_hz)
+    times = np.array(list(found), dtype=np.int64)
+    middle = len(times) // 2
+    seen = look_at(list(found.values())[middle], int(times[middle]), tuple(columns))
+    settings = GenericLidar(
+        pattern=pattern,
+        T_rig_lidar=_IDENTITY,
+        max_range=max_range,
+        min_range=min(0.5, max_range / 2),
+        columns=seen.columns,
+        dtype=seen.dtype,
+        time=seen.time,
+        time_unit=seen.time_unit,
+        time_from=seen.time_from,
+    )
+    clouds = GenericLidarStream("lidar", settings, np.eye(4), tuple(found.values()), times)
+    turning = seen.time is None and motion == "distorted" and pattern == "spinning"
+    poses = next((folder / p for p in POSE_FILES if (folder / p).is_file()), None)
+    if poses is None and odometry == "poses":
+        raise DatasetError(f"holds no poses; expected {' or '.join(POSE_FILES)}", folder)
+    reporter.note(f"{name}: {len(found)} clouds, times from {times_from}")
+    reporter.note(f"{name}: points are {seen.words}{_assumed(seen.time, turning, pattern)}")
+    use = poses if odometry != "lidar" else None
+    condition, cameras = _described(folder, name) if (folder / CAMERA_FILE).exists() else (dated(None, folder), {})
+    return DriveFiles(
+        name=name,
+        folder=folder,
+        condition=condition,
+        lidars=(SweptClouds(clouds) if turning else clouds,),
+        poses=None if use is None else _trajectory(use, times),
+        poses_from="" if use is None else use.name,
+        cameras=cameras,
+    )
+
+
+def _assumed(time: str | None, turning: bool, pattern: str) -> str:
+    if time is not None:
+        return ""
+    if turning:
+        return "; taken from a lidar that turns ten times a second and points along x at a cloud's time (--motion)"
+    return f"; taken to be motion-compensated, from a {pattern} lidar (--motion distorted if they are not)"
+
+
+def _cloud_files(folder: Path) -> list[Path]:
+    """The clouds of the folder, or of the one folder in it that has most of them; all of one kind.
+
+    Raises:
+        DatasetError: there are none, or several kinds.
+    """
+    places = [folder, *sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))]
+    for place in places:
+        files = [p for p in sorted(place.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+        if not files:
+            continue
+        kinds = Counter(p.suffix.lower() for p in files)
+        if len(kinds) > 1:
+            told = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+            raise DatasetError(f"holds clouds of several kinds ({told}); expected one", place)
+        for path in files:
+            if path.stat().st_size == 0:
+                raise DatasetError("is empty; expected a point cloud", path)
+        return files
+    raise DatasetError(
+        f"holds no point clouds; expected files {', '.join(SUFFIXES)} in it or in a folder in it", folder
+    )
+
+
+def _trajectory(path: Path, times: Times) -> Trajectory:
+    """Poses of the lidar: ``t x y z qx qy qz qw`` a line, or twelve numbers for each cloud in the order of times."""
+    rows = read_rows(path, "poses (t x y z qx qy qz qw, or 12 numbers for each cloud)", DatasetError)
+    first = next(rows, None)
+    if first is None:
+        raise DatasetError("holds no pose", path)
+    if len(first[1]) != 12:
+        found = read_trajectory(path)
+        return trajectory_of(list(found), np.array(list(found.values())), np.eye(4), path)
+    poses = []
+    for line, fields in (first, *rows):
+        matrix = np.array(parse_floats(fields, path, line, _MATRIX, DatasetError)).reshape(3, 4)
+        poses.append(as_transform(matrix, path, line))
+    if len(poses) != len(times):
+        raise DatasetError(f"holds {len(poses)} poses without times for {len(times)} clouds", path)
+    return trajectory_of(times, np.array(poses), np.eye(4), path)
+
+
+def _described(folder: Path, name: str) -> tuple[Condition, dict[str, CameraStream]]:
+    """Condition and cameras by ``camera.yaml`` of the generic folder, whose rig is the lidar."""
+    files = read_folder(folder, name, need_poses=False)
+    cameras: dict[str, CameraStream] = {}
+    for camera, entry in files.cameras.items():
+        times = np.array(list(entry.images), dtype=np.int64)
+        pose = entry.camera.T_rig_cam.matrix
+        cameras[camera] = ImageFiles(
+            camera, entry.camera.camera, pose, tuple(entry.images.values()), times, CAMERA_FILE
+        )
+    return files.condition, cameras
