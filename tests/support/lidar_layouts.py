@@ -9,11 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from recorded_street import StreetDrive
 
-from relocbench.geometry import apply, transform_to_tq
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.lidar.lidar import Lidar, LidarScene
+from relocbench.datasets.synthetic.lidar.lidar import scan as simulate
+from relocbench.geometry import apply, make_transform, transform_to_tq
 
 Array = NDArray[np.float64]
 TURN_NS = 100_000_000
@@ -117,3 +121,57 @@ def write_helipr(drive: StreetDrive, folder: Path, T_ins_lidar: dict[str, Array]
         T_world_lidar = drive.T_world_car(times) @ T_car_ins @ pose
         write(folder / "LiDAR_GT" / f"{name}_gt.txt", quaternion_rows(times, T_world_lidar))
         write(folder / "LiDAR_GT" / f"global_{name}_gt.txt", quaternion_rows(times, utm(T_world_lidar)))
+
+
+DOWN_DEG = 10.67 - np.arange(32) * 4 / 3
+"""elevations of the beams of an HDL-32E by its data sheet"""
+FIRING_POINT_M = 0.0908
+HDL_COLUMNS, HDL_TURN_NS = 360, 50_000_000
+
+
+def write_velodynes(
+    drive: StreetDrive, folder: Path, scene: LidarScene, T_car_lidar: dict[str, Array], *, raw: bool
+) -> None:
+    """Scans of HDL-32E in the layout of the Oxford Radar RobotCar dataset, named by their first firings.
+
+    Args:
+        T_car_lidar: (4, 4) by name, of frames with z down.
+        raw: write raw scans instead of binary ones.
+    """
+    hundredths = np.rint(np.degrees(1.0) * 100 + np.arange(HDL_COLUMNS) / HDL_COLUMNS * 36000) % 36000
+    angle, down = np.radians(hundredths / 100)[:, None], np.radians(-DOWN_DEG)[None, :]
+    level, ones = np.cos(down), np.ones((HDL_COLUMNS, 32))
+    directions = np.stack([np.sin(angle) * level, -np.cos(angle) * level, np.sin(down) * ones], axis=-1)
+    since = np.rint(np.arange(HDL_COLUMNS) / HDL_COLUMNS * HDL_TURN_NS / 1000).astype(np.int64) * 1000
+    model = Lidar(directions.reshape(-1, 3), np.repeat(since, 32), HDL_TURN_NS, 0.02, 1.1, 90.0, 50.0)
+    for name, pose in T_car_lidar.items():
+        motion = Mounted(drive, pose @ make_transform(np.eye(3), [0.0, 0.0, -FIRING_POINT_M]))
+        for number, start in enumerate(pose_times(drive, HDL_TURN_NS).tolist()[:-1]):
+            start = start // 1000 * 1000
+            found = simulate(model, scene, motion, start, Factors(), np.random.default_rng(number))
+            ranges = np.where(found.returned, np.linalg.norm(found.points, axis=1), 0.0).reshape(HDL_COLUMNS, 32)
+            where = folder / name / f"{start // 1000}"
+            if raw:
+                image = np.empty((106, HDL_COLUMNS), dtype=np.uint8)
+                image[:32] = 7
+                image[32:96] = np.rint(ranges / 0.002).astype("<u2").view(np.uint8).reshape(HDL_COLUMNS, 64).T
+                image[96:98] = hundredths.astype("<u2").view(np.uint8).reshape(HDL_COLUMNS, 2).T
+                image[98:] = ((start + since) // 1000).astype("<i8").view(np.uint8).reshape(HDL_COLUMNS, 8).T
+                where.parent.mkdir(parents=True, exist_ok=True)
+                assert cv2.imwrite(f"{where}.png", image)
+            else:
+                points = ranges[..., None] * directions - [0.0, 0.0, FIRING_POINT_M]
+                by_beam = np.swapaxes(points, 0, 1)[ranges.T > 0]
+                four = np.column_stack([by_beam, np.ones(len(by_beam))]).T
+                write(where.with_suffix(".bin"), np.ascontiguousarray(four).astype("<f4").tobytes())
+
+
+@dataclass(frozen=True, eq=False)
+class Mounted:
+    """The motion of a sensor on the car."""
+
+    drive: StreetDrive
+    T_car_sensor: Array
+
+    def __call__(self, times_ns: NDArray[np.int64], /) -> Array:
+        return np.asarray(self.drive.T_world_car(times_ns) @ self.T_car_sensor)

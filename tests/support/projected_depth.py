@@ -44,7 +44,8 @@ def depth_errors(
     u, v = np.rint(uv[valid]).astype(int).T
     there = depth[v, u]
     off: Array = points[valid, 2] - there
-    return off[np.isfinite(there)]
+    kept: Array = off[np.isfinite(there)]
+    return kept
 
 
 def agrees(errors: Array, least: int = 200) -> bool:

@@ -24,8 +24,14 @@ class Options(FieldOptions):
     extrinsics: Path | None = Field(None, description="the SDK's folder of extrinsics; default: beside the recordings")
     models: Path | None = Field(None, description="the SDK's folder of camera models and undistortion tables")
     tags: Path | None = Field(None, description="the SDK's folder of condition tags")
-    lidars: tuple[str, ...] = Field((), description="lidars to use, such as lms_front,lms_rear; default: all recorded")
-    odometry: Literal["vo", "ins"] = Field("vo", description="visual odometry (vo/vo.csv) or GNSS/INS (gps/ins.csv)")
+    lidars: tuple[str, ...] = Field(
+        (), description="lidars to use: lms_front, lms_rear, velodyne_left, velodyne_right; default: all recorded"
+    )
+    odometry: Literal["auto", "vo", "ins", "lidar"] = Field(
+        "auto",
+        description="visual odometry (vo/vo.csv), GNSS/INS (gps/ins.csv), or computed from the scans of a Velodyne; "
+        "default: vo, or lidar without vo/vo.csv",
+    )
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -51,6 +57,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         cameras=() if options.without_images else _with_right_camera(sources, options.cameras),
         odometry=options.odometry,
         reporter=reporter,
+        kept=out / "groundtruth" / "odometry",
     )
     options.check_conditions([r.name for r in recordings])
     check_recordings(recordings, options)

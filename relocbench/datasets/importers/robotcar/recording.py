@@ -2,7 +2,8 @@
 
 The rig's origin is that of the vehicle, the left lens of the stereo camera; its axes are x forward, y left, z up. The
 folders ``extrinsics``, ``models`` and ``tags`` come from the dataset's SDK and are looked for in the traversal's folder
-and the two folders above it. LD-MRS scans are not read.
+and the two folders above it. Traversals of the Oxford Radar RobotCar dataset have two Velodynes in addition. LD-MRS and
+radar scans are not read.
 """
 
 from __future__ import annotations
@@ -17,28 +18,30 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.odometry.files import kept_in
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.importers.lidar_drives.conditions import simulated_condition
 from relocbench.datasets.importers.robotcar import files
-from relocbench.datasets.importers.robotcar.sensors import LmsStream, RobotCarCamera, image_size, present_times
+from relocbench.datasets.importers.robotcar.lidars import VELODYNES, chosen, read_lidars
+from relocbench.datasets.importers.robotcar.sensors import RobotCarCamera, image_size, present_times
 from relocbench.datasets.importers.robotcar.track import (
     T_RIG_VEHICLE,
     MapOrigin,
     map_trajectory,
     visual_trajectory,
 )
-from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Trajectory
 from relocbench.datasets.sensors.trajectories import traversal_names
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.progress import Reporter, Silent
 
-OdometrySource = Literal["vo", "ins"]
+OdometrySource = Literal["auto", "vo", "ins", "lidar"]
 
-LIDARS = ("lms_front", "lms_rear")
 _PRIOR_SIGMA_M = 10.0
 _POOR_PRIOR_SIGMA_M = 30.0
 """for traversals tagged poor-gps"""
-_NAME = re.compile(r"([0-9]{4})-([0-9]{2})-([0-9]{2})-[0-9]{2}-[0-9]{2}-[0-9]{2}")
+_NAME = re.compile(r"([0-9]{4})-([0-9]{2})-([0-9]{2})-[0-9]{2}-[0-9]{2}-[0-9]{2}(-radar-.*)?")
 
 
 @dataclass(frozen=True)
@@ -87,9 +90,10 @@ def read_robotcar(
     tags: Path | None = None,
     lidars: Sequence[str] | None = None,
     cameras: Sequence[str] | None = None,
-    odometry: OdometrySource = "vo",
+    odometry: OdometrySource = "auto",
     origin: MapOrigin | None = None,
     reporter: Reporter | None = None,
+    from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
     """Read a traversal as a recording; scans and images are opened later, on demand.
 
@@ -97,10 +101,12 @@ def read_robotcar(
         folder: folder of the traversal (with ``lms_front``, ``stereo``, ``vo``, ``gps``).
         name: name of the recording; default: that of the folder.
         extrinsics, models, tags: folders of the SDK; default: in the traversal's folder or the two above it.
-        lidars, cameras: sensors to read (:data:`LIDARS`, :data:`CAMERAS`); default: those whose folders exist.
-        odometry: ``vo`` chains visual odometry, ``ins`` uses GNSS/INS instead.
+        lidars, cameras: sensors to read (:data:`~.lidars.LIDARS`, :data:`CAMERAS`); default: those whose folders exist.
+        odometry: ``vo`` chains visual odometry, ``ins`` uses GNSS/INS instead, ``lidar`` registers the scans of a
+            Velodyne; ``auto`` is ``vo``, or ``lidar`` where there is a Velodyne and no ``vo/vo.csv``.
         origin: origin of the map that priors are in; all drives need that of the first (:func:`map_origin`).
             Default: this drive's own.
+        from_lidar: computes odometry from scans; called after everything else has been read.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
@@ -109,12 +115,21 @@ def read_robotcar(
     report = reporter or Silent()
     title = name or traversal_names([folder])[0]
     calibration = _find_calibration(folder, extrinsics, models, tags)
-    streams = _lidars(folder, calibration, lidars, title, report)
+    streams = read_lidars(folder, calibration.extrinsics_of, lidars, title, report)
     tagged = _tags(calibration, folder)
     prior, found_origin = _prior(folder, calibration, tagged, origin, required=odometry == "ins", reporter=report)
+    images = _cameras(folder, calibration, cameras, title, report)
+    spinning = next((stream for stream in streams if stream.pattern == "spinning"), None)
     if odometry == "ins":
         assert prior is not None
         motion = prior
+    elif odometry == "lidar" or (
+        odometry == "auto" and spinning is not None and not (folder / "vo" / "vo.csv").exists()
+    ):
+        if spinning is None:
+            raise DatasetError(f"holds no scans of {' or '.join(VELODYNES)} to compute odometry from", folder)
+        report.note(f"{title}: odometry is computed from the scans of {spinning.name}")
+        motion = from_lidar(spinning, report)
     else:
         steps = files.read_visual_odometry(folder / "vo" / "vo.csv")
         motion = visual_trajectory(steps, prior)
@@ -128,23 +143,27 @@ def read_robotcar(
         condition=_condition(folder, tagged),
         odometry=motion,
         lidars=streams,
-        cameras=_cameras(folder, calibration, cameras, title, report),
+        cameras=images,
         prior=prior,
         prior_sigma_m=_POOR_PRIOR_SIGMA_M if "poor-gps" in tagged else _PRIOR_SIGMA_M,
     )
 
 
-def read_robotcar_drives(folders: Sequence[Path], **options: object) -> list[FieldRecording]:
+def read_robotcar_drives(
+    folders: Sequence[Path], *, kept: Path | None = None, **options: object
+) -> list[FieldRecording]:
     """Read several traversals whose priors share a map, that of the first traversal with GNSS.
 
     Args:
+        kept: folder in which odometry that is computed from lidar is kept.
         options: options of :func:`read_robotcar` for all traversals.
     """
     origin = next((found for folder in folders if (found := map_origin(folder)) is not None), None)
     names = traversal_names(folders)
+    compute = [lidar_odometry if kept is None else kept_in(kept / f"{name}.csv") for name in names]
     return [
-        read_robotcar(folder, name=name, origin=origin, **options)  # type: ignore[arg-type]
-        for folder, name in zip(folders, names, strict=True)
+        read_robotcar(folder, name=name, origin=origin, from_lidar=from_lidar, **options)  # type: ignore[arg-type]
+        for folder, name, from_lidar in zip(folders, names, compute, strict=True)
     ]
 
 
@@ -169,35 +188,16 @@ def _find_calibration(folder: Path, extrinsics: Path | None, models: Path | None
     return Calibration(found, find(models, "models"), find(tags, "tags"))
 
 
-def _lidars(
-    folder: Path, calibration: Calibration, chosen: Sequence[str] | None, title: str, reporter: Reporter
-) -> tuple[LidarStream, ...]:
-    streams: list[LidarStream] = []
-    for name in _chosen(chosen, LIDARS, "lidar"):
-        if not (folder / name).is_dir():
-            if chosen is not None:
-                raise DatasetError("no such folder; expected lidar scans", folder / name)
-            continue
-        what = f"scans of {title}/{name}"
-        times = present_times(folder / name, folder / f"{name}.timestamps", ".bin", what, reporter)
-        if len(times):
-            T_rig_lidar = T_RIG_VEHICLE @ calibration.extrinsics_of(name)
-            streams.append(LmsStream(name, folder / name, T_rig_lidar, times))
-    if not streams:
-        raise DatasetError(f"holds no lidar scan; expected {' or '.join(f'{n}/TIME.bin' for n in LIDARS)}", folder)
-    return tuple(streams)
-
-
 def _cameras(
-    folder: Path, calibration: Calibration, chosen: Sequence[str] | None, title: str, reporter: Reporter
+    folder: Path, calibration: Calibration, asked: Sequence[str] | None, title: str, reporter: Reporter
 ) -> dict[str, CameraStream]:
     streams: dict[str, CameraStream] = {}
     distorted: list[str] = []
-    for name in _chosen(chosen, tuple(CAMERAS), "camera"):
+    for name in chosen(asked, tuple(CAMERAS), "camera"):
         lens = CAMERAS[name]
         where = folder / lens.folder
         if not where.is_dir():
-            if chosen is not None:
+            if asked is not None:
                 raise DatasetError("no such folder; expected images", where)
             continue
         what = f"images of {title}/{name}"
@@ -285,10 +285,3 @@ def _condition(folder: Path, tags: Sequence[str]) -> Condition:
     date = _NAME.fullmatch(folder.resolve().name)
     month = int(date[2]) if date and 1 <= int(date[2]) <= 12 else None
     return files.condition_of(tags, month)
-
-
-def _chosen(asked: Sequence[str] | None, known: Sequence[str], what: str) -> tuple[str, ...]:
-    for name in asked or ():
-        if name not in known:
-            raise ConfigError(f"RobotCar has no {what} '{name}'; there is {', '.join(known)}")
-    return tuple(known if asked is None else dict.fromkeys(asked))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -131,11 +132,21 @@ def read_look_up_table(path: Path, width: int, height: int) -> tuple[Floats, Flo
     return u, v
 
 
-def present_times(folder: Path, timestamps: Path, suffix: str, what: str, reporter: Reporter) -> Times:
+def present_times(
+    folder: Path,
+    timestamps: Path,
+    suffix: str,
+    what: str,
+    reporter: Reporter,
+    check: Callable[[Path, int], None] | None = None,
+) -> Times:
     """Times (N,) that ``timestamps`` lists and whose files exist; the others are counted in a note.
 
     A few files are missing in the data set itself, many if only some of its chunks were downloaded. Files that are not
     listed are left out. Without the list, times are taken from the files' names.
+
+    Args:
+        check: if given, raises DatasetError if a file cannot have its size; called with the file and the size in bytes.
 
     Raises:
         DatasetError: the list is out of order, a file's name is not a time, or a scan is truncated.
@@ -147,10 +158,10 @@ def present_times(folder: Path, timestamps: Path, suffix: str, what: str, report
             if path.suffix != suffix or entry.name.startswith("."):
                 continue
             found.add(microseconds_to_ns(path.stem, path))
-            if suffix == ".bin":
+            if check is not None:
                 if not path.exists():
                     raise DatasetError("is a link to a file that does not exist; expected a scan", path)
-                check_scan_size(path, entry.stat().st_size)
+                check(path, entry.stat().st_size)
     if not timestamps.exists():
         if found:
             reporter.note(f"{timestamps} is missing; the times of {what} are taken from the file names")

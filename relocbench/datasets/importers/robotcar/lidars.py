@@ -1,0 +1,77 @@
+"""The lidars of an Oxford RobotCar traversal: two push-broom scanners, and two Velodynes on the radar dataset's car."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from relocbench.arrays import Array
+from relocbench.datasets.importers.robotcar.sensors import LmsStream, check_scan_size, present_times
+from relocbench.datasets.importers.robotcar.track import T_RIG_VEHICLE
+from relocbench.datasets.importers.robotcar.velodyne import (
+    MAX_RANGE_M,
+    NEAREST_M,
+    SIGMA_M,
+    VELODYNES,
+    decode_binary,
+    decode_raw,
+)
+from relocbench.datasets.sensors.recording import LidarStream
+from relocbench.datasets.sensors.scan_files import ScanFiles
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.progress import Reporter
+
+__all__ = ["LIDARS", "VELODYNES", "chosen", "read_lidars"]
+
+LIDARS = ("lms_front", "lms_rear", *VELODYNES)
+
+
+def read_lidars(
+    folder: Path, extrinsics_of: Callable[[str], Array], asked: Sequence[str] | None, title: str, reporter: Reporter
+) -> tuple[LidarStream, ...]:
+    """The lidars of a traversal.
+
+    Args:
+        extrinsics_of: (4, 4) from a sensor to the vehicle.
+        asked: lidars to read; default: those whose folders exist.
+
+    Raises:
+        DatasetError: there are no scans, or their times or sizes are wrong.
+        ConfigError: RobotCar has no such lidar.
+    """
+    streams: list[LidarStream] = []
+    for name in chosen(asked, LIDARS, "lidar"):
+        if not (folder / name).is_dir():
+            if asked is not None:
+                raise DatasetError("no such folder; expected lidar scans", folder / name)
+            continue
+        what = f"scans of {title}/{name}"
+        table, T_rig_lidar = folder / f"{name}.timestamps", T_RIG_VEHICLE @ extrinsics_of(name)
+        if name in VELODYNES:
+            streams.extend(_velodyne(name, folder / name, table, T_rig_lidar, reporter))
+            continue
+        times = present_times(folder / name, table, ".bin", what, reporter, check_scan_size)
+        if len(times):
+            streams.append(LmsStream(name, folder / name, T_rig_lidar, times))
+    if not streams:
+        raise DatasetError(f"holds no lidar scan; expected {' or '.join(f'{n}/TIME.bin' for n in LIDARS)}", folder)
+    return tuple(streams)
+
+
+def _velodyne(name: str, folder: Path, timestamps: Path, T_rig_lidar: Array, reporter: Reporter) -> list[LidarStream]:
+    """The scans of a Velodyne, raw ones if there are some, since these have the times of firings."""
+    raw = any(folder.glob("*.png"))
+    suffix, decode = (".png", decode_raw) if raw else (".bin", decode_binary)
+    times = present_times(folder, timestamps, suffix, f"scans of {folder.parent.name}/{name}", reporter)
+    if not len(times):
+        return []
+    files = tuple(folder / f"{time // 1000}{suffix}" for time in times.tolist())
+    return [ScanFiles(name, files, times, T_rig_lidar, decode, MAX_RANGE_M, SIGMA_M, min_range_m=NEAREST_M)]
+
+
+def chosen(asked: Sequence[str] | None, known: Sequence[str], what: str) -> tuple[str, ...]:
+    """The sensors that were asked for, else all. Raises ConfigError if RobotCar has no such sensor."""
+    for name in asked or ():
+        if name not in known:
+            raise ConfigError(f"RobotCar has no {what} '{name}'; there is {', '.join(known)}")
+    return tuple(known if asked is None else dict.fromkeys(asked))
