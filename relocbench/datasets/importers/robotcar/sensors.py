@@ -158,9 +158,9 @@ def present_times(
             if path.suffix != suffix or entry.name.startswith("."):
                 continue
             found.add(microseconds_to_ns(path.stem, path))
+            if suffix == ".bin" and not path.exists():
+                raise DatasetError("is a link to a file that does not exist; expected a scan", path)
             if check is not None:
-                if not path.exists():
-                    raise DatasetError("is a link to a file that does not exist; expected a scan", path)
                 check(path, entry.stat().st_size)
     if not timestamps.exists():
         if found:
