@@ -6,6 +6,7 @@ conventions, under which its files say the same.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -175,3 +176,32 @@ class Mounted:
 
     def __call__(self, times_ns: NDArray[np.int64], /) -> Array:
         return np.asarray(self.drive.T_world_car(times_ns) @ self.T_car_sensor)
+
+
+def write_nclt(drive: StreetDrive, folder: Path, T_car_body: Array, xyzrpy: Callable[[Array], Array]) -> None:
+    """Scans that are motion-compensated to the times in their names, in the body frame with z down.
+
+    Args:
+        xyzrpy: x, y, z, roll, pitch, yaw (N, 6) in metres and radians of transforms (N, 4, 4).
+    """
+    for found in scans_of(drive):
+        at = found.middle_ns // 1000 * 1000
+        T_body_lidar = (
+            np.linalg.inv(drive.T_world_car(np.array([at]))[0] @ T_car_body)
+            @ drive.T_world_car(found.middle_ns + found.offsets_ns)
+            @ drive.T_car_lidar
+        )
+        points = apply(T_body_lidar, found.points[:, None, :])[:, 0]
+        row = np.dtype([("x", "<u2"), ("y", "<u2"), ("z", "<u2"), ("i", "u1"), ("l", "u1")])
+        table = np.zeros(len(points), dtype=row)
+        for k, axis in enumerate("xyz"):
+            table[axis] = np.rint((points[:, k] + 100.0) / 0.005)
+        write(folder / "velodyne_sync" / f"{at // 1000}.bin", table.tobytes())
+    times = pose_times(drive)
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    six = xyzrpy(down @ drive.T_world_car(times) @ T_car_body)
+    rows = [f"{t // 1000}, {', '.join(map(repr, v))}" for t, v in zip(times.tolist(), six.tolist(), strict=True)]
+    name = folder.name
+    first = f"{int(times[0]) // 1000 - 1}, " + ", ".join(["NaN"] * 6)
+    write(folder / f"groundtruth_{name}.csv", "\n".join([first, *rows]) + "\n")
+    write(folder / "odometry_mu_100hz.csv", "\n".join(rows) + "\n")

@@ -16,6 +16,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "boreas": ("applanix", "lidar", "calib"),
     "mulran": ("Ouster", "sensor_data", "global_pose.csv"),
     "helipr": ("LiDAR", "LiDAR_GT"),
+    "nclt": ("velodyne_sync", "lb3"),
     "generic": ("camera.yaml",),
     "colmap": ("cameras.bin", "cameras.txt"),
     "kapture": ("sensors/sensors.txt", "mapping/sensors/sensors.txt"),

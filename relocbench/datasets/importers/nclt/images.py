@@ -1,0 +1,100 @@
+"""Images of the NCLT dataset's Ladybug 3: TIFF, undistorted by the published tables."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from relocbench.arrays import Array, Floats, Image, Times
+from relocbench.datasets.core.image_header import MOST_FILE_BYTES
+from relocbench.errors import DatasetError
+from relocbench.files import read_bytes
+from relocbench.geometry import Camera
+
+_MOST_TABLE_BYTES = 2**28
+_TIFF = {b"II*\0": "<", b"MM\0*": ">"}
+_WIDTH, _HEIGHT = 256, 257
+
+
+@dataclass(frozen=True, eq=False)
+class LadybugImages:
+    """The images of one camera."""
+
+    name: str
+    camera: Camera
+    T_rig_cam: Array
+    files: tuple[Path, ...]
+    times_ns: Times
+    table: Path | None
+    """table of the undistortion; None if the images are undistorted"""
+
+    def read(self, index: int) -> Image:
+        """Read an image, (H, W, 3) RGB, black outside the lens's view. Raises DatasetError with the file."""
+        image = read_tiff(self.files[index], self.camera.size)
+        if self.table is None:
+            return image
+        u, v = read_table(self.table, *self.camera.size)
+        return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def file(self, index: int) -> Path | None:
+        """Always None: datasets hold PNG or JPEG."""
+        return None
+
+
+def read_tiff(path: Path, size: tuple[int, int]) -> Image:
+    """An 8-bit colour image, (H, W, 3) RGB. Raises DatasetError if it is damaged or has another size."""
+    data = read_bytes(path, "a TIFF image", DatasetError, MOST_FILE_BYTES)
+    found = tiff_size(data, path)
+    if found != size:
+        told, wanted = (f"{w}x{h}" for w, h in (found, size))
+        raise DatasetError(f"image is {told}, expected {wanted} (the camera's first image)", path)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        image = None
+    if image is None or image.shape[1::-1] != size or image.dtype != np.uint8:
+        raise DatasetError("cannot be decoded; expected an 8-bit TIFF", path)
+    return np.ascontiguousarray(np.asarray(image, dtype=np.uint8)[..., ::-1])
+
+
+def tiff_size(data: bytes, path: Path) -> tuple[int, int]:
+    """Width and height by the first directory of a TIFF. Raises DatasetError if there is none."""
+    order = _TIFF.get(data[:4])
+    try:
+        if order is None:
+            raise ValueError
+        (at,) = struct.unpack_from(f"{order}I", data, 4)
+        (count,) = struct.unpack_from(f"{order}H", data, at)
+        tags = {}
+        for k in range(count):
+            tag, kind, _ = struct.unpack_from(f"{order}HHI", data, at + 2 + 12 * k)
+            if tag in (_WIDTH, _HEIGHT):
+                (tags[tag],) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, at + 10 + 12 * k)
+        return tags[_WIDTH], tags[_HEIGHT]
+    except (struct.error, ValueError, KeyError):
+        raise DatasetError("is damaged or no TIFF image", path) from None
+
+
+@lru_cache(maxsize=6)
+def read_table(path: Path, width: int, height: int) -> tuple[Floats, Floats]:
+    """u and v (H, W) in the recorded image of each pixel of the undistorted one.
+
+    The file has a header, then for each pixel, row by row, its row and column, and those in the recorded image.
+
+    Raises:
+        DatasetError: the file is missing, belongs to another image size, or holds something else than numbers.
+    """
+    data = read_bytes(path, "a table of undistortion (U2D)", DatasetError, _MOST_TABLE_BYTES)
+    try:
+        values = np.loadtxt(data.decode("ascii").splitlines()[1:], dtype=np.float64, ndmin=2)
+    except (ValueError, UnicodeDecodeError):
+        raise DatasetError("expected four numbers a line (row, column, recorded row, recorded column)", path) from None
+    if values.shape != (width * height, 4) or not np.isfinite(values).all():
+        raise DatasetError(f"is no table for images of {width}x{height}: holds {len(values)} pixels", path)
+    u, v = values[:, 3].reshape(height, width), values[:, 2].reshape(height, width)
+    return u.astype(np.float32), v.astype(np.float32)
