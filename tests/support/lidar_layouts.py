@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -205,3 +206,40 @@ def write_nclt(drive: StreetDrive, folder: Path, T_car_body: Array, xyzrpy: Call
     first = f"{int(times[0]) // 1000 - 1}, " + ", ".join(["NaN"] * 6)
     write(folder / f"groundtruth_{name}.csv", "\n".join([first, *rows]) + "\n")
     write(folder / "odometry_mu_100hz.csv", "\n".join(rows) + "\n")
+
+
+def write_kitti360(drive: StreetDrive, root: Path, number: int, T_car_imu: Array, R_rect_cam: Array) -> None:
+    """A sequence of the drive; the frame whose scan has the time of its middle has its lidar facing along x then."""
+    name = f"2013_05_28_drive_{number:04d}_sync"
+    scans = root / "data_3d_raw" / name / "velodyne_points"
+    times = drive.layout.times["camera"]
+    for frame, found in enumerate(scans_of(drive)):
+        points = np.column_stack([found.points, np.ones(len(found.points))]).astype("<f4")
+        write(scans / "data" / f"{frame:010d}.bin", points.tobytes())
+    write(scans / "timestamps.txt", dates(drive.layout.times["lidar"]))
+    pictures = root / "data_2d_raw" / name / "image_00"
+    for frame, path in enumerate(sorted((drive.folder / "camera").iterdir())):
+        write(pictures / "data_rect" / f"{frame:010d}.png", path.read_bytes())
+    write(pictures / "timestamps.txt", dates(times))
+    T_rect_cam = make_transform(R_rect_cam, np.zeros(3))
+    T_car_cam = drive.T_car_cam @ T_rect_cam
+    T_imu_cam = np.linalg.inv(T_car_imu) @ T_car_cam
+    T_velo_cam = np.linalg.inv(drive.T_car_lidar) @ T_car_cam
+    write(root / "calibration" / "calib_cam_to_velo.txt", numbers(T_velo_cam[:3]) + "\n")
+    write(root / "calibration" / "calib_cam_to_pose.txt", f"image_00: {numbers(T_imu_cam[:3])}\n")
+    K = drive.layout.cameras["camera"].camera.matrix
+    lines = f"calib_time: 1\nS_rect_00: 1 1\nP_rect_00: {numbers(np.column_stack([K, np.zeros(3)]))}\n"
+    write(root / "calibration" / "perspective.txt", f"{lines}R_rect_00: {numbers(R_rect_cam)}\n")
+    poses = utm(drive.T_world_car(drive.layout.times["lidar"]) @ T_car_imu)
+    rows = [f"{k} {numbers(pose[:3])}" for k, pose in enumerate(poses) if k != 2]
+    write(root / "data_poses" / name / "poses.txt", "\n".join(rows) + "\n")
+
+
+def numbers(matrix: Array) -> str:
+    return " ".join(map(repr, matrix.ravel().tolist()))
+
+
+def dates(times: NDArray[np.int64]) -> str:
+    """A date and a time of day with nine decimals a line."""
+    parts = [(datetime.fromtimestamp(t // 10**9, UTC), t % 10**9) for t in times.tolist()]
+    return "".join(f"{second:%Y-%m-%d %H:%M:%S}.{rest:09d}\n" for second, rest in parts)

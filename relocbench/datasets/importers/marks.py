@@ -17,6 +17,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "mulran": ("Ouster", "sensor_data", "global_pose.csv"),
     "helipr": ("LiDAR", "LiDAR_GT"),
     "nclt": ("velodyne_sync", "lb3"),
+    "kitti-360": ("data_3d_raw", "calibration"),
     "generic": ("camera.yaml",),
     "colmap": ("cameras.bin", "cameras.txt"),
     "kapture": ("sensors/sensors.txt", "mapping/sensors/sensors.txt"),

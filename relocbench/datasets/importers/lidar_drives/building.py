@@ -16,6 +16,7 @@ from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
+from relocbench.files import fitting_name
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
@@ -49,8 +50,25 @@ def build_drives(
     names = traversal_names(sources)
     options.check_conditions(names)
     drives = [read(source, name) for source, name in zip(sources, names, strict=True)]
+    return build_from(drives, kind, sources, options, out, reporter, run)
+
+
+def build_from(
+    drives: Sequence[DriveFiles],
+    kind: str,
+    sources: Sequence[Path],
+    options: FieldOptions,
+    out: Path,
+    reporter: Reporter,
+    run: Run,
+) -> Dataset:
+    """Build a dataset from drives whose files have been read, the reference first.
+
+    Raises:
+        DatasetError, ConfigError: like :func:`build_drives`.
+    """
     check_recordings([drive.with_times_only() for drive in drives], options)
-    writer = open_writer(kind, sources, options, out, f"{kind.replace('-', '_')}_{names[0]}")
+    writer = open_writer(kind, sources, options, out, fitting_name(f"{kind.replace('-', '_')}_{drives[0].name}"))
     recordings = finish(on_one_map(drives, reporter), out, reporter)
     return build_ground_truth(recordings, Build(writer, options, reporter, run))
 

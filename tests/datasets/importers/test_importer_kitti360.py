@@ -1,0 +1,159 @@
+"""Sequences in the layout of KITTI-360: calibration through the GNSS/IMU, rectification, times by azimuth."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import relocbench
+from lidar_layouts import numbers, write_kitti360
+from projected_depth import agrees
+from recorded_street import SMALL, StreetDrive, errors_of, from_poses, record_street, street_scene, worst_pair
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.kitti360.recording import read_kitti360, read_times
+from relocbench.datasets.synthetic.lidar.lidar import LidarScene
+from relocbench.errors import DatasetError
+from relocbench.geometry import invert, make_transform, so3_exp
+
+pytestmark = pytest.mark.slow
+
+T_CAR_IMU = make_transform(np.diag([1.0, -1.0, -1.0]) @ so3_exp(np.array([0.02, -0.01, 0.03])), [-0.4, 0.2, 0.5])
+R_RECT_CAM = so3_exp(np.array([0.01, -0.02, 0.015]))
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> list[StreetDrive]:
+    out = tmp_path_factory.mktemp("drives")
+    return [record_street(out, number, azimuths=360) for number in range(2)]
+
+
+@pytest.fixture(scope="module")
+def scene() -> LidarScene:
+    return street_scene()
+
+
+@pytest.fixture(scope="module")
+def root(drives: list[StreetDrive], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("KITTI 360")
+    for number, drive in enumerate(drives):
+        write_kitti360(drive, root, number, T_CAR_IMU, R_RECT_CAM)
+    return root
+
+
+def test_points_are_where_the_camera_sees_their_surfaces(
+    drives: list[StreetDrive], scene: LidarScene, root: Path
+) -> None:
+    files = read_kitti360(root, "0000", "a", "poses")
+    assert files.condition.season == "spring"
+    recording = from_poses(files)
+    for index in (5, 14, 21):
+        assert agrees(errors_of(drives[0], recording, "image_00", index, scene))
+    assert read_kitti360(root, "2013_05_28_drive_0000_sync", "a").poses is None
+
+
+def rewritten(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    """The numbers of a calibration's last line after its name, as a matrix of three rows, changed."""
+
+    def rewrite(root: Path) -> None:
+        path = root / "calibration" / name
+        *others, last = path.read_text().splitlines()
+        words = last.split()
+        label = [words.pop(0)] if words[0].endswith(":") else []
+        changed = change(np.array([*map(float, words)]).reshape(3, -1))
+        path.write_text("\n".join([*others, " ".join([*label, numbers(changed)])]) + "\n")
+
+    return rewrite
+
+
+def inverse(rows: np.ndarray) -> np.ndarray:
+    out: np.ndarray = invert(np.vstack([rows, [0, 0, 0, 1]]))[:3]
+    return out
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        rewritten("calib_cam_to_velo.txt", inverse),
+        rewritten("calib_cam_to_pose.txt", inverse),
+        rewritten("perspective.txt", lambda R: np.asarray(R.T)),
+    ],
+    ids=["camera to lidar", "camera to GNSS/IMU", "rectification"],
+)
+def test_a_wrong_convention_shows_in_the_depths(
+    drives: list[StreetDrive], scene: LidarScene, root: Path, tmp_path: Path, spoil: Callable[[Path], None]
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(root, copy)
+    spoil(copy)
+    assert not agrees(
+        errors_of(drives[0], from_poses(read_kitti360(copy, "0000", "a", "poses")), "image_00", 14, scene)
+    )
+
+
+def test_times_keep_their_nine_decimals(tmp_path: Path) -> None:
+    path = tmp_path / "timestamps.txt"
+    path.write_text("2013-05-28 08:46:02.904094464\n2013-05-28 08:46:03.008\n")
+    assert read_times(path).tolist() == [1369730762904094464, 1369730763008000000]
+    for text, words in (
+        ("2013-05-28\n", r"txt:1: '2013-05-28' is no date and time of day"),
+        ("2013-05-28 08:46:02.9\n2013-13-28 08:46:02.9\n", r"txt:2: .* is no date"),
+        ("2013-05-28 08:46:02.9\n2013-05-28 08:46:02.9\n", r"txt:2: the time is not later"),
+    ):
+        path.write_text(text)
+        with pytest.raises(DatasetError, match=words):
+            read_times(path)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda r: (r / "calibration" / "perspective.txt").write_text("x: 1\n"), r"line 'R_rect_00:' is missing"),
+        (lambda r: (r / "calibration" / "calib_cam_to_velo.txt").write_text("1 2\n"), r"velo\.txt:1: expected 12"),
+        (lambda r: (r / "calibration" / "calib_cam_to_pose.txt").unlink(), r"calib_cam_to_pose\.txt: "),
+        (
+            lambda r: (r / "data_poses" / "2013_05_28_drive_0000_sync" / "poses.txt").write_text("99 1\n"),
+            r"poses\.txt:1: frame 99 has no time; there are 26",
+        ),
+        (
+            lambda r: shutil.rmtree(r / "data_3d_raw" / "2013_05_28_drive_0000_sync" / "velodyne_points" / "data"),
+            r"velodyne_points/data: holds no lidar scan",
+        ),
+    ],
+)
+def test_a_fault_is_told_with_its_file(root: Path, tmp_path: Path, spoil: Callable[[Path], object], words: str) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(root, copy)
+    spoil(copy)
+    with pytest.raises(DatasetError, match=words):
+        read_kitti360(copy, "0000", "a")
+
+
+def test_sequences_are_brought_together_by_one_command(drives: list[StreetDrive], root: Path, tmp_path: Path) -> None:
+    """Motion is computed from scans that are distorted and hold no times."""
+    out = tmp_path / "dataset"
+    outcome = relocbench("build-dataset", "kitti-360", root, "--sequence", "0000,0001", "--out", out, "-j", 1, *SMALL)
+    assert outcome.status == 0, outcome.err
+    assert "odometry is computed from the scans of velodyne" in outcome.err
+    count, metres, degrees = worst_pair(Dataset(out), "kitti360_0000__kitti360_0001__image_00", *drives)
+    assert count >= 4
+    assert metres < 0.10
+    assert degrees < 0.15
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "needs two or more sequences"),
+        (["--sequence", "0000,0000"], "names a sequence twice"),
+        (["--sequence", "0000,0007"], "2013_05_28_drive_0007_sync: no such folder"),
+        (["--sequence", "0000,../x"], "sequence"),
+    ],
+)
+def test_wrong_use_is_told_in_one_line(root: Path, tmp_path: Path, arguments: list[str], words: str) -> None:
+    outcome = relocbench("build-dataset", "kitti-360", root, *arguments, "--out", tmp_path / "d")
+    assert outcome.status == 2
+    assert words in outcome.err
