@@ -93,7 +93,7 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("boreas-benchmark"), help="folder that keeps all files")
     parser.add_argument("--split", choices=("train", "validation", "test"), default="test")
     parser.add_argument("--seed", type=int, default=0, help="seed of the district and the drives")
-    parser.add_argument("--frames", type=int, default=250, help="images of a drive, 10 a second at 8 m/s")
+    parser.add_argument("--frames", type=int, default=200, help="images of a drive, 10 a second at 8 m/s")
     parser.add_argument("--rings", type=int, default=64)
     parser.add_argument("--azimuths", type=int, default=1024)
     parser.add_argument("--workers", type=int, default=2)

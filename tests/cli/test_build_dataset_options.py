@@ -10,7 +10,9 @@ from command_line import relocbench
 
 from relocbench.datasets.importers import KINDS, options_of
 
-LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "clouds", "rosbag")
+LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "clouds")
+UNLINKED = ("robotcar", "mulran", "helipr", "nclt", "complex-urban")
+"""kinds of lidar drives that have no images, or whose images have to be converted"""
 RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap", "kapture")
 RENDERED = ("synthetic", "cross-view")
 
@@ -30,7 +32,7 @@ def help_of(kind: str) -> str:
         ("--copy-images", (*RECORDINGS, "kitti-lidar", "generic-lidar")),
         ("--pair-rule", (*RECORDINGS, "synthetic")),
         ("--pair-step", (*RECORDINGS, "synthetic")),
-        ("--copy-images", (*RECORDINGS, *(kind for kind in LIDAR if kind not in ("robotcar", "mulran", "helipr")))),
+        ("--copy-images", (*RECORDINGS, *(kind for kind in LIDAR if kind not in UNLINKED))),
         ("--matcher", LIDAR),
         ("--preset", ("synthetic",)),
     ],

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from recorded_street import StreetDrive
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.layouts.robotcar import mosaic
 from relocbench.datasets.synthetic.lidar.lidar import Lidar, LidarScene
 from relocbench.datasets.synthetic.lidar.lidar import scan as simulate
-from relocbench.geometry import apply, make_transform, transform_to_tq
+from relocbench.geometry import Camera, apply, make_transform, transform_to_tq
 
 Array = NDArray[np.float64]
 TURN_NS = 100_000_000
@@ -243,3 +244,49 @@ def dates(times: NDArray[np.int64]) -> str:
     """A date and a time of day with nine decimals a line."""
     parts = [(datetime.fromtimestamp(t // 10**9, UTC), t % 10**9) for t in times.tolist()]
     return "".join(f"{second:%Y-%m-%d %H:%M:%S}.{rest:09d}\n" for second, rest in parts)
+
+
+def write_complex_urban(drive: StreetDrive, folder: Path, lens: Camera, R_rect_cam: Array) -> None:
+    """The drive's lidar as the left VLP, named by the ends of its turns; its camera, seen through a lens, as the left.
+
+    Args:
+        lens: the distorted camera whose undistorted images are those of the drive.
+        R_rect_cam: rotations of the rectification, of both cameras.
+    """
+    for found in scans_of(drive):
+        order = np.lexsort((found.ring, found.offsets_ns))
+        points = np.column_stack([found.points, np.ones(len(found.points))])[order].astype("<f4")
+        write(folder / "sensor_data" / "VLP_left" / f"{found.middle_ns + TURN_NS // 2}.bin", points.tobytes())
+    calibration = folder / "calibration"
+    for name, pose in (("Vehicle2LeftVLP", drive.T_car_lidar), ("Vehicle2Stereo", drive.T_car_cam)):
+        head = f"{name}.txt\nextrinsic calibration parameter from vehicle\nRPY(roll/pitch/yaw = XYZ extrinsic, degree): 1 2 3\n"
+        write(calibration / f"{name}.txt", f"{head}R: {numbers(pose[:3, :3])}\nT: {numbers(pose[:3, 3])}\n")
+    u, v = undistorted_pixels(lens)
+    for time, path in zip(
+        drive.layout.times["camera"].tolist(), sorted((drive.folder / "camera").iterdir()), strict=True
+    ):
+        seen = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        assert seen is not None
+        rgb = cv2.remap(seen, u, v, cv2.INTER_LINEAR)[..., ::-1]
+        for side in ("left", "right"):
+            target = folder / "image" / f"stereo_{side}" / f"{time}.png"
+            target.parent.mkdir(parents=True, exist_ok=True)
+            assert cv2.imwrite(str(target), mosaic(np.ascontiguousarray(rgb), "RGGB"))
+    for side, shift in (("left", 0.0), ("right", -0.475 * lens.fx)):
+        projection = np.column_stack([lens.matrix, [shift, 0.0, 0.0]])
+        entries = {
+            "camera_matrix": lens.matrix, "distortion_coefficients": np.array(lens.distortion),
+            "rectification_matrix": R_rect_cam, "projection_matrix": projection,
+        }  # fmt: skip
+        lines = [f"image_width: {lens.width}", f"image_height: {lens.height}", "distortion_model: plumb_bob"]
+        lines += [f"{name}:\n  data: {values.ravel().tolist()}" for name, values in entries.items()]
+        write(calibration / f"{side}.yaml", "\n".join(lines) + "\n")
+    times = pose_times(drive)
+    write(folder / "global_pose.csv", matrix_rows(times, utm(drive.T_world_car(times))))
+
+
+def undistorted_pixels(lens: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """u and v (H, W) in the pinhole image of each pixel of the lens."""
+    v, u = np.mgrid[: lens.height, : lens.width].astype(np.float64)
+    pixels, _ = lens.undistort(np.stack([u, v], axis=-1), lens.pinhole())
+    return pixels[..., 0].astype(np.float32), pixels[..., 1].astype(np.float32)

@@ -18,6 +18,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "helipr": ("LiDAR", "LiDAR_GT"),
     "nclt": ("velodyne_sync", "lb3"),
     "kitti-360": ("data_3d_raw", "calibration"),
+    "complex-urban": ("sensor_data", "global_pose.csv"),
     "generic": ("camera.yaml",),
     "colmap": ("cameras.bin", "cameras.txt"),
     "kapture": ("sensors/sensors.txt", "mapping/sensors/sensors.txt"),

@@ -1,0 +1,1 @@
+"""Drives in the layout of the Complex Urban dataset."""

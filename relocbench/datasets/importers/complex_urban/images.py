@@ -1,0 +1,104 @@
+"""The stereo cameras of the Complex Urban dataset: Bayer mosaics, not rectified, with calibration as ROS writes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from relocbench.arrays import Array, Image, Times
+from relocbench.datasets.core import images
+from relocbench.datasets.importers.lidar_drives.files import camera_of
+from relocbench.datasets.sensors.undistortion import undistort
+from relocbench.errors import DatasetError
+from relocbench.files import load_yaml_value
+from relocbench.geometry import Camera, invert, is_rotation, make_transform, project_to_rotation
+
+
+@dataclass(frozen=True, eq=False)
+class BayerImages:
+    """The images of one camera, demosaicked and undistorted when read."""
+
+    name: str
+    distorted: Camera
+    T_rig_cam: Array
+    files: tuple[Path, ...]
+    times_ns: Times
+    size_from: str
+
+    @property
+    def camera(self) -> Camera:
+        return self.distorted.pinhole()
+
+    def read(self, index: int) -> Image:
+        """Read an image, (H, W, 3) RGB. Raises DatasetError with the file."""
+        image = images.read_image(self.files[index], images.ExpectedSize(self.distorted.size, self.size_from))
+        if image.ndim == 2:
+            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BayerRGGB2RGB), dtype=np.uint8)
+        return undistort(image, self.distorted)
+
+    def file(self, index: int) -> Path | None:
+        """Always None: every image has to be demosaicked."""
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Intrinsics:
+    """A calibration file of ROS (``camera_calibration_parsers``)."""
+
+    camera: Camera
+    R_rect_cam: Array
+    """(3, 3)"""
+    projection: Array
+    """(3, 4) of the rectified camera"""
+
+
+def read_intrinsics(path: Path) -> Intrinsics:
+    """Read ``left.yaml`` or ``right.yaml``.
+
+    Raises:
+        DatasetError: with the file: an entry is missing or wrong, or the model is not plumb_bob.
+    """
+    values = load_yaml_value(path, "a camera calibration of ROS", DatasetError)
+    if not isinstance(values, dict):
+        raise DatasetError("expected entries image_width, camera_matrix and the like", path)
+    if values.get("distortion_model", "plumb_bob") != "plumb_bob":
+        raise DatasetError(f"distortion_model is {str(values['distortion_model'])[:40]}, expected plumb_bob", path)
+    size = (_whole(values, "image_width", path), _whole(values, "image_height", path))
+    K = _data(values, "camera_matrix", 9, path).reshape(3, 3)
+    distortion = tuple(_data(values, "distortion_coefficients", 5, path).tolist())
+    R = _data(values, "rectification_matrix", 9, path).reshape(3, 3)
+    if not is_rotation(R, 1e-3):
+        raise DatasetError("rectification_matrix is not a rotation", path)
+    P = _data(values, "projection_matrix", 12, path).reshape(3, 4)
+    camera = camera_of("radtan", size, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), distortion, path)
+    return Intrinsics(camera, project_to_rotation(R), P)
+
+
+def T_left_right(left: Intrinsics, right: Intrinsics) -> Array:
+    """(4, 4) from the right to the left camera: both rectified frames differ by the baseline in ``P = K [I | t]``."""
+    apart = make_transform(np.eye(3), [-right.projection[0, 3] / right.projection[0, 0], 0.0, 0.0])
+    T_rect_left, T_rect_right = (make_transform(each.R_rect_cam, np.zeros(3)) for each in (left, right))
+    return np.asarray(invert(T_rect_left) @ apart @ T_rect_right)
+
+
+def _whole(values: dict[str, Any], name: str, path: Path) -> int:
+    value = values.get(name)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise DatasetError(f"{name} is missing or not a whole number", path)
+    return value
+
+
+def _data(values: dict[str, Any], name: str, count: int, path: Path) -> Array:
+    entry = values.get(name)
+    data = entry.get("data") if isinstance(entry, dict) else None
+    try:
+        out = np.array(data, dtype=np.float64)
+    except (TypeError, ValueError):
+        out = np.empty(0)
+    if out.shape != (count,) or not np.isfinite(out).all():
+        raise DatasetError(f"{name} has no data of {count} numbers", path)
+    return out
