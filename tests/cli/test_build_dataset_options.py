@@ -10,7 +10,10 @@ from command_line import relocbench
 
 from relocbench.datasets.importers import KINDS, options_of
 
-LIDAR = ("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "clouds")
+LIDAR = (
+    *("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "clouds"),
+    *("nclt", "kitti-360", "complex-urban"),
+)
 UNLINKED = ("robotcar", "mulran", "helipr", "nclt", "complex-urban")
 """kinds of lidar drives that have no images, or whose images have to be converted"""
 RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap", "kapture")

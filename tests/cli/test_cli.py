@@ -68,7 +68,7 @@ def test_flags_and_arguments_are_shown_without_types(command: list[str]) -> None
     ("words", "offered"),
     [
         (["eval"], ["evaluate", "evaluate-retrieval", "evaluate-relocalization"]),
-        (["build-dataset", "ki"], ["kitti", "kitti-lidar"]),
+        (["build-dataset", "ki"], ["kitti", "kitti-lidar", "kitti-360"]),
         (["build-dataset", "kitti", "--pair-r"], ["--pair-rule"]),
         (["evaluate", "-m", "dso"], ["dso", "dso-multistart"]),
         (["evaluate-retrieval", "--method", "orb"], ["orb-bow"]),

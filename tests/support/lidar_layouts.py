@@ -259,7 +259,7 @@ def write_complex_urban(drive: StreetDrive, folder: Path, lens: Camera, R_rect_c
         write(folder / "sensor_data" / "VLP_left" / f"{found.middle_ns + TURN_NS // 2}.bin", points.tobytes())
     calibration = folder / "calibration"
     for name, pose in (("Vehicle2LeftVLP", drive.T_car_lidar), ("Vehicle2Stereo", drive.T_car_cam)):
-        head = f"{name}.txt\nextrinsic calibration parameter from vehicle\nRPY(roll/pitch/yaw = XYZ extrinsic, degree): 1 2 3\n"
+        head = f"{name}.txt\nextrinsic calibration parameter from vehicle\nRPY(roll/pitch/yaw, degree): 1 2 3\n"
         write(calibration / f"{name}.txt", f"{head}R: {numbers(pose[:3, :3])}\nT: {numbers(pose[:3, 3])}\n")
     u, v = undistorted_pixels(lens)
     for time, path in zip(
