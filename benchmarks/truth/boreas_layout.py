@@ -23,7 +23,7 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from ground_truth_drives import Leg, Spoken, Taken, taken_from
 from ground_truth_judging import figures, reasons, table, worst, write_rows
@@ -46,12 +46,20 @@ LEGS = (Leg(0, "Sunny", "common"), Leg(1, "Overcast", "common"), Leg(2, "Snow", 
 PAIRS = ((0, 1), (0, 2))
 
 
-def record_legs(out: Path, split: str, seed: int, shape: dict[str, int], spoken: Spoken, workers: int) -> list[Path]:
+class Shape(TypedDict):
+    """Options of each drive."""
+
+    frames: int
+    rings: int
+    azimuths: int
+
+
+def record_legs(out: Path, split: str, seed: int, shape: Shape, spoken: Spoken, workers: int) -> list[Path]:
     """The folders of the drives; what is there already is kept."""
     town = make_district(seed, split, EXTENT_M)
     folders, jobs = [], []
     for leg in LEGS:
-        options = DriveOptions("boreas", seed=seed, number=leg.number, cameras=(), **shape)
+        options = DriveOptions("boreas", seed, leg.number, **shape, cameras=())
         path = route(town.network, town.periodic.street, leg.route, options.path_length_m, seed)
         found, job = prepare(town, path, condition_named(leg.condition).factors, out, options)
         folders.append(found.folder)
@@ -98,7 +106,7 @@ def main() -> None:
     parser.add_argument("--azimuths", type=int, default=1024)
     parser.add_argument("--workers", type=int, default=2)
     a = parser.parse_args()
-    shape = {"frames": a.frames, "rings": a.rings, "azimuths": a.azimuths}
+    shape: Shape = {"frames": a.frames, "rings": a.rings, "azimuths": a.azimuths}
     spoken, work = Spoken(), a.work / f"{a.split}-{a.seed}-{a.frames}-{a.rings}-{a.azimuths}"
     folders = record_legs(work / "recording", a.split, a.seed, shape, spoken, a.workers)
     run = a.workers, spoken

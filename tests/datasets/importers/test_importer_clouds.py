@@ -250,6 +250,17 @@ def test_bytes_that_are_no_points_are_refused_and_columns_can_be_given(
     assert np.ptp(since) > 50_000_000
 
 
+def test_a_cloud_without_points_in_the_middle_of_the_drive_does_no_harm(
+    drives: list[StreetDrive], tmp_path: Path
+) -> None:
+    write_clouds(drives[0], tmp_path, by_time("bin"), floats(4))
+    sorted(tmp_path.iterdir())[13].write_bytes(np.zeros((300, 4), dtype="<f4").tobytes())
+    spoken = Spoken()
+    lidar = read_clouds(tmp_path, "a", spoken).lidars[0]
+    assert any("float32 x y z intensity" in note for note in spoken.notes)
+    assert (len(lidar.read(13).points), len(lidar.read(12).points) > 200) == (0, True)
+
+
 def test_a_rate_numbers_clouds_in_the_order_that_people_count(drives: list[StreetDrive], tmp_path: Path) -> None:
     write_clouds(drives[0], tmp_path, numbered, floats(4))
     lidar = read_clouds(tmp_path, "a", Spoken(), rate_hz=10.0).lidars[0]

@@ -16,7 +16,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition, Transform
-from relocbench.datasets.importers.clouds.detection import look_at
+from relocbench.datasets.importers.clouds.detection import Found, look_at
 from relocbench.datasets.importers.clouds.times import clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
 from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, GenericLidarStream
@@ -100,8 +100,7 @@ def read_clouds(
     files = _cloud_files(folder)
     found, times_from = clouds_with_times(files, folder, rate_hz)
     times = np.array(list(found), dtype=np.int64)
-    middle = len(times) // 2
-    seen = look_at(list(found.values())[middle], int(times[middle]), tuple(columns))
+    seen = _look(list(found.values()), times, tuple(columns))
     settings = GenericLidar(
         pattern=pattern,
         T_rig_lidar=_IDENTITY,
@@ -131,6 +130,17 @@ def read_clouds(
         poses_from="" if use is None else use.name,
         cameras=cameras,
     )
+
+
+def _look(files: Sequence[Path], times: Times, columns: tuple[str, ...]) -> Found:
+    """What the clouds hold, by the first of a few along the drive that has enough points."""
+    places = [len(files) // 2, len(files) // 4, 3 * len(files) // 4, 0]
+    for place in places[:-1]:
+        try:
+            return look_at(files[place], int(times[place]), columns)
+        except DatasetError:
+            continue  # such as a cloud taken beside a wall that returned nothing
+    return look_at(files[places[-1]], int(times[places[-1]]), columns)
 
 
 def _assumed(time: str | None, turning: bool, pattern: str) -> str:
