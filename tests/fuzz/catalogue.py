@@ -17,6 +17,7 @@ AREAS = tuple(
         "bags",
         "recordings",
         "poses",
+        "lidar_drives",
         "photos",
         "places",
         "results",

@@ -136,11 +136,12 @@ def test_a_push_broom_lidar_has_no_odometry() -> None:
         lidar_odometry(lidar)
 
 
-def test_too_few_points_for_odometry_is_an_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [5, 500], ids=["few points", "all within reach of the car"])
+def test_too_few_points_for_odometry_is_an_error(count: int, tmp_path: Path) -> None:
     files = []
     for i in range(3):
         files.append(tmp_path / f"{i}.bin")
-        np.ones((5, 4), dtype="<f4").tofile(files[-1])
+        np.random.default_rng(i).uniform(0.5, 1, size=(count, 4)).astype("<f4").tofile(files[-1])
     lidar = VelodyneStream(tuple(files), np.arange(3), "compensated", 0.0)
     with pytest.raises(DatasetError, match="velodyne has 0 scans with enough points"):
         lidar_odometry(lidar)

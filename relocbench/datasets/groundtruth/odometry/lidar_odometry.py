@@ -86,14 +86,16 @@ class _Registration:
         self.poses: list[Array] = []
 
     def add(self, time_ns: int, scan: Scan) -> None:
-        """Register a scan, unless it has too few points."""
+        """Register a scan, unless it has too few points away from the car."""
         if len(scan.points) < _FEWEST_POINTS:
             return
         elapsed = time_ns - self.times[-1] if self.times else 0
         self._icp.last_delta = se3_exp(self.twist * elapsed)
         points = deskewed(scan, time_ns, self.twist)
-        self._icp.register_frame(points, np.empty(0))
         outside = points[np.sum(points**2, axis=1) >= self._nearest_m**2]
+        if len(outside) < _FEWEST_POINTS:
+            return
+        self._icp.register_frame(points, np.empty(0))
         pose = np.eye(4)
         if self.times:
             pose = self._planes.fit(outside, self.poses[-1] @ self._icp.last_delta)

@@ -22,6 +22,7 @@ from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_fold
 from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, GenericLidarStream
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.importers.lidar_drives.files import check_file
 from relocbench.datasets.importers.lidar_drives.texts import as_transform
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, Scan, Trajectory
@@ -167,8 +168,7 @@ def _cloud_files(folder: Path) -> list[Path]:
             told = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
             raise DatasetError(f"holds clouds of several kinds ({told}); expected one", place)
         for path in files:
-            if path.stat().st_size == 0:
-                raise DatasetError("is empty; expected a point cloud", path)
+            check_file(path)
         return files
     raise DatasetError(
         f"holds no point clouds; expected files {', '.join(SUFFIXES)} in it or in a folder in it", folder

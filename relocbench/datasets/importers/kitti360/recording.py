@@ -27,7 +27,7 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
-from relocbench.datasets.importers.lidar_drives.files import pinhole_files
+from relocbench.datasets.importers.lidar_drives.files import check_file, pinhole_files
 from relocbench.datasets.importers.lidar_drives.texts import as_transform, read_transform
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns, swept
@@ -93,11 +93,10 @@ def decode(data: bytes, path: Path) -> Returns:
 
 
 def frames(folder: Path, suffix: str) -> dict[int, Path]:
-    """Files by frame number; a missing folder has none. Raises DatasetError if a file is empty."""
+    """Files by frame number; a missing folder has none. Raises DatasetError if a file is empty or a dangling link."""
     found = {number: p for p in folder.glob(f"*{suffix}") if (number := whole_number(p.stem)) is not None}
     for path in found.values():
-        if path.stat().st_size == 0:
-            raise DatasetError("is empty", path)
+        check_file(path)
     return dict(sorted(found.items()))
 
 

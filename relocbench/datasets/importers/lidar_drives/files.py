@@ -38,13 +38,18 @@ def files_by_time(folder: Path, suffixes: tuple[str, ...], parse: TimeParser) ->
             time = parse(path.stem, path)
             if time in found:
                 raise DatasetError(f"has the same time as {found[time].name}", path)
-            if not path.exists():
-                raise DatasetError("is a link to a file that does not exist", path)
-            if entry.stat().st_size == 0:
-                raise DatasetError("is empty", path)
+            check_file(path)
             found[time] = path
     times = sorted(found)
     return tuple(found[time] for time in times), np.array(times, dtype=np.int64)
+
+
+def check_file(path: Path) -> None:
+    """Raise DatasetError if a file of a listed folder is a dangling link or empty."""
+    if not path.exists():
+        raise DatasetError("is a link to a file that does not exist", path)
+    if path.stat().st_size == 0:
+        raise DatasetError("is empty", path)
 
 
 def image_size(path: Path) -> tuple[int, int]:
