@@ -12,9 +12,9 @@ from relocbench.datasets.importers import KINDS, options_of
 
 LIDAR = (
     *("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "clouds"),
-    *("nclt", "kitti-360", "complex-urban"),
+    *("nclt", "kitti-360", "complex-urban", "rosbag"),
 )
-UNLINKED = ("robotcar", "mulran", "helipr", "nclt", "complex-urban")
+UNLINKED = ("robotcar", "mulran", "helipr", "nclt", "complex-urban", "rosbag")
 """kinds of lidar drives that have no images, or whose images have to be converted"""
 RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap", "kapture")
 RENDERED = ("synthetic", "cross-view")
@@ -32,9 +32,6 @@ def help_of(kind: str) -> str:
         ("--pair-step", (*RECORDINGS, "poses", "synthetic")),
         ("--revisit-gap", ("poses",)),
         ("--trajectories", ("pair-files",)),
-        ("--copy-images", (*RECORDINGS, "kitti-lidar", "generic-lidar")),
-        ("--pair-rule", (*RECORDINGS, "synthetic")),
-        ("--pair-step", (*RECORDINGS, "synthetic")),
         ("--copy-images", (*RECORDINGS, *(kind for kind in LIDAR if kind not in UNLINKED))),
         ("--matcher", LIDAR),
         ("--preset", ("synthetic",)),

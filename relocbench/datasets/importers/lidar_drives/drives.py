@@ -58,9 +58,9 @@ class DriveFiles:
         if lidar is None:
             raise DatasetError("has neither poses nor a spinning lidar to compute odometry from", self.folder)
         reporter.note(f"{self.name}: odometry is computed from the scans of {lidar.name}")
-        return self._recording(from_lidar(lidar, reporter))
+        return self._recording(from_lidar(lidar, reporter), lidar.name)
 
-    def _recording(self, odometry: Trajectory) -> FieldRecording:
+    def _recording(self, odometry: Trajectory, odometry_lidar: str = "") -> FieldRecording:
         return FieldRecording(
             name=self.name,
             folder=self.folder,
@@ -71,6 +71,7 @@ class DriveFiles:
             prior=self.prior,
             prior_sigma_m=self.prior_sigma_m,
             location=self.location,
+            odometry_lidar=odometry_lidar,
         )
 
 

@@ -23,7 +23,7 @@ class Options(FieldOptions):
         "lidar",
         description="motion of the robot: computed from the scans, odometry_mu_100hz.csv, or groundtruth_DATE.csv",
     )
-    calibration: Path | None = Field(
+    camera_parameters: Path | None = Field(
         None, description="folder of K_camN.csv, x_lb3_cN.csv and U2D_CamN_*.txt; default: cam_params beside the drives"
     )
 
@@ -39,9 +39,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.importers.nclt.recording import read_nclt
 
     assert isinstance(options, Options)
-    odometry, calibration = options.odometry, options.calibration
+    odometry, parameters = options.odometry, options.camera_parameters
 
     def read(folder: Path, name: str) -> DriveFiles:
-        return read_nclt(folder, name, odometry, calibration)
+        return read_nclt(folder, name, odometry, parameters)
 
     return build_drives("nclt", sources, options, out, reporter, run, read)

@@ -120,6 +120,7 @@ def read_robotcar(
     prior, found_origin = _prior(folder, calibration, tagged, origin, required=odometry == "ins", reporter=report)
     images = _cameras(folder, calibration, cameras, title, report)
     spinning = next((stream for stream in streams if stream.pattern == "spinning"), None)
+    source = ""
     if odometry == "ins":
         assert prior is not None
         motion = prior
@@ -129,7 +130,7 @@ def read_robotcar(
         if spinning is None:
             raise DatasetError(f"holds no scans of {' or '.join(VELODYNES)} to compute odometry from", folder)
         report.note(f"{title}: odometry is computed from the scans of {spinning.name}")
-        motion = from_lidar(spinning, report)
+        motion, source = from_lidar(spinning, report), spinning.name
     else:
         steps = files.read_visual_odometry(folder / "vo" / "vo.csv")
         motion = visual_trajectory(steps, prior)
@@ -146,6 +147,7 @@ def read_robotcar(
         cameras=images,
         prior=prior,
         prior_sigma_m=_POOR_PRIOR_SIGMA_M if "poor-gps" in tagged else _PRIOR_SIGMA_M,
+        odometry_lidar=source,
     )
 
 
