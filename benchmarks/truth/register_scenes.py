@@ -205,7 +205,7 @@ def room_view(seed: int, which: int, sigma_m: float = 0.003) -> View:
     scene, size = room(seed)
     rng = np.random.default_rng([seed, 4, which])
     T = in_the_room(size, rng, float(rng.uniform(1.2, 1.6)))
-    points = scene.seen(T, sphere_directions(0.8), sigma_m, rng)
+    points = scene.seen(T, sphere_directions(1.2), sigma_m, rng)
     return View(Cloud("room", points, np.zeros_like(points), supposed=True), T)
 
 

@@ -28,7 +28,7 @@ def register(
         Path | None,
         typer.Argument(
             metavar="B",
-            help="Another one, whose pose in A is sought. Without B, all pairs of the clouds in folder A are registered.",
+            help="Another one, whose pose in A is sought. Without B, all pairs of the clouds in A are registered.",
             show_default=False,
         ),
     ] = None,
@@ -57,7 +57,10 @@ def register(
     columns: Annotated[
         int | None,
         typer.Option(
-            min=3, max=6, metavar="N", help="Numbers of a point in .bin files [default: detected].",
+            min=3,
+            max=6,
+            metavar="N",
+            help="Numbers of a point in .bin files [default: detected].",
             rich_help_panel=_READING,
         ),
     ] = None,
@@ -323,7 +326,8 @@ def _tell(found: CloudRegistration, sides: tuple[Side, Side], quiet: bool) -> No
     e = found.evidence
     print(f"overlap {_share(e.overlap_ref)} of A, {_share(e.overlap_query)} of B; "
           f"free space violated {_share(e.violations_ref)}, {_share(e.violations_query)}; "
-          f"details {_share(e.detail_ref)}, {_share(e.detail_query)}; seen {_share(e.seen_ref)}, {_share(e.seen_query)}; "
+          f"details {_share(e.detail_ref)}, {_share(e.detail_query)}; "
+          f"seen {_share(e.seen_ref)}, {_share(e.seen_query)}; "
           f"residuals {_length(e.residual_ref_m)}, {_length(e.residual_query_m)}")  # fmt: skip
     if not quiet:
         print(f"scale: {found.scale.reason}")
@@ -331,8 +335,8 @@ def _tell(found: CloudRegistration, sides: tuple[Side, Side], quiet: bool) -> No
             print(f"sensor of {name}: {_SENSORS[side.sensor]}")
         if found.rival is not None:
             T, unexplained = found.rival
-            print(f"next best pose at ({', '.join(f'{v:.2f}' for v in T[:3, 3])}) m: {_share(unexplained)} unexplained, "
-                  f"against {_share(found.unexplained)}")  # fmt: skip
+            at = ", ".join(f"{v:.2f}" for v in T[:3, 3])
+            print(f"next best pose at ({at}) m: {_share(unexplained)} unexplained, against {_share(found.unexplained)}")
         print("information of xi = (rho, phi) in T_A_B exp(xi), metres and radians:")
         for row in found.information:
             print("  " + " ".join(f"{value:12.5g}" for value in row))

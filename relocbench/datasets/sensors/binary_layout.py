@@ -1,7 +1,7 @@
 """How the points of a ``.bin`` file are stored: the type of its numbers and how many of them make a point.
 
-Nothing in such a file says so. A wrong type gives numbers of absurd size. With the right number of columns, numbers that
-far apart in the file belong to the same axis of the next point, which is usually near, so that they differ least.
+Nothing in such a file says so. A wrong type gives numbers of absurd size. With the right number of columns, numbers
+that far apart in the file belong to the same axis of the next point, which is usually near, so that they differ least.
 """
 
 from __future__ import annotations
@@ -52,9 +52,7 @@ def decode_points(data: bytes, layout: BinaryLayout, path: Path) -> NDArray[np.f
     return np.frombuffer(data, dtype=np.dtype(layout.number).newbyteorder("<")).reshape(-1, layout.columns)
 
 
-def detect_layout(
-    data: bytes, path: Path, number: Number | None = None, columns: int | None = None
-) -> BinaryLayout:
+def detect_layout(data: bytes, path: Path, number: Number | None = None, columns: int | None = None) -> BinaryLayout:
     """The layout that the values of a file suggest.
 
     Args:
@@ -65,14 +63,14 @@ def detect_layout(
         DatasetError: no layout fits the file's size and gives sensible values, or two fit equally well.
     """
     allowed = [
-        BinaryLayout(n, c)
-        for n in ((number,) if number else NUMBERS)
-        for c in ((columns,) if columns else COLUMNS)
+        BinaryLayout(n, c) for n in ((number,) if number else NUMBERS) for c in ((columns,) if columns else COLUMNS)
     ]
     fitting = [layout for layout in allowed if data and len(data) % layout.bytes_per_point == 0]
     if not fitting:
         said = " or ".join(str(layout) for layout in allowed) if len(allowed) < 3 else "3 to 6 columns of either type"
         raise DatasetError(f"{len(data)} bytes are not a whole number of points ({said})", path)
+    if number is not None and columns is not None:
+        return fitting[0]
     types = [n for n in NUMBERS if any(layout.number == n for layout in fitting) and _is_sensible(data, n)]
     if not types:
         raise DatasetError(

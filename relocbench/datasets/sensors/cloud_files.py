@@ -1,8 +1,8 @@
 """Point clouds of any format as points in metres, with an origin near them.
 
 Coordinates of a map's grid are in the millions. Single precision holds those to decimetres only, and a rotation by a
-thousandth of a degree about an origin that far away moves them by metres. Such clouds are therefore given relative to an
-origin near them, which is stated.
+thousandth of a degree about an origin that far away moves them by metres. Such clouds are therefore given relative to
+an origin near them, which is stated.
 """
 
 from __future__ import annotations
@@ -172,4 +172,3 @@ def _array(path: Path) -> Array:
 
 def _stacked(fields: dict[str, NDArray[np.generic]], names: Sequence[str]) -> Array:
     return np.column_stack([np.asarray(fields[name], dtype=np.float64) for name in names])
-

@@ -53,7 +53,9 @@ def read_cloud_poses(path: Path, count: int) -> Array:
 def _number(fields: list[str], path: Path, line: int) -> int:
     found = _VERTEX.fullmatch(fields[0]) if fields else None
     if found is None:
-        raise DatasetError(f"expected the number of a vertex, found {quoted(fields[0] if fields else '', 30)}", path, line)
+        raise DatasetError(
+            f"expected the number of a vertex, found {quoted(fields[0] if fields else '', 30)}", path, line
+        )
     return int(found[1])
 
 

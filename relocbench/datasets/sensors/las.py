@@ -35,7 +35,9 @@ def read_las(path: Path, most_points: int) -> Array:
             if stream.header.are_points_compressed and not laspy.LazBackend.detect_available():
                 raise ConfigError(f"compressed LAS files need the package lazrs: {EXTRA}")
             points = stream.read()
-            return np.column_stack([np.asarray(points.x), np.asarray(points.y), np.asarray(points.z)]).astype(np.float64)
+            return np.column_stack([np.asarray(points.x), np.asarray(points.y), np.asarray(points.z)]).astype(
+                np.float64
+            )
     except (DatasetError, ConfigError):
         raise
     # laspy and lazrs raise errors of many kinds, also of Rust, for damaged files.

@@ -1,10 +1,10 @@
-"""A folder of clouds as one cloud: its scans are put together by poses that are given, or by odometry from the scans."""
+"""A folder of clouds as one cloud: its scans are put together by given poses, or by odometry from the scans."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -34,7 +34,7 @@ _KEPT_M = 0.05
 class Reading:
     """How clouds are read."""
 
-    form: CloudFormat = CloudFormat()
+    form: CloudFormat = field(default_factory=CloudFormat)
     sensor: SensorChoice = "auto"
     files: str = ""
     """pattern of the names of a folder's clouds; empty: all of known formats"""
@@ -86,6 +86,7 @@ def cloud_files(folder: Path, pattern: str = "") -> list[Path]:
     Raises:
         DatasetError: there is none.
     """
+
     def found(glob: str) -> list[Path]:
         return [p for p in folder.glob(glob) if p.is_file() and not p.name.startswith(".")]
 
@@ -102,7 +103,9 @@ def cloud_files(folder: Path, pattern: str = "") -> list[Path]:
         what = f"matches {quoted(pattern)}" if pattern else f"is a point cloud ({' '.join(SUFFIXES)})"
         raise DatasetError(f"no file {what}", folder)
     if len(files) > _MOST_SCANS:
-        raise DatasetError(f"holds {len(files)} clouds, more than {_MOST_SCANS}; give a short stretch, or --files", folder)
+        raise DatasetError(
+            f"holds {len(files)} clouds, more than {_MOST_SCANS}; give a short stretch, or --files", folder
+        )
     return sorted(files, key=lambda p: _natural(p.relative_to(folder)))
 
 

@@ -1,7 +1,7 @@
 """Pictures of a registration: both clouds before and after it, and the distances that are left.
 
-Where both clouds have points the pictures are dark. After a right registration few bright colours are left, except where
-only one cloud was measured.
+Where both clouds have points the pictures are dark. After a right registration few bright colours are left, except
+where only one cloud was measured.
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ _MARGIN = 0.04
 def write_before_after(path: Path, found: CloudRegistration, names: tuple[str, str]) -> None:
     """Draw both clouds as they were given and registered, from above and from the side."""
     factor = found.scale.factor
-    a, b = (
-        (side.prepared.submap.points + side.prepared.T_cloud_node[:3, 3]) / factor for side in found.sides
-    )
+    a, b = ((side.prepared.submap.points + side.prepared.T_cloud_node[:3, 3]) / factor for side in found.sides)
     keep_a, keep_b = (_structure(side.prepared.submap.surface) for side in found.sides)
     a, b = a[keep_a], b[keep_b]
     after = apply(found.T_a_b, b) if np.isfinite(found.T_a_b).all() else b
@@ -103,8 +101,9 @@ def _draw_residuals(figure: Figure, found: CloudRegistration) -> None:
         if not values.size:
             continue
         sigma, middle = factor * robust_sigma(values, np.ones_like(values)), factor * float(np.median(values))
-        axes.hist(factor * values, np.linspace(-shown, shown, 81) * factor, weights=np.full(values.size, 100 / values.size),
-                  histtype="step", color=colour, linestyle=style, linewidth=1.5,
+        edges, weights = np.linspace(-shown, shown, 81) * factor, np.full(values.size, 100 / values.size)
+        axes.hist(factor * values, edges, weights=weights, histtype="step", color=colour, linestyle=style,
+                  linewidth=1.5,
                   label=f"{name}\nrobust sigma {sigma:.2f} {unit}, median {middle:+.2f} {unit}")  # fmt: skip
     if every.size:
         axes.legend(fontsize=8, frameon=False, loc="upper left")

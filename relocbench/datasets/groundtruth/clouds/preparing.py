@@ -43,6 +43,9 @@ _INDOORS = 2.0
 """scenes that are enlarged by more than this have no ground: floors and tables are structure like walls"""
 _CROWDING, _PLANE_M = 0.75, 0.6
 """power of the number of patches in one plane by which the weight of each is divided, and the thickness of a plane"""
+_LOW = 1 / 3
+"""factor by which low patches outdoors weigh less than in a submap of 60 m: of a single scan, the cars that park beside
+the sensor are a large part"""
 _NEAR_POINTS_M = 1.0
 """where a sensor is unknown, a cloud could see what is so near to its points"""
 _THROUGH_ITSELF = 0.05
@@ -52,8 +55,8 @@ _THROUGH_ITSELF = 0.05
 class PreparedCloud(PreparedSubmap):
     """A cloud as one side of a registration, in enlarged metres, in the frame of its node.
 
-    Indoors, surface patches weigh less the more of them lie in one plane: all rooms have a floor and walls, and only what
-    stands in them tells one from another. Outdoors the ground is left out of them instead.
+    Indoors, surface patches weigh less the more of them lie in one plane: all rooms have a floor and walls, and only
+    what stands in them tells one from another. Outdoors the ground is left out of them instead.
     """
 
     def __init__(self, submap: Submap, T_cloud_node: Array, sees: bool, by_points: bool) -> None:
@@ -69,6 +72,11 @@ class PreparedCloud(PreparedSubmap):
     @cached_property
     def space(self) -> FreeSpace:
         return _Space(self.submap, self.sees, self.by_points)
+
+    @cached_property
+    def outdoors(self) -> bool:
+        """Whether the cloud has ground."""
+        return bool(np.any(self.submap.surface == Surface.GROUND))
 
     def judged_by_points(self) -> PreparedCloud:
         """The same cloud, for a pair in which one sensor is unknown."""
@@ -93,6 +101,8 @@ class _Space(FreeSpace):
         weights = patches.weights
         if not np.any(self.submap.surface == Surface.GROUND) and len(patches):
             weights = weights / np.power(_crowd(patches), _CROWDING)
+        else:
+            weights = np.where(patches.middle[:, 2] < self.low_m, _LOW * weights, weights)
         return replace(patches, origins=patches.middle if self._by_points else patches.origins, weights=weights)
 
     @cached_property
@@ -189,7 +199,7 @@ def _thinned(points: Array) -> Array:
 
 
 def fit_planes(points: Array) -> tuple[Array, Mask]:
-    """Unit normals (N, 3), of either sign, of planes through the neighbours of points (N, 3), and (N,) where they fit."""
+    """Unit normals (N, 3), of either sign, of planes near points (N, 3), and (N,) where one fits."""
     normals, plane = np.zeros_like(points), np.zeros(len(points), dtype=bool)
     tree, undecided = cKDTree(points), np.arange(len(points))
     for wanted in _NEIGHBOURS:

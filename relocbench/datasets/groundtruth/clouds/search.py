@@ -36,14 +36,18 @@ _DRIFTING = IcpOptions(scale_error_sigma=0.0)
 """for clouds that were put together by odometry"""
 _TRIED = 10
 """guesses and alternatives of each kind that are refined, those that fit best"""
+_FITS = 0.5
+"""share of the best fit that an alternative must reach to be refined"""
 _SAME_M, _SAME_DEG = 1.0, 4.0
 """refined poses that differ by no more than this are one"""
 _TIMES, _MORE = 2.5, 0.03
 """a second trusted pose must leave more unexplained than the best one: by this factor, and by this much in addition"""
-_SHIFT = ShiftOptions(step_m=0.6, apart_m=1.5, most=4, points=500)
+_SHIFT = ShiftOptions(step_m=0.7, apart_m=1.5, most=4, points=300)
 _FOLLOWED = 2
 """shifts along one axis from which shifts along the other are tried"""
 _QUARTER = np.pi / 2
+_DIRECTIONS, _ALIKE = 1500, 0.97
+"""normals that axes are found with, and the cosine of the angle within which two face the same way"""
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,7 @@ def search(
         advance(1)
         return Found(None, "no guess: the clouds have too few features in common", 0)
     best = _most_plausible(tried)
-    others = judged.all_of(judged.best_fitting(alternatives_of(a.planes, b.planes, best.T_a_b, scale)))
+    others = judged.all_of(judged.best_fitting(alternatives_of(a.planes, b.planes, best.T_a_b, scale), _FITS))
     advance(1)
     everything = [*tried, *others]
     best = _most_plausible(everything)
@@ -155,7 +159,13 @@ def _same(T_one: Array, T_other: Array) -> bool:
 
 
 def _most_plausible(candidates: Sequence[Candidate]) -> Candidate:
-    return min(candidates, key=lambda c: (not c.trusted, c.unexplained))
+    """The trusted candidate that leaves least unexplained; if none is trusted, details count too."""
+
+    def key(c: Candidate) -> tuple[bool, float]:
+        detail = float(np.min(np.nan_to_num([c.evidence.detail_ref, c.evidence.detail_query], nan=0.0)))
+        return not c.trusted, c.unexplained + (0.0 if c.trusted else 2 * (1 - detail))
+
+    return min(candidates, key=key)
 
 
 class _Judge:
@@ -168,13 +178,15 @@ class _Judge:
         self._backend = options.backend
         self._icp = _DRIFTING if options.drifts else _RIGID
         self._fine = FinePlanes(a.submap), FinePlanes(b.submap)
+        self._outdoors = a.outdoors and b.outdoors
         self._seen: list[Array] = []
 
-    def best_fitting(self, poses: Sequence[Array]) -> list[Array]:
-        """The distinct ones, best fit first."""
+    def best_fitting(self, poses: Sequence[Array], share: float = 0.0) -> list[Array]:
+        """The distinct ones, best fit first; those that fit by at least a share of the best one."""
         some = [poses[k] for k in distinct(poses, _SAME_M / 2, _SAME_DEG)]
-        fits = [-fit(self._a.planes, self._b.planes, T, _SHIFT) for T in some]
-        return [some[k] for k in np.argsort(fits, kind="stable")[:_TRIED]]
+        fits = np.array([fit(self._a.planes, self._b.planes, T, _SHIFT) for T in some])
+        order = np.argsort(-fits, kind="stable")[:_TRIED]
+        return [some[k] for k in order if fits[k] >= share * fits.max()]
 
     def all_of(self, poses: Sequence[Array]) -> list[Candidate]:
         """The candidates of guesses that did not end where an earlier one did."""
@@ -196,11 +208,14 @@ class _Judge:
             T, information = fitted.T_ref_query, self._with_drift(fitted.information, information)
         evidence = gather_evidence(self._a, self._b, T, information)
         sigma, direction, sigma_deg = weakest(information, T)
-        evidence = replace(
-            evidence, weakest_sigma_m=sigma, weakest_direction=direction, weakest_sigma_deg=sigma_deg
-        )
+        evidence = replace(evidence, weakest_sigma_m=sigma, weakest_direction=direction, weakest_sigma_deg=sigma_deg)
         return Candidate(
-            T, information, evidence, judge(evidence, self._scale, self._known), unexplained(evidence), fitted
+            T,
+            information,
+            evidence,
+            judge(evidence, self._scale, self._known, self._outdoors),
+            unexplained(evidence),
+            fitted,
         )
 
     def _with_drift(self, fitted: Array, by_icp: Array) -> Array:
@@ -237,7 +252,32 @@ def alternatives_of(a: PlaneMap, b: PlaneMap, T_a_b: Array, scale: SceneScale) -
 
 
 def _axes(planes: PlaneMap) -> list[Array]:
-    """(3,) each: the principal axes of a cloud's normals, first the one that fewest surfaces face."""
+    """Three orthogonal unit vectors (3,): the directions that most surfaces face, the least frequent one first.
+
+    Those of a box are its edges, about which quarter turns map it to itself. Principal axes would not do: of a cube
+    any three are.
+    """
     normals = planes.sample(1).normals
-    _, vectors = np.linalg.eigh(normals.T @ normals) if len(normals) else (None, np.eye(3))
-    return [vectors[:, k] for k in range(3)]
+    normals = normals[np.linspace(0, len(normals) - 1, min(_DIRECTIONS, len(normals))).astype(np.int64)]
+    if not len(normals):
+        return list(np.eye(3))
+    alike = np.abs(normals @ normals.T) > _ALIKE
+    first = _mean_axis(normals, int(np.argmax(alike.sum(axis=1))))
+    across = np.abs(normals @ first) < 0.5
+    if across.any():
+        second = _mean_axis(normals, int(np.argmax(np.where(across, alike.sum(axis=1), -1))))
+    else:
+        second = np.eye(3)[int(np.argmin(np.abs(first)))]
+    second = second - (second @ first) * first
+    second /= np.linalg.norm(second)
+    axes = [first, second, np.cross(first, second)]
+    facing = [int(np.count_nonzero(np.abs(normals @ axis) > _ALIKE)) for axis in axes]
+    return [axes[k] for k in np.argsort(facing, kind="stable")]
+
+
+def _mean_axis(normals: Array, row: int) -> Array:
+    """(3,) the mean direction, of either sign, of the normals that face about as one of them does."""
+    cosine = normals @ normals[row]
+    near = np.abs(cosine) > _ALIKE
+    mean = np.sum(normals[near] * np.sign(cosine[near])[:, None], axis=0)
+    return np.asarray(mean / np.linalg.norm(mean))
