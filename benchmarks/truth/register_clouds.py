@@ -1,9 +1,10 @@
-"""``relocbench register`` on clouds with known poses: how many are trusted, how wrong these are, how honest their sigma.
+"""``relocbench register`` on clouds with known poses: how many are trusted, how wrong they are, how honest their sigma.
 
-Simulated: scans of streets in other weather (``street``), by a car that drives back in the other lane (``reverse``), short
-submaps of opposite drives (``submaps``), the street of repeating facades (``periodic``); rooms of 4 to 6 m scanned twice
-(``room``), put together without sensors (``merged``), seen by a depth camera (``depth``); an object of 1 m (``object``);
-and clouds of different places (``other streets``, ``other rooms``, ``other merged``), all of which must be refused.
+Simulated: scans of streets in other weather (``street``), by a car that drives back in the other lane (``reverse``),
+short submaps of opposite drives (``submaps``), the street of repeating facades (``periodic``); rooms of 4 to 6 m
+scanned twice (``room``), put together without sensors (``merged``), seen by a depth camera (``depth``); an object of
+1 m (``object``); and clouds of different places (``other streets``, ``other rooms``, ``other merged``), all of which
+must be refused.
 
 Real: all pairs of KITTI 07 and Newer College against their graph, scans of different recordings, KITTI 00 scan against
 scan, and views of the TUM RGB-D depth camera against the motion capture, which is itself off by 1 deg at times.

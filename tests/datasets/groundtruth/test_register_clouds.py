@@ -156,7 +156,7 @@ def test_large_coordinates_of_one_region_get_one_origin() -> None:
     points = np.arange(30.0).reshape(10, 3)
     a = Cloud("a", points, origin=np.array([691_000.0, 5_334_000.0, 500.0]))
     b = Cloud("b", points, origin=np.array([691_200.0, 5_334_000.0, 500.0]))
-    np.testing.assert_allclose(with_one_origin(a, b).points, points + [200.0, 0.0, 0.0])
+    np.testing.assert_allclose(with_one_origin(a, b).points, points + np.array([200.0, 0.0, 0.0]))
     far = replace(b, origin=np.array([100_000.0, 0.0, 0.0]))
     assert with_one_origin(a, far) is far
 

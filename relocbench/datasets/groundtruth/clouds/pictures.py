@@ -13,7 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from relocbench.arrays import Array
+from numpy.typing import NDArray
+
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.clouds.register import CloudRegistration
 from relocbench.datasets.groundtruth.report.figures import QUERY, REFERENCE, shortened, write_figure
@@ -34,7 +36,7 @@ def write_before_after(path: Path, found: CloudRegistration, names: tuple[str, s
     write_figure(path, (12, 9.5), lambda figure: _draw(figure, a, (b, after), found, names))
 
 
-def _structure(surface: Array) -> Array:
+def _structure(surface: NDArray[np.uint8]) -> Mask:
     """Points that are not ground, which hides what stands on it from above."""
     chosen = surface != Surface.GROUND
     return np.asarray(chosen if np.count_nonzero(chosen) > 100 else np.ones(len(surface), dtype=bool))
@@ -77,7 +79,7 @@ def _limits(points: Array) -> tuple[Array, Array]:
     return low - margin, high + margin
 
 
-def _hit(points: Array, low: Array, pixel: float, rows: int, columns: int) -> Array:
+def _hit(points: Array, low: Array, pixel: float, rows: int, columns: int) -> Mask:
     at = np.floor((points - low) / pixel).astype(np.int64)
     inside = np.all((at >= 0) & (at < (columns, rows)), axis=1)
     out = np.zeros((rows, columns), dtype=bool)
@@ -101,7 +103,8 @@ def _draw_residuals(figure: Figure, found: CloudRegistration) -> None:
         if not values.size:
             continue
         sigma, middle = factor * robust_sigma(values, np.ones_like(values)), factor * float(np.median(values))
-        edges, weights = np.linspace(-shown, shown, 81) * factor, np.full(values.size, 100 / values.size)
+        edges = (np.linspace(-shown, shown, 81) * factor).tolist()
+        weights = np.full(values.size, 100 / values.size)
         axes.hist(factor * values, edges, weights=weights, histtype="step", color=colour, linestyle=style,
                   linewidth=1.5,
                   label=f"{name}\nrobust sigma {sigma:.2f} {unit}, median {middle:+.2f} {unit}")  # fmt: skip

@@ -40,6 +40,10 @@ _OUTSIDE = 1.5
 """factor of all standard deviations, found on simulated scans of streets and rooms with exact truth"""
 
 
+_SHARED_M, _SHARED_RAD = 0.001, 5e-5
+"""standard deviations, enlarged, of errors that all patches share, such as those of choosing points and fitting planes"""
+
+
 class FinePlanes:
     """The planes of one cloud at full density, for the final fit."""
 
@@ -88,7 +92,10 @@ def final_fit(ref: FinePlanes, query: FinePlanes, T_ref_query: Array) -> FinalFi
     left = left + problem.by_planes @ minimum(problem.H, problem.g, _LENGTH_M, _OPEN_SHARE)
     scatter = scatter_by_patch((problem.weights * left)[:, None] * problem.by_points, problem.patches)
     information = sandwich_information(problem.H, scatter, _CORRELATION * _LEAST_SIGMA_M**2, _LENGTH_M)
-    return FinalFit(T, information / _OUTSIDE**2 + _OPEN * np.eye(6), problem.residuals)
+    covariance = np.linalg.inv(information / _OUTSIDE**2 + _OPEN * np.eye(6))
+    shared = np.diag(np.square(np.repeat([_SHARED_M, _SHARED_RAD], 3)))
+    information = np.linalg.inv(covariance + shared)
+    return FinalFit(T, (information + information.T) / 2, problem.residuals)
 
 
 def _problem(ref: FinePlanes, query: FinePlanes, T_ref_query: Array) -> _Problem:
