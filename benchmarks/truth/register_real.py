@@ -14,12 +14,10 @@ from register_scenes import Pair
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud, cloud_of_file
 from relocbench.datasets.sensors.cloud_files import read_cloud
 from relocbench.datasets.sensors.cloud_poses import read_cloud_poses
-from relocbench.geometry import interpolate_trajectory, invert, make_transform, transform_from_tq
+from relocbench.geometry import interpolate_trajectory, invert, transform_from_tq
 
 Array = NDArray[np.float64]
 
-KITTI_00_ALONG_M = (0.0, 0.689, 1.382, 2.100, 2.832, 3.576)
-"""metres from frame 0 along the lidar's x axis, by generalised ICP of each scan with the first"""
 _CAMERA = (517.3, 516.5, 318.6, 255.3)
 """fx fy cx cy of freiburg1; its distortion is not removed, which moves points near the border by a few pixels"""
 _DEPTH_UNIT = 1 / 5000
@@ -31,7 +29,7 @@ _NOWHERE = np.full((4, 4), np.nan)
 def real_pairs(part: str, data: Path) -> Iterator[tuple[str, Pair]] | None:
     """The pairs of a part by name; None if its recording is not there."""
     graphs, kitti, tum = data / "lidar_submaps_with_graph", data / "kitti_odometry", data / "tum_rgbd"
-    needed = {"kitti 07": [graphs], "newer college": [graphs], "kitti 00": [kitti], "tum rgbd": [tum],
+    needed = {"kitti 07": [graphs], "newer college": [graphs], "tum rgbd": [tum],
               "other real": [graphs, kitti]}  # fmt: skip
     if not all(folder.is_dir() for folder in needed[part]):
         return None
@@ -40,10 +38,6 @@ def real_pairs(part: str, data: Path) -> Iterator[tuple[str, Pair]] | None:
         files = sorted(folder.glob("*/points.bin" if part == "kitti 07" else "planes_*.bin"))
         return _all_pairs(_clouds(files), read_cloud_poses(folder / "graph.txt", len(files)))
     scans = sorted((kitti / "sequences" / "00" / "velodyne").glob("*.bin"))
-    if part == "kitti 00":
-        # The scans' own registration is the reference, which knows the distance along the track alone.
-        poses = [make_transform(np.eye(3), [x, 0.0, 0.0]) for x in KITTI_00_ALONG_M]
-        return _all_pairs(_clouds([scans[0], scans[5]]), np.array([poses[0], poses[5]]))
     if part == "tum rgbd":
         return _depth_pairs(tum)
     files = [graphs / "kitti_07_dump" / "000000" / "points.bin", graphs / "newer_01" / "planes_000000.bin", scans[0]]

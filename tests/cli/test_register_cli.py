@@ -75,8 +75,8 @@ def test_a_folder_with_poses_is_put_together(pair: Pair, files: tuple[Path, Path
     np.testing.assert_allclose(json.loads(outcome.out)["T_a_b"], T, atol=5e-3)
 
 
-def test_all_pairs_of_a_folder_are_compared_with_a_graph(find_data: FindData) -> None:
-    folder = find_data("lidar_submaps_with_graph") / "newer_01"
+def test_all_pairs_of_a_folder_are_compared_with_a_graph(real_data: FindData) -> None:
+    folder = real_data("lidar_submaps_with_graph") / "newer_01"
     outcome = relocbench("register", folder, "--files", "planes_0000[01]0.bin", "--json", "-q")
     assert outcome.status == 0, outcome.err
     told = json.loads(outcome.out)

@@ -21,9 +21,9 @@ COLUMNS = (3, 4, 5, 6)
 """numbers of columns that are considered: x y z, then intensity, ring, time and the like"""
 _LOOKED_AT = 120_000
 """values that are looked at"""
-_LARGEST, _SMALLEST = 1e7, 1e-9
+_LARGEST, _SMALLEST = 1e7, 1e-30
 """sizes of values, other than 0, that points, intensities and times have"""
-_SENSIBLE = 0.995
+_SENSIBLE = 0.98
 """share of the values that must have such a size"""
 _CLEAR = 0.97
 """the best number of columns must have a lag difference below this share of that of the next smaller ones"""

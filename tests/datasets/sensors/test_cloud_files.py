@@ -159,3 +159,9 @@ def test_poses_are_read_in_every_format(tmp_path: Path) -> None:
     (tmp_path / "bad").write_text("1 2 3\n")
     with pytest.raises(DatasetError, match=r"bad:1: expected TUM"):
         read_cloud_poses(tmp_path / "bad", 1)
+
+
+def test_a_small_scene_with_values_next_to_zero_has_a_layout() -> None:
+    points = wavy() / 4
+    points[::3, 1] = 1e-17
+    assert detect_layout(points.astype("<f4").tobytes(), Path("room.bin")) == BinaryLayout("float32", 3)

@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Mask

@@ -41,7 +41,7 @@ _OUTSIDE = 1.5
 
 
 _SHARED_M, _SHARED_RAD = 0.001, 5e-5
-"""standard deviations, enlarged, of errors that all patches share, such as those of choosing points and fitting planes"""
+"""standard deviations, enlarged, of errors that all patches share, such as those of fitting planes"""
 
 
 class FinePlanes:
