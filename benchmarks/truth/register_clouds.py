@@ -113,7 +113,7 @@ def tell(title: str, pairs: Iterator[tuple[str, Pair]]) -> dict[str, Any]:
     }
 
 
-def rounded(value: float) -> float | None:
+def rounded(value: float | np.floating[Any]) -> float | None:
     return round(float(value), 3) if np.isfinite(value) else None
 
 

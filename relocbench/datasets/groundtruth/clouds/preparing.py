@@ -125,7 +125,8 @@ def _crowd(patches: Patches) -> Array:
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     offset = np.floor(np.einsum("ni,ni->n", patches.middle, mean[bins]) / _PLANE_M).astype(np.int64)
     _, plane = np.unique(bins * 100_000 + offset, return_inverse=True)
-    return np.bincount(plane)[plane].astype(np.float64)
+    sizes: Array = np.bincount(plane).astype(np.float64)
+    return sizes[plane]
 
 
 @dataclass(frozen=True, eq=False)
