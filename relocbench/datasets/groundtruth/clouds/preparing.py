@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relocbench.arrays import Array, Floats, Mask
+from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
@@ -190,9 +190,9 @@ def submap_of(cloud: Cloud, scale: SceneScale) -> tuple[Submap, Array]:
     return submap, make_transform(np.eye(3), middle)
 
 
-def _thinned(points: Array) -> Array:
+def _thinned(points: Array) -> Indices:
     voxel_m = _VOXEL_M
-    keep = thin(points, voxel_m)
+    keep: Indices = thin(points, voxel_m)
     while len(keep) > _MOST_POINTS:
         voxel_m *= max(float(np.sqrt(len(keep) / _MOST_POINTS)), 1.1)
         keep = thin(points, voxel_m)
