@@ -22,6 +22,7 @@ from relocbench.cli.leaderboard import leaderboard, report
 from relocbench.cli.methods import methods
 from relocbench.cli.preview import preview
 from relocbench.cli.probe import probe
+from relocbench.cli.register import register
 from relocbench.cli.submit import leaderboard_add, submit_check
 from relocbench.cli.train import train
 from relocbench.cli.usage import usage_fault
@@ -62,6 +63,7 @@ app.command(cls=Command)(evaluate)
 app.command("evaluate-retrieval", cls=Command)(evaluate_retrieval)
 app.command("evaluate-relocalization", cls=Command)(evaluate_relocalization)
 app.command(cls=Command)(probe)
+app.command(cls=Command)(register)
 app.command(cls=Command)(leaderboard)
 app.command(cls=Command)(report)
 app.command("leaderboard add", cls=Command)(leaderboard_add)

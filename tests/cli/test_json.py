@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import Outcome, relocbench
 from made_pairs import SETTINGS
-from repository import DOCS
+from repository import DOCS, TRUTH
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
 from submissions import submit
@@ -22,6 +24,9 @@ from relocbench.cli.app import app
 from relocbench.datasets import importers
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.weights import PublishedFile
+
+sys.path.insert(0, str(TRUTH))
+from register_scenes import room_view
 
 pytestmark = pytest.mark.usefixtures("workers_kept")
 SPLITS = {"train": [ACROSS, WITHIN], "validation": [ACROSS]}
@@ -117,6 +122,7 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
     "view": (lambda d, t: [d.dataset, "--out", t / "v.rrd", "--limit", 1], {"pairs": 2, "pairs_left_out": 5}),
     "validate": (lambda d, t: [d.dataset, "--quick"], {"faults": 0}),
     "methods": (lambda d, t: [], {}),
+    "register": (lambda d, t: [_scan_of_a_room(t), _scan_of_a_room(t), "--sensor", "origin"], {"files_written": 0}),
     "check-method": (lambda d, t: ["identity"], {"failed": 0}),
     "fetch-weights": (lambda d, t: ["test_json:NeedsWeights"], {"files_written": 0, "skipped": 1}),
     "export": (
@@ -129,6 +135,11 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
     ),
 }
 """command -> its arguments on the smallest data, and some of what it counts then"""
+
+
+def _scan_of_a_room(folder: Path) -> Path:
+    np.save(folder / "room.npy", room_view(1, 0).cloud.points)
+    return folder / "room.npy"
 
 
 def test_the_table_has_every_command() -> None:

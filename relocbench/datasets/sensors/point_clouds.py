@@ -19,14 +19,14 @@ from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 
 
-def read_point_cloud(path: Path) -> dict[str, NDArray[Any]]:
+def read_point_cloud(path: Path, most_bytes: int = MOST_SCAN_BYTES) -> dict[str, NDArray[Any]]:
     """The properties of the points, among them ``x``, ``y`` and ``z``: name -> (N,), with the file's types.
 
     Raises:
         DatasetError: the file is missing, not a PLY or PCD, truncated, damaged, or without x, y, z.
     """
     kind = path.suffix[1:].upper()
-    data = read_bytes(path, f"a {kind}", DatasetError, MOST_SCAN_BYTES)
+    data = read_bytes(path, f"a {kind}", DatasetError, most_bytes)
     fields = parse_ply(data, path) if kind == "PLY" else parse_pcd(data, path)
     if fields and all(len(values) == 0 for values in fields.values()):
         return {axis: np.empty(0) for axis in "xyz"}

@@ -74,6 +74,8 @@ class Matches:
     """(M,) weights by surface, static score and distance (Geman-McClure)"""
     patches: Indices
     """(M,) number of the patch of surface that each point lies on"""
+    points: Array
+    """(M, 3) the points, in the query's frame"""
 
     def __len__(self) -> int:
         return len(self.residuals)
@@ -95,4 +97,4 @@ def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
     weights = np.minimum(planes.weights[match], points.weights[rows]) / np.square(1 + np.square(residuals / _SCALE_M))
     by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
     facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
-    return Matches(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)
+    return Matches(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing, q)

@@ -152,23 +152,25 @@ def _ransac(ref: Features, query: Features, options: GlobalOptions, seed: int) -
     registration = o3d.pipelines.registration
     o3d.utility.random.seed(seed)
     near = 1.5 * options.voxel_m
-    result = registration.registration_ransac_based_on_feature_matching(
-        open3d_cloud(query.points, query.normals),
-        open3d_cloud(ref.points, ref.normals),
-        _feature(query.descriptors),
-        _feature(ref.descriptors),
-        True,
-        near,
-        registration.TransformationEstimationPointToPoint(False),
-        3,
-        [
-            registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-            registration.CorrespondenceCheckerBasedOnNormal(np.radians(30.0)),
-            registration.CorrespondenceCheckerBasedOnDistance(near),
-        ],
-        # A confidence of 1 never stops early.
-        registration.RANSACConvergenceCriteria(options.iterations, 1.0),
-    )
+    # Open3D prints a warning to standard output if few features match.
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        result = registration.registration_ransac_based_on_feature_matching(
+            open3d_cloud(query.points, query.normals),
+            open3d_cloud(ref.points, ref.normals),
+            _feature(query.descriptors),
+            _feature(ref.descriptors),
+            True,
+            near,
+            registration.TransformationEstimationPointToPoint(False),
+            3,
+            [
+                registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+                registration.CorrespondenceCheckerBasedOnNormal(np.radians(30.0)),
+                registration.CorrespondenceCheckerBasedOnDistance(near),
+            ],
+            # A confidence of 1 never stops early.
+            registration.RANSACConvergenceCriteria(options.iterations, 1.0),
+        )
     return np.asarray(result.transformation, dtype=np.float64) if len(result.correspondence_set) >= 3 else None
 
 

@@ -41,8 +41,6 @@ _WITHIN = 0.6
 """a beam crosses a patch if it meets its plane within this share of the patch's size from its middle"""
 _BEAMS = 12_000
 """number of beams that are followed, evenly spread"""
-_LOW_M = 2.2
-"""height over the node below which cars park and hedges grow"""
 _LOW_WEIGHT = 0.3
 """weight of patches below that height"""
 _LONGEST_M = 45.0
@@ -103,6 +101,12 @@ class BeamVotes:
 class FreeSpace:
     """Surface patches and beams of one submap, each computed once."""
 
+    same_place_m = 2.5
+    """a drive could see what was measured from within this distance of its own sensors; it is less than the width of a
+    lane, since other sides of things are hidden from the next lane"""
+    low_m = 2.2
+    """height over the node below which cars park and hedges grow"""
+
     def __init__(self, submap: Submap) -> None:
         self.submap = submap
 
@@ -113,7 +117,7 @@ class FreeSpace:
         arrays = (self.submap.points, self.submap.normals, self.submap.origins)
         points, normals, origins = (a[used].astype(np.float64) for a in arrays)
         for cell_m in _CELLS_M:
-            patches = make_patches(points, normals, origins, cell_m)
+            patches = make_patches(points, normals, origins, cell_m, self.low_m)
             if patches.held >= _HELD:
                 break
         return patches
@@ -141,8 +145,13 @@ class FreeSpace:
         return BeamVotes(through, reached, patches.weights)
 
 
-def make_patches(points: Array, normals: Array, origins: Array, cell_m: float) -> Patches:
-    """Patches, one a voxel of ``cell_m``, of points (N, 3) with unit normals (N, 3), measured from origins (N, 3)."""
+def make_patches(
+    points: Array, normals: Array, origins: Array, cell_m: float, low_m: float = FreeSpace.low_m
+) -> Patches:
+    """Patches, one a voxel of ``cell_m``, of points (N, 3) with unit normals (N, 3), measured from origins (N, 3).
+
+    Patches below ``low_m`` weigh less.
+    """
     grid = make_grid(points, cell_m)
     cells, count = cells_of(grid), len(grid.starts) - 1
     size = np.bincount(cells, minlength=count).astype(np.float64)
@@ -155,7 +164,7 @@ def make_patches(points: Array, normals: Array, origins: Array, cell_m: float) -
     surface = (size >= _LEAST_POINTS) & (length >= _FLAT)
     rows = np.where(surface, np.cumsum(surface) - 1, -1).astype(np.int32)
     middle, facing = middle[surface], facing[surface] / length[surface, None]
-    weights = np.where(middle[:, 2] < _LOW_M, _LOW_WEIGHT, 1.0)
+    weights = np.where(middle[:, 2] < low_m, _LOW_WEIGHT, 1.0)
     held = float(size[surface].sum()) / max(len(points), 1)
     return Patches(middle, facing, measured_from[surface], weights, held, grid, rows)
 

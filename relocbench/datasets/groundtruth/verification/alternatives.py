@@ -57,11 +57,15 @@ def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOption
 
 
 def shifted_poses(
-    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOptions | None = None
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOptions | None = None, along: Array | None = None
 ) -> list[Array]:
-    """Poses shifted along the street at which the query fits about as well as at the best one, best fit first."""
+    """Poses shifted along the street at which the query fits about as well as at the best one, best fit first.
+
+    Args:
+        along: (3,) another unit vector to shift along, in the reference's frame.
+    """
     o = options or ShiftOptions()
-    along = street_direction(ref)
+    along = street_direction(ref) if along is None else along
     steps = np.arange(-round(o.reach_m / o.step_m), round(o.reach_m / o.step_m) + 1) * o.step_m
     moved = [make_transform(np.eye(3), s * along) @ T_ref_query for s in steps]
     fits = np.array([fit(ref, query, T, o) for T in moved])

@@ -27,9 +27,6 @@ _LEVEL, _REACH_M = 1, 0.35
 """level of the planes that surface patches are matched to, and the largest distance of a match"""
 _FINE, _FINE_REACH_M, _NEARBY_M = 2, 0.25, 0.3
 """level of the planes that details are matched to, the largest distance of a match, and that of any surface"""
-_SAME_PLACE_M = 2.5
-"""a drive could see what was measured from within this distance of its own sensors; it is less than the width of a
-lane, since other sides of things are hidden from the next lane"""
 _AGREES = 2.5
 """number of standard deviations within which a point lies in a plane"""
 
@@ -106,7 +103,8 @@ def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -
     found &= np.abs(residual) <= 2 * _AGREES * spread
     met = found | (votes.through + votes.reached > 0)
     sensor_positions = apply(invert(T_other_this), other.space.sensor_positions)
-    same_place = cKDTree(sensor_positions).query(patches.origins, distance_upper_bound=_SAME_PLACE_M)[0] < _SAME_PLACE_M
+    reach = other.space.same_place_m
+    same_place = cKDTree(sensor_positions).query(patches.origins, distance_upper_bound=reach)[0] < reach
     could_see, everything = float(patches.weights[met | same_place].sum()), float(patches.weights.sum())
     return _OneWay(
         overlap=float(patches.weights[found].sum()) / could_see if could_see > 0 else float("nan"),

@@ -1,0 +1,110 @@
+"""The verdict on the pose of two clouds: which evidence it rests on, and why it is not trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
+from relocbench.datasets.groundtruth.verification.evidence import Evidence
+from relocbench.datasets.groundtruth.verification.verification import Thresholds
+
+FreeSpaceKnown = Literal["both", "A", "B", "none"]
+"""whose beams free space is judged by"""
+
+WITH_FREE_SPACE = Thresholds()
+INDOORS = Thresholds(most_violations=0.06, least_overlap=0.8)
+"""Limits for scenes without ground and with free space: rooms resemble each other more than streets do, and change
+less. Right poses of simulated rooms had no violations and an overlap of 0.99, wrong ones violations from 0.08 on."""
+WITHOUT_FREE_SPACE = Thresholds(least_seen=0.4, least_overlap=0.8, least_detail=0.6)
+"""Limits where no beam tells what is empty: surfaces must agree better instead, and over more of both clouds."""
+OUTDOORS = (
+    Thresholds(most_violations=0.3, least_overlap=0.6, least_detail=0.8),
+    Thresholds(least_seen=0.25, most_violations=0.3, least_overlap=0.3, least_detail=0.75),
+)
+"""Further limits for scenes with ground whose details agree far better than those of any wrong pose did (up to 0.67 on
+simulated streets and real scans): with free space, for single scans in which all parked cars are others; without it,
+for clouds that reach further than their points are dense. Rooms are not judged by them, since walls and floors of
+different rooms have details that agree."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Why a pose is not trusted, and what is known to judge it by."""
+
+    reason: str
+    """empty if the pose is trusted"""
+    rests_on: str
+    """the evidence in words"""
+
+
+def free_space_known(a_sees: bool, b_sees: bool) -> FreeSpaceKnown:
+    """Whose beams free space can be judged by."""
+    if a_sees and b_sees:
+        return "both"
+    return "A" if a_sees else ("B" if b_sees else "none")
+
+
+def judge(evidence: Evidence, scale: SceneScale, known: FreeSpaceKnown, outdoors: bool = False) -> Verdict:
+    """The verdict on enlarged evidence, with A as the reference and B as the query.
+
+    Missing evidence counts against a pose, but for free space that no beam can tell of.
+
+    Args:
+        outdoors: whether both clouds have ground, which is no part of the evidence.
+    """
+    rests_on = {
+        "both": "surfaces and free space of both clouds",
+        "A": "surfaces of both clouds and free space seen by A; B's sensor is unknown",
+        "B": "surfaces of both clouds and free space seen by B; A's sensor is unknown",
+        "none": "surfaces of both clouds alone: free space could not be judged, since no sensor is known",
+    }[known]
+    both = WITH_FREE_SPACE if outdoors else INDOORS
+    reason = _reason(evidence, scale, known, both if known == "both" else WITHOUT_FREE_SPACE)
+    if reason and outdoors and not _reason(evidence, scale, known, OUTDOORS[0 if known == "both" else 1]):
+        return Verdict("", f"{rests_on}; details that agree, though much else changed or was not measured twice")
+    return Verdict(reason, rests_on)
+
+
+def _reason(e: Evidence, scale: SceneScale, known: FreeSpaceKnown, t: Thresholds) -> str:
+    # A's beams tell of violations of B's surfaces.
+    if known in ("A", "none"):
+        e = replace(e, violations_ref=0.0)
+    if known in ("B", "none"):
+        e = replace(e, violations_query=0.0)
+    sides = (
+        ("A", "B", e.seen_ref, e.overlap_ref, e.violations_ref, e.detail_ref, e.residual_ref_m),
+        ("B", "A", e.seen_query, e.overlap_query, e.violations_query, e.detail_query, e.residual_query_m),
+    )
+    for this, other, seen, *_ in sides:
+        if not seen >= t.least_seen:
+            return f"too little in common: {other} measured or saw through {_percent(seen)} of {this}'s surfaces"
+    for this, other, _, _, violations, *_ in sides:
+        if not violations <= t.most_violations:
+            return f"free space: {_percent(violations)} of {this}'s surfaces are where {other} saw through"
+    for this, other, _, overlap, *_ in sides:
+        if not overlap >= t.least_overlap:
+            return f"overlap: {other} measured {_percent(overlap)} of {this}'s surfaces that it could see"
+    for this, other, _, _, _, detail, _ in sides:
+        if not detail >= t.least_detail:
+            return f"details: {_percent(detail)} of {this}'s surfaces of all directions lie in one of {other}'s"
+    for this, other, *_, residual in sides:
+        if not residual <= t.most_residual_m:
+            return f"residual: {this}'s points lie {residual / scale.factor:.2g} m off {other}'s surfaces"
+    if not e.weakest_sigma_m <= t.most_sigma_m:
+        return f"weak {_direction(e.weakest_direction)}: sigma {e.weakest_sigma_m / scale.factor:.2g} m"
+    if not e.weakest_sigma_deg <= t.most_sigma_deg:
+        return f"weak rotation: sigma {e.weakest_sigma_deg:.1f} deg"
+    return ""
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if np.isfinite(share) else "nothing"
+
+
+def _direction(direction: tuple[float, float, float]) -> str:
+    if not np.isfinite(direction).all():
+        return "in every direction"
+    return f"along ({', '.join(f'{x:.2f}' for x in direction)}) of A"
