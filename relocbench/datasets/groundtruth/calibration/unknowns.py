@@ -40,7 +40,7 @@ class Sigmas:
 
 NOMINAL = Sigmas(0.005, float(np.radians(0.05)), 0.003)
 """of a calibration that is as good as it should be"""
-STEADY = Sigmas(0.002, float(np.radians(0.02)), 0.001)
+STEADY = Sigmas(0.0015, float(np.radians(0.015)), 0.0005)
 """of its changes from drive to drive"""
 FAULTY = Sigmas(0.10, float(np.radians(2.0)), 0.10)
 """of one that is not"""

@@ -9,12 +9,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Times
 from relocbench.datasets.groundtruth.odometry.local_map import LocalMap
 from relocbench.datasets.sensors.recording import LidarStream, Scan, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import apply, invert, make_transform, project_to_rotation, se3_exp, se3_log
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import Advance, Reporter, Silent
 
 _FEWEST_POINTS = 100
 """a scan with fewer points is skipped"""
@@ -42,6 +42,7 @@ def lidar_odometry(
     """The poses of the rig at the times of the scans, in the frame of the first pose.
 
     Scans are deskewed with the velocity of the previous step, as in KISS-ICP; scans need not be equally spaced in time.
+    Scans that the motion distorts are then registered once more, deskewed by the motion before and after each of them.
     The computation uses one thread, so that the same scans give the same bytes.
 
     Args:
@@ -61,16 +62,58 @@ def lidar_odometry(
         for i in range(min(_START_SCANS, len(times))):
             started.add(int(times[i]), lidar.read(i))
     run = _Registration(lidar, nearest_m, started.twist)
+    skewed = False
     with (reporter or Silent()).stage(f"odometry from {lidar.name}", len(times)) as advance:
         for i, time in enumerate(times.tolist()):
-            run.add(time, lidar.read(i))
+            scan = lidar.read(i)
+            run.add(time, scan)
+            skewed = skewed or _is_skewed(scan)
             advance(1)
     if len(run.times) < 2:
         raise DatasetError(f"{lidar.name} has {len(run.times)} scans with enough points; odometry needs at least 2")
     T_first_lidar = np.array(run.poses)
+    if skewed:
+        with (reporter or Silent()).stage(f"odometry from {lidar.name}, once more", len(run.times)) as advance:
+            T_first_lidar = _once_more(lidar, nearest_m, run.times, T_first_lidar, advance)
     T_first_lidar = make_transform(project_to_rotation(T_first_lidar[:, :3, :3]), T_first_lidar[:, :3, 3])
     T_odom_rig = lidar.T_rig_lidar @ invert(T_first_lidar[0]) @ T_first_lidar @ invert(lidar.T_rig_lidar)
     return Trajectory(np.array(run.times, dtype=np.int64), T_odom_rig, max_gap_ns)
+
+
+def _once_more(lidar: LidarStream, nearest_m: float, times: list[int], T_first_lidar: Array, advance: Advance) -> Array:
+    """Poses (N, 4, 4) of scans, registered again from known poses (N, 4, 4), by which they are deskewed.
+
+    A velocity from before a scan knows nothing of how the car brakes, turns and sways during the scan.
+    """
+    index = {int(time): i for i, time in enumerate(lidar.times_ns.tolist())}
+    known = np.array(times, dtype=np.int64)
+    planes, poses = LocalMap(), [T_first_lidar[0]]
+    for k, time in enumerate(times):
+        points = _deskewed_by(lidar.read(index[time]), known, T_first_lidar, k)
+        outside = points[np.sum(points**2, axis=1) >= nearest_m**2]
+        if k:
+            poses.append(planes.fit(outside, poses[-1] @ invert(T_first_lidar[k - 1]) @ T_first_lidar[k]))
+        planes.insert(outside, poses[k])
+        advance(1)
+    return np.array(poses)
+
+
+def _deskewed_by(scan: Scan, times_ns: Times, T_first_lidar: Array, k: int) -> Array:
+    """(N, 3) points of scan k as seen from its pose, moved along the poses (M, 4, 4) of all scans.
+
+    Before the first and after the last pose the motion goes on as it was.
+    """
+    if not _is_skewed(scan):
+        return scan.points
+    offsets = (scan.times_ns - times_ns[k]).astype(np.float64)
+    knots = np.linspace(offsets.min(), offsets.max(), _SLICES + 1)
+    at = times_ns[k] + knots
+    right = np.clip(np.searchsorted(times_ns, at, side="right"), 1, len(times_ns) - 1)
+    left = right - 1
+    share = (at - times_ns[left]) / (times_ns[right] - times_ns[left])
+    steps = se3_log(invert(T_first_lidar[left]) @ T_first_lidar[right])
+    moves = invert(T_first_lidar[k]) @ T_first_lidar[left] @ se3_exp(share[:, None] * steps)
+    return _placed(scan.points, offsets, knots, moves)
 
 
 class _Registration:
@@ -115,13 +158,15 @@ def deskewed(scan: Scan, time_ns: int, twist: Array) -> Array:
     if not len(offsets) or not _is_skewed(scan):
         return scan.points
     knots = np.linspace(offsets.min(), offsets.max(), _SLICES + 1)
+    return _placed(scan.points, offsets, knots, se3_exp(twist * knots[:, None]))
+
+
+def _placed(points: Array, offsets: Array, knots: Array, moves: Array) -> Array:
+    """(N, 3) points moved by poses (S + 1, 4, 4) at equally spaced knots (S + 1,), interpolated at offsets (N,)."""
     left = np.clip(np.searchsorted(knots, offsets, side="right") - 1, 0, _SLICES - 1)
     fraction = ((offsets - knots[left]) / (knots[1] - knots[0]))[:, None]
-    moves = se3_exp(twist * knots[:, None])
-    points = scan.points[:, None, :]
-    return np.asarray(
-        apply(moves[left], points)[:, 0] * (1 - fraction) + apply(moves[left + 1], points)[:, 0] * fraction
-    )
+    at = points[:, None, :]
+    return np.asarray(apply(moves[left], at)[:, 0] * (1 - fraction) + apply(moves[left + 1], at)[:, 0] * fraction)
 
 
 def _is_skewed(scan: Scan) -> bool:

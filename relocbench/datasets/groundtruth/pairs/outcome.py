@@ -18,6 +18,9 @@ from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import adjoint, interpolate, invert
 
 SOURCE = "lidar registration, pose graph"
+_SYSTEMATIC = np.diag(np.repeat([0.0015**2, np.radians(0.01) ** 2], 3))
+"""(6, 6) covariance of errors that do not average out however many points are matched, such as a bias of ranges that
+depends on the surface"""
 
 
 @dataclass(frozen=True)
@@ -232,7 +235,7 @@ class Outcomes:
         ):
             A = adjoint(invert(T))
             out += A @ cov @ A.T
-        return out
+        return out + _SYSTEMATIC
 
     def _motion(self, distance_m: float) -> Array:
         """(6, 6) covariance of odometry over a distance from a node."""

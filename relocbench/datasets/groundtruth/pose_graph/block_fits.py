@@ -47,7 +47,7 @@ class BlockFits:
         """The fit of two blocks, named by their nodes, at a pose ``T_ref_query`` (4, 4)."""
         planes, points = self._planes(0, ref).level(0), self._planes(1, query).sample(0)
         matches = match_points(planes, points, T_ref_query)
-        product = matches.by_points.T @ (matches.weights[:, None] * matches.by_planes)
+        product = matches.by_points.T @ (matches.slopes[:, None] * matches.by_planes)
         H = nearest_semidefinite(product, _CHARACTERISTIC_LENGTH_M)
         gradients = (matches.weights * matches.residuals)[:, None] * matches.by_points
         g = gradients.sum(axis=0)
@@ -72,6 +72,9 @@ class Matches:
     """(M,) distances, metres"""
     weights: Array
     """(M,) weights by surface, static score and distance (Geman-McClure)"""
+    slopes: Array
+    """(M,) derivatives of the weighted distances by the distance, at least 0, which take the place of the weights in the
+    Hessian"""
     patches: Indices
     """(M,) number of the patch of surface that each point lies on"""
     points: Array
@@ -94,7 +97,9 @@ def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
     match, q = match[rows], points.points[rows]
     n = planes.normals[match]
     residuals = np.einsum("ni,ni->n", n, there[rows] - planes.points[match])
-    weights = np.minimum(planes.weights[match], points.weights[rows]) / np.square(1 + np.square(residuals / _SCALE_M))
+    surface, square = np.minimum(planes.weights[match], points.weights[rows]), np.square(residuals / _SCALE_M)
+    weights = surface / np.square(1 + square)
+    slopes = surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
     by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
     facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
-    return Matches(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing, q)
+    return Matches(by_planes, by_points, residuals, weights, slopes, 4 * voxel_keys(q, _PATCH_M) + facing, q)
