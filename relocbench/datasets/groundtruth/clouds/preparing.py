@@ -91,9 +91,13 @@ class _Space(FreeSpace):
         self._sees, self._by_points = sees, by_points
         if by_points:
             self.same_place_m = _NEAR_POINTS_M
+
+    @cached_property
+    def low_height_m(self) -> float:
+        submap = self.submap
         level = submap.points[(submap.surface == Surface.GROUND) & (np.abs(submap.normals[:, 2]) > _LEVEL), 2]
         # Where nothing is known to be the ground, no height is low.
-        self.low_m = FreeSpace.low_m + float(np.median(level)) if len(level) else -np.inf
+        return self.low_m + float(np.median(level)) if len(level) else -np.inf
 
     @cached_property
     def patches(self) -> Patches:
@@ -102,7 +106,7 @@ class _Space(FreeSpace):
         if not np.any(self.submap.surface == Surface.GROUND) and len(patches):
             weights = weights / np.power(_crowd(patches), _CROWDING)
         else:
-            weights = np.where(patches.middle[:, 2] < self.low_m, _LOW * weights, weights)
+            weights = np.where(patches.middle[:, 2] < self.low_height_m, _LOW * weights, weights)
         return replace(patches, origins=patches.middle if self._by_points else patches.origins, weights=weights)
 
     @cached_property

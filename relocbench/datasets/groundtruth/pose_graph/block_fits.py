@@ -73,8 +73,7 @@ class Matches:
     weights: Array
     """(M,) weights by surface, static score and distance (Geman-McClure)"""
     slopes: Array
-    """(M,) derivatives of the weighted distances by the distance, at least 0, which take the place of the weights in the
-    Hessian"""
+    """(M,) derivatives of the weighted distances by the distance, at least 0; they stand for the weights in H"""
     patches: Indices
     """(M,) number of the patch of surface that each point lies on"""
     points: Array

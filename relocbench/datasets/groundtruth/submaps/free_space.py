@@ -41,8 +41,10 @@ _WITHIN = 0.6
 """a beam crosses a patch if it meets its plane within this share of the patch's size from its middle"""
 _BEAMS = 12_000
 """number of beams that are followed, evenly spread"""
-_LOW_WEIGHT = 0.3
-"""weight of patches below that height"""
+_LOW_WEIGHT = 0.15
+"""weight of patches on cars, hedges and what else changes near the road"""
+_NEAR_M = 10.0
+"""distance from the node within which the height of the road is looked for"""
 _LONGEST_M = 45.0
 """distance from the sensor up to which beams are followed"""
 
@@ -105,7 +107,7 @@ class FreeSpace:
     """a drive could see what was measured from within this distance of its own sensors; it is less than the width of a
     lane, since other sides of things are hidden from the next lane"""
     low_m = 2.2
-    """height over the node below which cars park and hedges grow"""
+    """height over the road below which cars park and hedges grow"""
 
     def __init__(self, submap: Submap) -> None:
         self.submap = submap
@@ -117,10 +119,17 @@ class FreeSpace:
         arrays = (self.submap.points, self.submap.normals, self.submap.origins)
         points, normals, origins = (a[used].astype(np.float64) for a in arrays)
         for cell_m in _CELLS_M:
-            patches = make_patches(points, normals, origins, cell_m, self.low_m)
+            patches = make_patches(points, normals, origins, cell_m, self.low_height_m)
             if patches.held >= _HELD:
                 break
         return patches
+
+    @cached_property
+    def low_height_m(self) -> float:
+        """Height in the node's frame below which things are low; over the node itself where no road is seen near it."""
+        points = self.submap.points[self.submap.surface == Surface.GROUND]
+        near = points[np.einsum("ni,ni->n", points[:, :2], points[:, :2]) <= _NEAR_M**2, 2]
+        return self.low_m + (float(np.median(near)) if len(near) else 0.0)
 
     @cached_property
     def sensor_positions(self) -> Array:
