@@ -9,6 +9,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
+from relocbench.datasets.groundtruth.odometry.jitter import white_noise_m
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, SolvedDrive
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
 from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, Solution
@@ -66,6 +67,7 @@ def pair_up(unit: PairingUnit) -> Paired:
         (unit.query.nodes, unit.query.recording.odometry),
         unit.registrations,
         unit.limits,
+        (_white_noise_m(unit.reference), _white_noise_m(unit.query)),
     )
     found = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
     count = len(unit.reference.nodes)
@@ -76,6 +78,11 @@ def pair_up(unit: PairingUnit) -> Paired:
         PlacedDrive(unit.reference.name, unit.reference.nodes.times_ns, solution.T_world_ref, before, {}),
         PlacedDrive(unit.query.name, unit.query.nodes.times_ns, solution.T_world_query, after, verdicts),
     )
+
+
+def _white_noise_m(drive: Drive) -> Array:
+    """(3,) of odometry from scans; that of other sensors is a random walk, which the pose graph estimates."""
+    return white_noise_m(drive.recording.odometry) if drive.recording.odometry_lidar else np.zeros(3)
 
 
 def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outcomes: Outcomes) -> list[PairOutcome]:

@@ -1,0 +1,228 @@
+"""Ground truth from lidar where sensors are a little wrong: what is accepted, how far off it is, and what is said.
+
+Drives of a district are recorded with exact truth, in the RobotCar layout (push-broom lidars, visual odometry) and with a
+spinning lidar (odometry from its scans). Each case spoils what a recording says of its sensors, and builds from it as
+from a real recording: a lidar whose clock is late, extrinsics that are off, GNSS that is off by 85 m, few rings, scans
+that the motion distorts. A pair is wrong if it is off by more than 0.3 m or 1 degree; the normalised error squared is
+the mean of ``e^T C^-1 e / 6``, which is 1 if covariances are correct.
+
+    python benchmarks/truth/sensor_faults.py [--split train] [--seed 0] [--work DIR] [--cases late,turned]
+
+The error of extrinsics is drawn from the seed. The table goes to standard error; the last line of standard output is
+JSON.
+"""
+
+# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
+from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[variable] = "1"  # in each worker
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from ground_truth_drives import EXTENT_M, T_RIG_CAM, Leg, Spoken, Taken, read_legs, record_legs
+from ground_truth_judging import WRONG_DEG, WRONG_M, errors
+from numpy.typing import NDArray
+from sensor_faults_spinning import record_spinning
+
+from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
+from relocbench.datasets.groundtruth.jobs.aligning import align
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
+from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
+from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.execution import Run
+from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
+
+Array = NDArray[np.float64]
+Spoil = Callable[[FieldRecording], FieldRecording]
+
+T_RIG_BACK = make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]) @ T_RIG_CAM
+"""a camera that looks back, which sees on the way back what the other one saw"""
+_LATE_NS = 50_000_000
+_GNSS_OFF_M = 60.0
+"""north and east"""
+LEGS = (Leg(0, "Sunny", "common"), Leg(1, "Overcast", "common"), Leg(2, "Sunny", "return"))
+
+
+def _same(recording: FieldRecording) -> FieldRecording:
+    return recording
+
+
+def late(recording: FieldRecording, lidars: tuple[str, ...]) -> FieldRecording:
+    """The recording with late lidars."""
+    return _spoilt(recording, -_LATE_NS, np.eye(4), lidars)
+
+
+def _spoilt(recording: FieldRecording, early_ns: int, T: Array, lidars: tuple[str, ...]) -> FieldRecording:
+    streams = tuple(CorrectedLidar(s, early_ns, T) if s.name in lidars else s for s in recording.lidars)
+    return replace(recording, lidars=streams)
+
+
+def misplaced(recording: FieldRecording, seed: int) -> FieldRecording:
+    """The recording with extrinsics of all lidars that are off by 5 cm and 1 degree, in directions by the seed."""
+    rng = np.random.default_rng(seed)
+    shift, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    T = se3_exp(np.concatenate([0.05 * shift, np.radians(1.0) * turn]))
+    return _spoilt(recording, 0, T, tuple(s.name for s in recording.lidars))
+
+
+def lost(recording: FieldRecording) -> FieldRecording:
+    """The recording with GNSS that is off by 85 m."""
+    assert recording.prior is not None
+    T = recording.prior.T_odom_rig.copy()
+    T[:, :2, 3] += _GNSS_OFF_M
+    return replace(recording, prior=replace(recording.prior, T_odom_rig=T))
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of the table."""
+
+    title: str
+    query: int
+    """number of the query's leg"""
+    reference: Spoil = _same
+    spoil: Spoil = _same
+
+
+def cases(seed: int) -> dict[str, Case]:
+    """The cases of drives with push-broom lidars, by name."""
+
+    def off(recording: FieldRecording) -> FieldRecording:
+        return misplaced(recording, seed)
+
+    return {
+        "right": Case("nothing wrong", 1),
+        "late": Case("both lidars of one drive 50 ms late", 1, spoil=lambda r: late(r, ("lms_front", "lms_rear"))),
+        "one-late": Case("one of two lidars 50 ms late", 1, spoil=lambda r: late(r, ("lms_rear",))),
+        "return": Case("nothing wrong, driven opposite ways", 2),
+        "turned": Case("extrinsics 1 deg and 5 cm off in both drives, driven opposite ways", 2, off, off),
+        "turned-one": Case("extrinsics 1 deg and 5 cm off in one drive", 1, spoil=off),
+        "gnss": Case("GNSS 85 m off", 1, spoil=lost),
+    }
+
+
+SPINNING = {
+    "rings-32": ("spinning lidar, 32 rings", 32, False),
+    "rings-16": ("spinning lidar, 16 rings, distorted by motion", 16, True),
+}
+
+
+def outcomes(
+    a: Taken, b: Taken, case: Case, folder: Path, spoken: Spoken, workers: int
+) -> tuple[list[PairOutcome], Array, list[str]]:
+    """The outcomes of a build, the pose (4, 4) of the query's camera on its rig, and what the build said."""
+    options, T_rig_cam = FieldOptions(), T_RIG_BACK if LEGS[case.query].route == "return" else T_RIG_CAM
+    told = _Listening(spoken)
+    recordings = [case.reference(a.recording), case.spoil(b.recording)]
+    aligned = align(recordings, folder, options.alignment, None, True, told, Run(workers))
+    name = aligned.drives[1].name
+    frames = CameraFrames("camera", T_RIG_CAM, T_rig_cam, a.image_ns, b.image_ns)
+    unit = PairingUnit(
+        *aligned.drives, tuple(aligned.registrations[name]), (frames,), options.alignment, options.limits,
+        options.max_angle, aligned.shared.get(name),
+    )  # fmt: skip
+    return pair_up(unit).outcomes["camera"], T_rig_cam, told.notes
+
+
+class _Listening(Spoken):
+    """Progress that keeps what is said."""
+
+    def __init__(self, spoken: Spoken) -> None:
+        self.begin, self.notes = spoken.begin, []
+
+    def note(self, message: str) -> None:
+        if message.startswith(("calibration", "nothing holds", "the drives were")) or ": " in message:
+            self.notes.append(message)
+        super().note(message)
+
+
+def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[str, float | int | str]:
+    """The figures of a case."""
+    metres, degrees, normalised = [], [], []
+    for pair in found:
+        if pair.accepted and pair.T_query_ref is not None and pair.covariance is not None:
+            T_world_ref = a.truth.at(np.array([pair.ref_timestamp_ns]))[0] @ T_RIG_CAM
+            T_world_query = b.truth.at(np.array([pair.query_timestamp_ns]))[0] @ T_rig_cam
+            off_m, off_deg, _, xi = errors(pair.T_query_ref, invert(T_world_query) @ T_world_ref)
+            metres.append(off_m)
+            degrees.append(off_deg)
+            normalised.append(float(xi @ np.linalg.solve(pair.covariance, xi) / 6))
+    kinds = by_kind(pair.reason for pair in found if not pair.accepted)
+    often = max(kinds.values(), key=len, default=[])
+    out: dict[str, float | int | str] = {
+        "pairs": len(found),
+        "accepted": len(metres),
+        "wrong": int(sum(m > WRONG_M or d > WRONG_DEG for m, d in zip(metres, degrees, strict=True))),
+        "refused_because": common(often) if often else "",
+    }
+    if metres:
+        out |= {
+            "median_m": round(float(np.median(metres)), 4),
+            "max_m": round(max(metres), 4),
+            "median_deg": round(float(np.median(degrees)), 4),
+            "max_deg": round(max(degrees), 4),
+            "normalised": round(float(np.mean(normalised)), 2),
+        }
+    return out
+
+
+def line(title: str, f: dict[str, float | int | str]) -> str:
+    """A row of the table in Markdown."""
+    if not f["accepted"]:
+        return f"| {title} | 0 of {f['pairs']} | | | | {f['refused_because']} |"
+    return (
+        f"| {title} | {f['accepted']} of {f['pairs']} | {100 * float(f['median_m']):.1f} cm, {f['median_deg']:.3f}° | "
+        f"{100 * float(f['max_m']):.1f} cm, {f['max_deg']:.3f}° | {f['normalised']} | {f['refused_because']} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, default=Path("sensor-faults"), help="folder of all intermediate files")
+    parser.add_argument("--split", choices=("train", "validation", "test"), default="test")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the district, the drives and the errors")
+    parser.add_argument("--frames", type=int, default=240, help="images of each drive: twice as many as metres")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--cases", default="", help="default: all")
+    a = parser.parse_args()
+    known = cases(a.seed)
+    chosen = a.cases.split(",") if a.cases else [*known, *SPINNING]
+    if unknown := set(chosen) - {*known, *SPINNING}:
+        parser.error(f"no case {', '.join(sorted(unknown))}; there is {', '.join([*known, *SPINNING])}")
+    spoken, work = Spoken(), a.work / f"{a.split}-{a.seed}-{a.frames}"
+    folders = record_legs(LEGS, work / "recording", a.split, a.seed, a.frames, EXTENT_M, spoken, a.workers)
+    result, lines, said = {}, [], Counter[str]()
+    for name in chosen:
+        if name in known:
+            case = known[name]
+            taken = read_legs(LEGS, folders)
+            pair = taken[0], taken[case.query]
+        else:
+            title, rings, distorted = SPINNING[name]
+            case = Case(title, 1)
+            pair = record_spinning(work / name, a.split, a.seed, a.frames, rings, distorted, spoken, a.workers)
+        spoken.note(f"case {name}: {case.title}")
+        found, T_rig_cam, notes = outcomes(*pair, case, work / "built" / name, spoken, a.workers)
+        result[name] = row(*pair, found, T_rig_cam) | {"notes": notes}
+        lines.append(line(case.title, result[name]))
+        said.update(notes)
+        spoken.note(lines[-1])
+    head = "| situation | accepted | median | largest | normalised squared error | most frequent reason of refusal |"
+    print("\n".join(["", head, "|---" * 6 + "|", *lines, ""]), file=sys.stderr)
+    print(json.dumps({"benchmark": "sensor_faults", "split": a.split, "seed": a.seed, "cases": result}))
+
+
+if __name__ == "__main__":
+    main()
