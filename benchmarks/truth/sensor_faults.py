@@ -1,7 +1,7 @@
 """Ground truth from lidar where sensors are a little wrong: what is accepted, how far off it is, and what is said.
 
-Drives of a district are recorded with exact truth, in the RobotCar layout (push-broom lidars, visual odometry) and with a
-spinning lidar (odometry from its scans). Each case spoils what a recording says of its sensors, and builds from it as
+Drives of a district are recorded with exact truth, in the RobotCar layout (push-broom lidars, visual odometry) and with
+a spinning lidar (odometry from its scans). Each case spoils what a recording says of its sensors, and builds from it as
 from a real recording: a lidar whose clock is late, extrinsics that are off, GNSS that is off by 85 m, few rings, scans
 that the motion distorts. A pair is wrong if it is off by more than 0.3 m or 1 degree; the normalised error squared is
 the mean of ``e^T C^-1 e / 6``, which is 1 if covariances are correct.
@@ -23,10 +23,10 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
 import argparse
 import json
 import sys
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from ground_truth_drives import EXTENT_M, T_RIG_CAM, Leg, Spoken, Taken, read_legs, record_legs
@@ -129,10 +129,10 @@ def outcomes(
     aligned = align(recordings, folder, options.alignment, None, True, told, Run(workers))
     name = aligned.drives[1].name
     frames = CameraFrames("camera", T_RIG_CAM, T_rig_cam, a.image_ns, b.image_ns)
-    unit = PairingUnit(
-        *aligned.drives, tuple(aligned.registrations[name]), (frames,), options.alignment, options.limits,
-        options.max_angle, aligned.shared.get(name),
-    )  # fmt: skip
+    registrations = tuple(aligned.registrations[name])
+    limits = options.limits, options.max_angle
+    drives = aligned.drives[0], aligned.drives[1]
+    unit = PairingUnit(*drives, registrations, (frames,), options.alignment, *limits, aligned.shared.get(name))
     return pair_up(unit).outcomes["camera"], T_rig_cam, told.notes
 
 
@@ -140,7 +140,8 @@ class _Listening(Spoken):
     """Progress that keeps what is said."""
 
     def __init__(self, spoken: Spoken) -> None:
-        self.begin, self.notes = spoken.begin, []
+        self.begin = spoken.begin
+        self.notes: list[str] = []
 
     def note(self, message: str) -> None:
         if message.startswith(("calibration", "nothing holds", "the drives were")) or ": " in message:
@@ -148,7 +149,7 @@ class _Listening(Spoken):
         super().note(message)
 
 
-def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[str, float | int | str]:
+def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[str, Any]:
     """The figures of a case."""
     metres, degrees, normalised = [], [], []
     for pair in found:
@@ -161,7 +162,7 @@ def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[
             normalised.append(float(xi @ np.linalg.solve(pair.covariance, xi) / 6))
     kinds = by_kind(pair.reason for pair in found if not pair.accepted)
     often = max(kinds.values(), key=len, default=[])
-    out: dict[str, float | int | str] = {
+    out: dict[str, Any] = {
         "pairs": len(found),
         "accepted": len(metres),
         "wrong": int(sum(m > WRONG_M or d > WRONG_DEG for m, d in zip(metres, degrees, strict=True))),
@@ -178,7 +179,7 @@ def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[
     return out
 
 
-def line(title: str, f: dict[str, float | int | str]) -> str:
+def line(title: str, f: dict[str, Any]) -> str:
     """A row of the table in Markdown."""
     if not f["accepted"]:
         return f"| {title} | 0 of {f['pairs']} | | | | {f['refused_because']} |"
@@ -203,7 +204,8 @@ def main() -> None:
         parser.error(f"no case {', '.join(sorted(unknown))}; there is {', '.join([*known, *SPINNING])}")
     spoken, work = Spoken(), a.work / f"{a.split}-{a.seed}-{a.frames}"
     folders = record_legs(LEGS, work / "recording", a.split, a.seed, a.frames, EXTENT_M, spoken, a.workers)
-    result, lines, said = {}, [], Counter[str]()
+    result: dict[str, dict[str, Any]] = {}
+    lines: list[str] = []
     for name in chosen:
         if name in known:
             case = known[name]
@@ -217,7 +219,6 @@ def main() -> None:
         found, T_rig_cam, notes = outcomes(*pair, case, work / "built" / name, spoken, a.workers)
         result[name] = row(*pair, found, T_rig_cam) | {"notes": notes}
         lines.append(line(case.title, result[name]))
-        said.update(notes)
         spoken.note(lines[-1])
     head = "| situation | accepted | median | largest | normalised squared error | most frequent reason of refusal |"
     print("\n".join(["", head, "|---" * 6 + "|", *lines, ""]), file=sys.stderr)

@@ -1,0 +1,273 @@
+"""Calibration of lidars: how errors enter, what the evidence is, and which causes are found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from relocbench.arrays import Array
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.calibration.adjustment import Adjustment, CalibrationEdges, Reduced
+from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar, corrected
+from relocbench.datasets.groundtruth.calibration.estimation import Evidence, about, node_twists
+from relocbench.datasets.groundtruth.calibration.faults import calibrate, find_causes
+from relocbench.datasets.groundtruth.calibration.files import (
+    Places,
+    read_calibration,
+    read_evidence,
+    write_calibration,
+    write_evidence,
+)
+from relocbench.datasets.groundtruth.calibration.lidar_fits import moved
+from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
+from relocbench.datasets.groundtruth.calibration.unknowns import RIG, SIZE, Cause, DriveLidars, Sensors, moves
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
+from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
+from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise
+from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
+from relocbench.datasets.groundtruth.submaps.planes import Sample
+from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
+from relocbench.errors import DatasetError
+from relocbench.geometry import adjoint, apply, invert, make_transform, se3_exp, se3_log, so3_exp
+
+SUMMER = DriveLidars("summer", ("front", "rear"))
+WINTER = DriveLidars("winter", ("front", "rear"))
+SENSORS = Sensors((SUMMER, WINTER))
+LATE_S = 0.05
+COUNT = 60
+
+
+def test_a_late_lidar_places_what_it_measured_as_the_correction_says() -> None:
+    twist = np.array([8.0, 0.2, -0.1, 0.02, -0.03, 0.5])
+    unknowns = np.array([0.01, -0.02, 0.03, 0.004, -0.002, 0.003, 0.02])
+    p = np.array([3.0, -7.0, 2.0])
+    right = apply(se3_exp(-unknowns[6] * twist) @ se3_exp(unknowns[:6]), p)
+    u = moves(twist) @ unknowns
+    assert np.linalg.norm(right - (p + u[:3] + np.cross(u[3:], p))) < 0.002  # of second order
+
+
+@given(st.lists(st.floats(-0.05, 0.05), min_size=6, max_size=6), st.lists(st.floats(-2, 2), min_size=3, max_size=3))
+def test_a_twist_about_a_place_moves_points_as_turning_about_it_does(xi: list[float], place: list[float]) -> None:
+    small, at = np.array(xi) * 1e-3, np.array(place)
+    p = np.array([4.0, 1.0, -2.0])
+    turned = at + so3_exp(small[3:]) @ (p - at) + small[:3]
+    assert np.allclose(apply(se3_exp(about(at) @ small), p), turned, atol=1e-7)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**31))
+def test_points_move_with_the_rig_at_the_time_of_their_beam(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, rigs = rng.normal(size=(5, 3)) * 10, rng.normal(size=(5, 3))
+    normals = rng.normal(size=(5, 3))
+    u = rng.normal(size=6) * 0.01
+    there = moved(Sample(points, normals, np.ones(5), rigs), u)
+    T = se3_exp(np.concatenate([np.zeros(3), u[3:]]))
+    assert np.allclose(there.points, rigs + (points - rigs) @ T[:3, :3].T + u[:3])
+    assert np.allclose(np.linalg.norm(there.normals, axis=1), np.linalg.norm(normals, axis=1))
+
+
+def test_causes_are_those_of_the_rig_of_drives_and_of_single_lidars() -> None:
+    names = {str(cause) for cause in SENSORS.causes()}
+    assert {
+        "extrinsics of all lidars",
+        "time of winter",
+        "extrinsics of summer/rear",
+        "time of all drives/rear",
+    } <= names
+    one = Sensors((DriveLidars("a", ("top",)), DriveLidars("b", ("top",))))
+    assert {str(c) for c in one.causes()} == {
+        "extrinsics of all lidars", "extrinsics of a", "time of a", "extrinsics of b", "time of b",
+    }  # fmt: skip
+
+
+def test_a_lidar_that_odometry_was_computed_from_has_no_error() -> None:
+    sensors = Sensors((DriveLidars("a", ("top",), "top"), DriveLidars("b", ("top",), "top")))
+    assert sensors.causes() == []
+    assert not sensors.prior().any()
+    both = Sensors((DriveLidars("a", ("top", "low"), "top"), SUMMER))
+    assert not both.prior(both.causes())[:SIZE, :SIZE].any()
+    assert Cause("a/low", "time") in both.causes()
+    assert Cause("a", "time") not in both.causes()
+
+
+def _evidence_of(truth: Array, seed: int = 0, sigma: float = 1e-3) -> Reduced:
+    """Direct measurements of the unknowns: of each the value, with noise."""
+    rng = np.random.default_rng(seed)
+    A = np.eye(SENSORS.unknowns) / sigma**2
+    return Reduced(A, A @ (truth + sigma * rng.normal(size=SENSORS.unknowns)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_is_found_where_nothing_is_wrong(seed: int) -> None:
+    assert find_causes(_evidence_of(np.zeros(SENSORS.unknowns), seed), SENSORS) == ()
+
+
+@pytest.mark.parametrize(
+    ("cause", "size"),
+    [
+        (Cause("winter", "time"), LATE_S),
+        (Cause("winter/rear", "time"), LATE_S),
+        (Cause(RIG, "extrinsics"), 0.02),
+        (Cause("all drives/rear", "extrinsics"), 0.02),
+    ],
+)
+def test_the_cause_is_named_and_measured(cause: Cause, size: float) -> None:
+    spread = SENSORS.spread(cause)
+    truth = spread @ np.full(spread.shape[1], size)
+    found = calibrate(_evidence_of(truth), SENSORS)
+    assert found.causes == (cause,)
+    assert np.abs(found.errors - truth).max() < 5e-3
+    assert (np.abs(found.errors - truth) <= 5 * found.sigmas.ravel() + 1e-4).all()
+
+
+def test_what_is_not_observed_is_not_guessed() -> None:
+    blind = Reduced(np.zeros((SENSORS.unknowns,) * 2), np.zeros(SENSORS.unknowns))
+    found = calibrate(blind, SENSORS)
+    assert found.causes == ()
+    assert not found.errors.any()
+    assert set(open_kinds(blind, SENSORS)["winter/rear"]) == {"time", "rotation", "position"}
+
+
+def _drives(late_s: float) -> tuple[BothDrives, Array, Array, CalibrationEdges, Edges]:
+    """Two drives along a winding road; every pair of blocks is measured, the query's by a lidar that is late.
+
+    Returns the drives, true poses, poses to start from, what was measured, and the odometry.
+    """
+    rng = np.random.default_rng(4)
+    steps = [make_transform(so3_exp([0, 0, 0.15 * np.sin(k / 4)]), [2.0, 0, 0]) for k in range(COUNT - 1)]
+    T = [np.eye(4)]
+    for step in steps:
+        T.append(T[-1] @ step)
+    poses = np.concatenate([np.array(T), np.array(T)])
+    way = np.tile(2.0 * np.arange(COUNT), 2)
+    drives = BothDrives(COUNT, poses, way, np.repeat([0, 1], COUNT))
+    speed = 6 + 3 * np.sin(np.arange(COUNT) / 5)
+    twists = np.zeros((2 * COUNT, 6))
+    for k in range(COUNT):
+        step = se3_log(steps[min(k, COUNT - 2)])
+        twists[[k, COUNT + k]] = step / 2.0 * speed[k]
+    first, second = np.arange(COUNT), COUNT + np.arange(COUNT)
+    measured = invert(poses[first]) @ poses[second] @ se3_exp(-late_s * twists[second])
+    measured = measured @ se3_exp(1e-3 * rng.normal(size=(COUNT, 6)) * [1, 1, 1, 0.1, 0.1, 0.1])
+    information = np.tile(np.diag([1e6] * 3 + [1e8] * 3), (COUNT, 1, 1))
+    by = np.zeros((COUNT, 6, SENSORS.unknowns))
+    at = SIZE * SENSORS.number("winter", 0)
+    for e in range(COUNT):
+        by[e, :, at : at + SIZE] = moves(twists[second[e]])
+    edges = Edges(first, second, measured, information, np.full(COUNT, Kind.REGISTRATION))
+    start = poses @ se3_exp(0.02 * rng.normal(size=(2 * COUNT, 6)) * [1, 1, 1, 0.1, 0.1, 0.1])
+    return drives, poses, start, CalibrationEdges(edges, by), drives.odometry(OdometryNoise())
+
+
+@pytest.mark.parametrize("late_s", [0.0, LATE_S])
+def test_the_adjustment_finds_a_late_lidar_where_speed_and_turn_change(late_s: float) -> None:
+    drives, truth, start, measured, odometry = _drives(late_s)
+    T, value = start, np.zeros(SENSORS.unknowns)
+    prior = SENSORS.prior([Cause("winter/front", "time")])
+    for _ in range(3):
+        adjustment = Adjustment(T, odometry, scales_of(drives, odometry), measured)
+        reduced = Reduced(adjustment.reduced.A, adjustment.reduced.h + adjustment.reduced.A @ value)
+        estimate, covariance = reduced.estimate(prior)
+        T = T @ se3_exp(adjustment.step(estimate - value))
+        residual = measured.edges.residuals(T) + measured.by_calibration @ (estimate - value)
+        measured = replace(measured, edges=replace(measured.edges, T_first_second=measured.edges.T_first_second
+                           @ se3_exp(-(measured.by_calibration @ (estimate - value)))))  # fmt: skip
+        value = estimate
+    at = SIZE * SENSORS.number("winter", 0) + 6
+    sigma = float(np.sqrt(covariance[at, at]))
+    assert sigma < 2e-3
+    assert abs(value[at] - late_s) < max(5 * sigma, 1e-3)
+    assert np.abs(residual).max() < 0.02
+    relative = invert(T[:COUNT]) @ T[COUNT:]
+    assert np.abs(se3_log(invert(invert(truth[:COUNT]) @ truth[COUNT:]) @ relative)).max() < 0.05
+
+
+def test_poses_move_with_the_calibration_as_the_adjustment_says() -> None:
+    drives, _, start, measured, odometry = _drives(0.0)
+    adjustment = Adjustment(start, odometry, scales_of(drives, odometry), measured)
+    change = np.zeros(SENSORS.unknowns)
+    change[SIZE * SENSORS.number("winter", 0) + 6] = 0.01
+    by = np.einsum("nik,k->ni", adjustment.by_calibration, change)
+    assert np.allclose(adjustment.step(change) - adjustment.step(0 * change), by)
+    apart = by[COUNT:] - np.einsum("nij,nj->ni", adjoint(invert(start[COUNT:]) @ start[:COUNT]), by[:COUNT])
+    assert 0.02 < apart[:, 0].mean() < 0.1  # some 6 m/s for 10 ms, along the street
+
+
+class _Stream:
+    name, pattern, max_range_m, sigma_m = "front", "spinning", 60.0, 0.02
+    T_rig_lidar = make_transform(np.eye(3), [1.0, 0.0, 1.5])
+    times_ns = np.arange(5, dtype=np.int64) * 100_000_000
+
+    def read(self, index: int) -> Scan:
+        return Scan(np.ones((2, 3)), np.full(2, self.times_ns[index]))
+
+
+def _recording(name: str) -> FieldRecording:
+    times = np.arange(11, dtype=np.int64) * 100_000_000
+    T = np.array([se3_exp(np.array([0.8 * k, 0, 0, 0, 0, 0.02 * k])) for k in range(11)])
+    lidars = (_Stream(), replace_name(_Stream(), "rear"))
+    return FieldRecording(name, Path(name), Condition(), Trajectory(times, T), lidars)  # type: ignore[arg-type]
+
+
+def replace_name(stream: _Stream, name: str) -> _Stream:
+    stream.name = name  # type: ignore[misc]
+    return stream
+
+
+def test_a_corrected_recording_has_earlier_times_and_other_extrinsics() -> None:
+    errors = np.zeros(SENSORS.unknowns)
+    at = SIZE * SENSORS.number("winter", 1)
+    errors[at : at + SIZE] = [0.1, 0, 0, 0, 0, np.radians(1), LATE_S]
+    given = _recording("winter")
+    right = corrected(given, SENSORS, errors)
+    assert right.lidars[0] is given.lidars[0]
+    rear = right.lidars[1]
+    assert isinstance(rear, CorrectedLidar)
+    assert (rear.name, rear.pattern) == ("rear", "spinning")
+    assert np.array_equal(rear.times_ns, _Stream.times_ns - 50_000_000)
+    assert np.array_equal(rear.read(2).times_ns, _Stream().read(2).times_ns - 50_000_000)
+    assert np.allclose(rear.T_rig_lidar, se3_exp(errors[at : at + 6]) @ _Stream.T_rig_lidar)
+
+
+def test_the_twist_at_a_node_is_that_of_the_odometry() -> None:
+    recording = _recording("winter")
+    nodes = Nodes(np.array([500_000_000]), recording.odometry.at(np.array([500_000_000])), np.zeros(1))
+    assert np.allclose(node_twists(recording.odometry, nodes)[0], [8.0, 0, 0, 0, 0, 0.2], atol=1e-3)
+
+
+def test_evidence_and_findings_are_kept_on_disk(tmp_path: Path) -> None:
+    truth = np.zeros(SENSORS.unknowns)
+    truth[SIZE * SENSORS.number("winter", 1) + 6] = LATE_S
+    reduced = _evidence_of(truth)
+    by = np.random.default_rng(1).normal(size=(7, 6, SENSORS.unknowns))
+    path = tmp_path / "a.npz"
+    write_evidence(path, Evidence(reduced, by, 99))
+    read = read_evidence(path, SENSORS.unknowns, 7)
+    assert np.array_equal(read.reduced.A, reduced.A)
+    assert np.array_equal(read.by_calibration, by)
+    assert read.count == 99
+    before = path.read_bytes()
+    write_evidence(path, read)
+    assert path.read_bytes() == before
+    with pytest.raises(DatasetError, match="remove it"):
+        read_evidence(path, SENSORS.unknowns, 8)
+    path.write_bytes(before[:-10])
+    with pytest.raises(DatasetError, match=r"a\.npz"):
+        read_evidence(path, SENSORS.unknowns, 7)
+    found = calibrate(reduced, SENSORS)
+    places = Places({"summer": tmp_path / "blocks/summer"}, {"winter": tmp_path / "registrations"})
+    file = write_calibration(tmp_path, found, truth, open_kinds(reduced, SENSORS), 1, places)
+    assert read_calibration(tmp_path) == file
+    assert read_calibration(tmp_path / "none").causes == ()
+    told = list(tell(file, found, 99))
+    assert any("winter/rear was 50.0 ms late" in line for line in told)
+    (tmp_path / "calibration.yaml").write_text("causes: 3\n")
+    with pytest.raises(DatasetError, match=r"calibration\.yaml"):
+        read_calibration(tmp_path)
