@@ -217,7 +217,7 @@ def _recording(name: str) -> FieldRecording:
 
 
 def replace_name(stream: _Stream, name: str) -> _Stream:
-    stream.name = name  # type: ignore[misc]
+    stream.name = name
     return stream
 
 

@@ -24,6 +24,7 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
     guesses,
 )
 from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
+from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
 from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive
 from relocbench.datasets.groundtruth.submaps.free_space import FreeSpace
 from relocbench.datasets.groundtruth.submaps.planes import Sample, balanced, direction_bins, grid_planes
@@ -360,17 +361,31 @@ def test_open3d_agrees(pair: Pair) -> None:
 
 
 def tracked(
-    ref: clouds.Drive, query: clouds.Drive, first: Guess | None = None
+    ref: clouds.Drive, query: clouds.Drive, first: Guess | None = None, prior: MapPrior | None = None
 ) -> tuple[list[Registration], list[float], list[str]]:
     said: list[str] = []
     options = DriveRegistrationOptions(step_m=8.0, search=GlobalOptions(iterations=10_000))
-    found = register_along(ref, query, ref.nodes, query.nodes, options=options, first=first, say=said.append)
+    found = register_along(ref, query, ref.nodes, query.nodes, prior, options, first=first, say=said.append)
     errors = [
         error(r.T_ref_query, invert(ref.T_street_node[r.ref]) @ query.T_street_node[r.query])[0]
         for r in found
         if r.trusted
     ]
     return found, errors, said
+
+
+@pytest.mark.slow
+def test_drives_that_gnss_puts_apart_are_found_without_it() -> None:
+    street = clouds.irregular(3)
+    ref, query = clouds.Drive(street, 1, 35.0, 90.0), clouds.Drive(street, 2, 40.0, 90.0, lateral=0.8)
+    away = make_transform(np.eye(3), [60.0, 60.0, 0.0])
+    found, errors, said = tracked(ref, query, prior=MapPrior(ref.T_street_node, away @ query.T_street_node))
+    assert any(r.trusted for r in found)
+    assert max(errors) < 0.05
+    assert said == [
+        "nothing holds where GNSS puts the drives; they are searched for each other without GNSS",
+        "the drives were found without GNSS, which is wrong for one of them",
+    ]
 
 
 @pytest.mark.slow

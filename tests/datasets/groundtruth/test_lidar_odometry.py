@@ -13,6 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from relocbench.datasets.core import images
+from relocbench.datasets.groundtruth.odometry.jitter import white_noise_m
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import deskewed, lidar_odometry
 from relocbench.datasets.importers.generic.recording import read_generic
 from relocbench.datasets.importers.kitti.files import KittiSequence
@@ -265,3 +266,16 @@ def test_mistakes_in_lidar_yaml_are_named(tmp_path: Path, change: dict[str, Any]
     folder = generic_folder(tmp_path / "drive", ".npy", poses=False, **change)
     with pytest.raises(DatasetError, match=message):
         read_generic(folder).lidars[0].read(0)
+
+
+def test_white_noise_of_odometry_is_that_of_its_poses() -> None:
+    rng = np.random.default_rng(2)
+    times = np.arange(400, dtype=np.int64) * 100_000_000
+    motion = np.array([[0.8 * k, 0.3 * np.sin(k / 20), 0, 0, 0, 0.002 * k] for k in range(400)])
+    noise = rng.normal(size=(400, 3)) * [0.01, 0.004, 0.002]
+    T = make_transform(np.eye(3), motion[:, :3] + noise)
+    along, across, height = white_noise_m(Trajectory(times, T))
+    assert 0.008 < along < 0.012
+    assert 0.003 < across < 0.005
+    assert height == across
+    assert not white_noise_m(Trajectory(times[:10], T[:10])).any()
