@@ -18,6 +18,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
 from relocbench.datasets.groundtruth.jobs.aligning import Aligned, align
+from relocbench.datasets.groundtruth.jobs.inputs import ready
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.recipe import pair_by_recipe
 from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, rig_poses, write_traversal
@@ -54,6 +55,7 @@ def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOpt
         reporter.note(
             "poses of the rig at scans of lidar are paired, without images: no tracker can run on this dataset"
         )
+    recordings = ready(recordings, cameras, job)
     folder = job.writer.layout.root / "groundtruth"
     if not options.use_prior:
         recordings = [replace(recording, prior=None) for recording in recordings]
