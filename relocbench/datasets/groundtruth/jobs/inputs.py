@@ -134,7 +134,7 @@ def _motion_faults(recording: FieldRecording, options: FieldOptions, reporter: R
     if driven < LEAST_ROAD_M:
         told = f"drove {driven:.1f} m of road while a lidar recorded; at least {LEAST_ROAD_M:g} m are needed"
         return [DatasetError(f"{told}, and {options.submap:g} m to fill a submap (--submap)", folder)]
-    if driven < options.submap:
+    if driven < options.submap - 1:
         reporter.note(
             f"{recording.name} drove {driven:.0f} m of road, less than a submap has (--submap {options.submap:g}): "
             f"its submaps hold {driven:.0f} m at most, and poses are less certain"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.geometry import adjoint, project_to_rotation
+from relocbench.geometry import adjoint, make_transform, project_to_rotation, so3_exp, so3_log
 
 FEWEST_POINTS = 100
 """a cloud with fewer points is not registered"""
@@ -107,7 +107,7 @@ def search(ref: Cloud, query: Cloud, options: Open3dOptions) -> Array:
         ],
         registration.RANSACConvergenceCriteria(options.ransac_iterations, 0.999),
     )
-    return np.array(found.transformation, dtype=np.float64)
+    return _settled(found.transformation)
 
 
 def refine(ref: Cloud, query: Cloud, T_ref_query: Array, options: Open3dOptions) -> Open3dFit:
@@ -123,10 +123,20 @@ def refine(ref: Cloud, query: Cloud, T_ref_query: Array, options: Open3dOptions)
         registration.TransformationEstimationPointToPlane(),
         registration.ICPConvergenceCriteria(max_iteration=options.icp_iterations),
     )
-    T = np.array(result.transformation, dtype=np.float64)
-    T[:3, :3] = project_to_rotation(T[:3, :3])
+    T = _settled(result.transformation)
     said = registration.get_information_matrix_from_point_clouds(query.fine, ref.fine, options.icp_reach_m, T)
-    return Open3dFit(T, float(result.fitness), float(result.inlier_rmse), on_the_right(np.array(said), T))
+    information = on_the_right(np.array(said, dtype=np.float64).round(3), T)
+    return Open3dFit(T, round(float(result.fitness), 9), round(float(result.inlier_rmse), 9), information)
+
+
+def _settled(transformation: Any) -> Array:
+    """(4, 4) Open3D's pose, a rotation and rounded to nanometres and nanoradians.
+
+    Its threads add in any order, so that the last digits differ from run to run; datasets must not.
+    """
+    T = np.array(transformation, dtype=np.float64)
+    turned = so3_log(project_to_rotation(T[:3, :3]))
+    return make_transform(so3_exp(np.round(turned, 9)), np.round(T[:3, 3], 9))
 
 
 def on_the_right(information: Array, T_ref_query: Array) -> Array:
