@@ -86,7 +86,7 @@ def test_odometry_that_is_deferred_is_computed_once_it_is_asked_for(tmp_path: Pa
         asked.append(lidar.name)  # type: ignore[attr-defined]
         return Trajectory(recording.odometry.times_ns, recording.odometry.T_odom_rig, max_gap_ns)
 
-    done = computed(recording, compute, Silent())  # type: ignore[arg-type]
+    done = computed(recording, compute, Silent())
     assert asked == ["velodyne"]
     assert not is_pending(done)
-    assert computed(done, compute, Silent()) is done  # type: ignore[arg-type]
+    assert computed(done, compute, Silent()) is done
