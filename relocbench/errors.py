@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 USER_ERROR = 2
@@ -20,8 +21,9 @@ _MARKED = re.compile(r"(?<!\w)'([^']*(?:(?<=\w)'(?=\w)[^']*)*)'(?!\w)")
 class RelocbenchError(Exception):
     """Bad input or bad use. The command line prints it as one line and exits with status 2.
 
-    Its text is always one printable line: control characters become escapes, and quoted text, words of more than
-    :data:`MOST_QUOTED` characters and messages of more than :data:`MOST_MESSAGE` characters are truncated.
+    Its text is always one printable line (:class:`ManyFaults` has several): control characters become escapes, and
+    quoted text, words of more than :data:`MOST_QUOTED` characters and messages of more than :data:`MOST_MESSAGE`
+    characters are truncated.
 
     Args:
         expected: what is wrong and what was expected.
@@ -51,6 +53,28 @@ class RelocbenchError(Exception):
 
 class DatasetError(RelocbenchError):
     """A recording or dataset on disk lacks something or holds something invalid."""
+
+
+class ManyFaults(DatasetError):
+    """Several faults of an input, which are told at once. Its text has one line for each."""
+
+    def __init__(self, faults: Sequence[RelocbenchError]) -> None:
+        self.faults = tuple(faults)
+        super().__init__(f"{len(self.faults)} faults")
+
+    def __reduce__(self) -> tuple[type, tuple[tuple[RelocbenchError, ...]]]:  # type: ignore[override]
+        return type(self), (self.faults,)
+
+    def __str__(self) -> str:
+        return "\n".join(str(fault) for fault in self.faults)
+
+
+def raise_all(faults: Sequence[RelocbenchError]) -> None:
+    """Raise the one fault, or all of them at once; nothing if there is none."""
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        raise ManyFaults(faults)
 
 
 class PredictionError(RelocbenchError):

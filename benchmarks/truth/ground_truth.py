@@ -116,9 +116,10 @@ def main() -> None:
         pairs = [p for p in PAIRS if str(p[1]) in a.queries.split(",")] if parts != ["starts"] else []
         if not pairs and parts != ["starts"]:
             parser.error(f"--queries: none of {numbers}")
-        folders = record_legs(LEGS, work / "recording", a.split, a.seed, FRAMES, EXTENT_M, spoken, a.workers)
         used = {n for p in pairs for n in p} | ({n for p in START_PAIRS for n in p} if "starts" in parts else set())
-        world = World(read_legs([leg for leg in LEGS if leg.number in used], folders), work, a.workers, spoken)
+        legs = [leg for leg in LEGS if leg.number in used]
+        folders = record_legs(legs, work / "recording", a.split, a.seed, FRAMES, EXTENT_M, spoken, a.workers)
+        world = World(read_legs(legs, folders), work, a.workers, spoken)
         registered, decided = all_pairs(world, pairs)
         rows = {p: judge(world, p, d.outcomes) for p, d in decided.items()}
         plain: list[Judged] = []

@@ -141,6 +141,7 @@ def record_legs(
 ) -> dict[int, Path]:
     """The folder of each drive by its number; existing recordings are kept."""
     index = out / "legs.csv"
+    known: dict[int, Path] = {}
     if index.exists():
         with index.open(encoding="utf-8", newline="") as stream:
             known = {int(row["number"]): out / row["name"] for row in csv.DictReader(stream)}
@@ -149,8 +150,10 @@ def record_legs(
     spoken.note(f"laying out the {split} district")
     town = make_district(seed, split, extent_m)
     length = DriveOptions(frames=frames).path_length_m
-    recorded, jobs = {}, []
+    recorded, jobs = dict(known), []
     for leg in legs:
+        if leg.number in known:
+            continue
         options = DriveOptions(seed=seed, number=leg.number, frames=frames, cameras=())
         path = route(town.network, town.periodic.street, leg.route, length, seed)
         found, job = prepare(town, path, condition_named(leg.condition).factors, out, options)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from ground_truth_drives import EXTENT_M, T_RIG_CAM, Leg, Spoken, read_legs, record_legs
 from ground_truth_judging import WRONG_DEG, WRONG_M, Exact, Judged, figures, table
-from ground_truth_plain import AloneUnit, open3d_pairs, own_pairs
+from ground_truth_plain import AloneUnit, open3d_chain, open3d_pairs, own_pairs
 from ground_truth_work import (
     CutUnit,
     Decided,
@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, RegistrationUnit
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
+from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, ImageTimes
 from relocbench.geometry import invert, make_transform, so3_exp
 
 Array = NDArray[np.float64]
@@ -45,6 +46,8 @@ ALONE = 8
 """number of single pairs of each drive in the ablation"""
 PLAIN = 4
 """number of pairs of the plain recipe, on the first drive of the ablation"""
+CHAINED = 5
+"""every so many query images are paired by the plain recipe along a drive"""
 LONG_M = (1000, 4000)
 _START_NODES = 50
 
@@ -138,17 +141,20 @@ def ablation(
     units = [AloneUnit(world.drives[r], world.drives[q], tuple(world.node_pairs(r, q, ALONE)), OPTIONS.alignment)
              for r, q in pairs]  # fmt: skip
     alone = world.all_of(own_pairs, units, "drives with pairs on their own")
+    chains = world.all_of(open3d_chain, [chain_unit(world, *p) for p in pairs], "drives by --recipe open3d")
     stages: dict[str, list[Judged]] = {
         "pairs on their own, plain Open3D": list(plain),
+        "pair after pair, plain Open3D (--recipe open3d)": [],
         "pairs on their own": [],
         "+ propagation": [],
         "+ verification": [],
         "+ pose graph": [],
         "+ local edges (the builder)": [],
     }
-    for p, unit, answers, unchecked in zip(pairs, units, alone, loose, strict=True):
+    for p, unit, answers, unchecked, (chained, _) in zip(pairs, units, alone, loose, chains, strict=True):
         drives = world.drives[p[0]], world.drives[p[1]]
         asked = [(o.ref_timestamp_ns, o.query_timestamp_ns) for o in decided[p].outcomes]
+        stages["pair after pair, plain Open3D (--recipe open3d)"] += judge(world, p, chained)
         stages["pairs on their own"] += judge(world, p, at_nodes(unit, [T for T, _, _ in answers]))
         for name, found in (("+ propagation", unchecked), ("+ verification", registered[p])):
             said = by_registrations_alone(*drives, found.registrations, asked, OPTIONS.limits)
@@ -158,7 +164,19 @@ def ablation(
     told = {name: figures(rows) for name, rows in stages.items() if rows}
     titles = "; ".join(world.taken[q].leg.title for _, q in pairs)
     say(f"\n{table(f'stage ({titles})', told.items())}")
+    seconds, count = sum(spent.cpu_s for _, spent in chains), sum(len(chained) for chained, _ in chains)
+    say(f"\n--recipe open3d: {seconds / count:.2f} s of processor time a pair")
     return {name: rounded(f) for name, f in told.items()}
+
+
+def chain_unit(world: World, ref: int, query: int) -> ChainUnit:
+    """The plain recipe on a part of the images of two drives."""
+    images = [ImageTimes(T_RIG_CAM, world.taken[n].image_ns[::step]) for n, step in ((ref, 1), (query, CHAINED))]
+    recordings = [world.drives[n].recording for n in (ref, query)]
+    return ChainUnit(
+        recordings[0], recordings[1], "front", images[0], images[1],
+        OPTIONS.submap, OPTIONS.max_distance, OPTIONS.max_angle,
+    )  # fmt: skip
 
 
 def at_nodes(unit: AloneUnit, poses: Sequence[Array]) -> list[PairOutcome]:

@@ -48,7 +48,8 @@ def main() -> None:
     except KeyboardInterrupt:
         status = INTERRUPTED
     except RelocbenchError as bad:
-        print(f"relocbench: {bad}", file=sys.stderr)
+        for line in str(bad).split("\n"):
+            print(f"relocbench: {line}", file=sys.stderr)
         status = USER_ERROR
     except ModuleNotFoundError as bad:
         package = _PACKAGES.get((bad.name or "").split(".")[0])

@@ -18,13 +18,15 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
 from relocbench.datasets.groundtruth.jobs.aligning import Aligned, align
+from relocbench.datasets.groundtruth.jobs.inputs import ready
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.jobs.recipe import pair_by_recipe
 from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, rig_poses, write_traversal
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired, PairingUnit, pair_up
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind
 from relocbench.datasets.groundtruth.pose_graph.files import write_graph
-from relocbench.datasets.groundtruth.submaps.drive import Drive
+from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import ConfigError, DatasetError
@@ -53,21 +55,27 @@ def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOpt
         reporter.note(
             "poses of the rig at scans of lidar are paired, without images: no tracker can run on this dataset"
         )
+    recordings = ready(recordings, cameras, job)
     folder = job.writer.layout.root / "groundtruth"
     if not options.use_prior:
         recordings = [replace(recording, prior=None) for recording in recordings]
-    estimate = options.calibration == "estimate"
-    aligned = align(recordings, folder, options.alignment, first, estimate, reporter, run)
-    drives = aligned.drives
+    aligned = (
+        None
+        if options.recipe == "open3d"
+        else align(recordings, folder, options.alignment, first, options.calibration == "estimate", reporter, run)
+    )
+    drives = aligned.drives if aligned is not None else _cut(recordings, folder, options, reporter, run)
     frames = [
         {name: choose_frames(r, drive, name, options, is_reference=r is recordings[0]) for name in cameras}
         for r, drive in zip(recordings, drives, strict=True)
     ]
     reference, queries = drives[0], drives[1:]
-    units = [
-        _unit(aligned, query, (frames[0], asking), options) for query, asking in zip(queries, frames[1:], strict=True)
-    ]
-    paired = _pair(units, folder / "graph", reporter, run)
+    if aligned is None:
+        paired = pair_by_recipe(drives, frames, folder, options, first, reporter, run)
+    else:
+        asked = zip(queries, frames[1:], strict=True)
+        units = [_unit(aligned, query, (frames[0], asking), options) for query, asking in asked]
+        paired = _pair(units, folder / "graph", reporter, run)
     _require_accepted(paired, [q.name for q in queries], folder / "registrations")
     poses = rig_poses(recordings, frames, paired)
     for recording, drive, chosen, known in zip(recordings, drives, frames, poses, strict=True):
@@ -127,6 +135,14 @@ def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> 
             names = ", ".join(r.name for r in drives)
             raise ConfigError(f"--first-pose: {time} (nanoseconds) is outside the times of {names}")
     return ref_ns, query_ns, pose
+
+
+def _cut(
+    recordings: Sequence[FieldRecording], folder: Path, options: FieldOptions, reporter: Reporter, run: Run
+) -> list[Drive]:
+    """The drives, cut into blocks, from which depth is drawn."""
+    o = options.alignment
+    return [make_drive(r, folder / "blocks" / r.name, o.block_m, o.blocks, reporter, run) for r in recordings]
 
 
 def _unit(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
@@ -12,6 +12,9 @@ from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits
 from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions
 from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions
 from relocbench.datasets.groundtruth.registration.submap_pair import RegisterOptions
+
+_OF_OWN_RECIPE = ("matcher", "icp", "calibration", "max_sigma", "max_sigma_rotation")
+"""options of steps that the plain recipe with Open3D does not have"""
 
 
 class FieldOptions(ImportOptions):
@@ -27,6 +30,11 @@ class FieldOptions(ImportOptions):
     depth_submap: float = Field(60.0, ge=10, le=300, description="metres of road in a submap that depth is drawn from")
     depth: Literal["lidar", "stereo"] = Field(
         "lidar", description="source of depth; stereo needs a second camera, rectified with the first"
+    )
+    recipe: Literal["own", "open3d"] = Field(
+        "own",
+        description="own: submaps, verified and solved for in one graph; open3d, for comparison: pairs by Open3D, each "
+        "from the one before, none verified",
     )
     matcher: Literal["ransac", "fgr", "kiss-matcher"] = Field(
         "ransac", description="method of place recognition by features (kiss-matcher needs the extra 'registration')"
@@ -47,6 +55,18 @@ class FieldOptions(ImportOptions):
         0.05, gt=0, description="largest sigma of an accepted pair's position on each axis, metres"
     )
     max_sigma_rotation: float = Field(0.15, gt=0, description="largest sigma of its rotation, degrees")
+
+    @model_validator(mode="after")
+    def _recipe_has_none_of_these(self) -> Self:
+        given = [name for name in _OF_OWN_RECIPE if name in self.model_fields_set]
+        if self.recipe == "open3d" and given:
+            raise ValueError(f"recipe open3d does not use {', '.join(given)}; leave out one or the other")
+        return self
+
+    def recorded(self) -> dict[str, Any]:
+        """The options, without those that the recipe does not use: as versions without recipes had it."""
+        unused = {"recipe"} if self.recipe == "own" else set(_OF_OWN_RECIPE)
+        return self.model_dump(mode="json", exclude=unused)
 
     @property
     def without_images(self) -> bool:

@@ -64,6 +64,8 @@ class PairOutcome:
     """standard deviation of the rotation about one axis: ``sqrt(trace / 3)``"""
     reason: str = ""
     """why it is rejected; empty if it is accepted"""
+    source: str = SOURCE
+    """how it was obtained"""
 
     @property
     def accepted(self) -> bool:
@@ -86,13 +88,22 @@ class PairOutcome:
             self.T_query_ref if self.accepted else None,
             sigma_translation_m=self.sigma_translation_m,
             sigma_rotation_deg=self.sigma_rotation_deg,
-            source=SOURCE,
+            source=self.source,
             accepted=self.accepted,
             reason=self.reason,
             sigma_along_m=self.sigma_along_m,
             sigma_across_m=self.sigma_across_m,
             sigma_height_m=self.sigma_height_m,
         )
+
+
+def axis_sigmas(covariance: Array, R_rig_cam: Array) -> tuple[float, float, float, float]:
+    """Sigmas along, across, in height and of rotation (degrees) of a covariance (6, 6) in the query camera's axes.
+
+    It is rotated into the axes of the camera's rig, with x along the street.
+    """
+    along, across, height = np.sqrt(np.diagonal(R_rig_cam @ covariance[:3, :3] @ R_rig_cam.T)).tolist()
+    return along, across, height, float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:]) / 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,22 +209,13 @@ class Outcomes:
         covariance = self._covariance(there, here, T_rig_refcam, T_rig_querycam)
         T_query_ref = invert(here.T_world_rig @ T_rig_querycam) @ there.T_world_rig @ T_rig_refcam
         R = T_rig_querycam[:3, :3]
-        along, across, height, rotation = self._sigmas(covariance, R)
+        along, across, height, rotation = axis_sigmas(covariance, R)
         reason = self._rejection(there, here, T_query_ref, (along, across, height, rotation))
         if reason.startswith("sigma") and self.solution.shared is not None:
-            alone = self._sigmas(self._covariance(there, here, T_rig_refcam, T_rig_querycam, shared=False), R)
+            alone = axis_sigmas(self._covariance(there, here, T_rig_refcam, T_rig_querycam, shared=False), R)
             if not self._rejection(there, here, T_query_ref, alone):
                 reason = f"calibration of the lidars too uncertain: {reason}"
         return PairOutcome(ref_ns, query_ns, T_query_ref, covariance, along, across, height, rotation, reason)
-
-    @staticmethod
-    def _sigmas(covariance: Array, R_rig_cam: Array) -> tuple[float, float, float, float]:
-        """Sigmas along, across, in height and of rotation (degrees) of a covariance in the query camera's axes.
-
-        It is rotated into the axes of the camera's rig, with x along the street.
-        """
-        along, across, height = np.sqrt(np.diagonal(R_rig_cam @ covariance[:3, :3] @ R_rig_cam.T)).tolist()
-        return along, across, height, float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:]) / 3)))
 
     def _unknown(self, ref_ns: int, query_ns: int, reason: str) -> PairOutcome:
         return PairOutcome(ref_ns, query_ns, None, None, None, None, None, None, reason)

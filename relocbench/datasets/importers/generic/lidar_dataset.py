@@ -37,7 +37,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
-    from relocbench.datasets.groundtruth.odometry.files import kept_in
+    from relocbench.datasets.groundtruth.odometry.deferred import later
     from relocbench.datasets.importers.generic.recording import read_generic
 
     assert isinstance(options, Options)
@@ -53,7 +53,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
             odometry=options.odometry,
             max_gap_s=options.max_gap,
             reporter=reporter,
-            from_lidar=kept_in(out / "groundtruth" / "odometry" / f"{title}.csv"),
+            from_lidar=later,
         )
         for source, title in zip(sources, names, strict=True)
     ]

@@ -61,7 +61,7 @@ def read_generic(
     title = name or traversal_names([folder])[0]
     header = read_lidar_file(folder)
     T_new_rig = _T_NEW_RIG[header.rig_axes]
-    lidars = read_lidars(folder, T_new_rig)
+    lidars = read_lidars(folder, T_new_rig, report)
     max_gap_ns = round(max_gap_s * 1e9)
     cameras: dict[str, CameraStream] = {}
     condition, location = Condition(), ""

@@ -13,15 +13,24 @@ from pydantic import Field, model_validator
 from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.core.schema import Strict, Transform
+from relocbench.datasets.sensors.binary_layout import detect_layout
 from relocbench.datasets.sensors.point_clouds import read_point_cloud
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import check_distinct, check_name, load_yaml, read_bytes
+from relocbench.progress import Reporter, Silent
 
 LIDAR_FILE = "lidar.yaml"
 SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
+USUAL_COLUMNS: dict[int, tuple[str, ...]] = {
+    3: ("x", "y", "z"),
+    4: ("x", "y", "z", "intensity"),
+    5: ("x", "y", "z", "intensity", "ring"),
+    6: ("x", "y", "z", "intensity", "ring", "time"),
+}
+"""columns of a point by their number, where they are not named"""
 _FAR_NS = 1_000_000_000
 _FLOAT_NS = 4096
 """more than the spacing of float64 at the largest times"""
@@ -39,10 +48,10 @@ class GenericLidar(Strict):
     """metres; nearer points, such as (0, 0, 0) for beams without a return, are left out"""
     sigma: float = Field(0.03, gt=0, allow_inf_nan=False)
     """metres, one standard deviation of a range"""
-    columns: tuple[str, ...] = ("x", "y", "z", "intensity")
-    """columns of .bin files and of plain .npy arrays"""
-    dtype: Literal["float32", "float64"] = "float32"
-    """data type of .bin files"""
+    columns: tuple[str, ...] = ()
+    """columns of .bin files and of plain .npy arrays; empty: told from the values"""
+    dtype: Literal["auto", "float32", "float64"] = "auto"
+    """data type of .bin files; auto: told from the values"""
     time: str | None = None
     """column or property with the time of each point; None: all points have the scan's time, motion compensated"""
     time_unit: Literal["s", "ms", "us", "ns"] = "s"
@@ -52,7 +61,7 @@ class GenericLidar(Strict):
     @model_validator(mode="after")
     def _has_columns(self) -> Self:
         missing = [name for name in ("x", "y", "z") if name not in self.columns]
-        if missing or len(set(self.columns)) != len(self.columns):
+        if self.columns and (missing or len(set(self.columns)) != len(self.columns)):
             raise ValueError("columns must contain x, y and z, and none twice")
         if self.min_range >= self.max_range:
             raise ValueError("min_range must be below max_range")
@@ -114,14 +123,16 @@ class GenericLidarStream:
         return Scan(points[kept], times[kept])
 
 
-def read_lidars(root: Path, T_new_rig: Array) -> tuple[GenericLidarStream, ...]:
+def read_lidars(root: Path, T_new_rig: Array, reporter: Reporter | None = None) -> tuple[GenericLidarStream, ...]:
     """The lidars of a folder, in the order of ``lidar.yaml``.
 
     Args:
         T_new_rig: (4, 4) from the folder's rig axes (``rig_axes`` in ``lidar.yaml``) to those of recordings.
+        reporter: is told what columns and data types were found.
 
     Raises:
-        DatasetError: with file and line: ``lidar.yaml`` is wrong, a scan's name is not a time, or there is no scan.
+        DatasetError: with file and line: ``lidar.yaml`` is wrong, a scan's name is not a time, there is no scan, or its
+            columns or data type cannot be told.
     """
     streams = []
     for name, settings in read_lidar_file(root).lidars.items():
@@ -130,8 +141,36 @@ def read_lidars(root: Path, T_new_rig: Array) -> tuple[GenericLidarStream, ...]:
             raise DatasetError(f"holds no scan; expected TIMESTAMP{', '.join(SUFFIXES)}", root / "lidar" / name)
         times = np.array(list(files), dtype=np.int64)
         T_rig_lidar = T_new_rig @ settings.T_rig_lidar.matrix
-        streams.append(GenericLidarStream(name, settings, T_rig_lidar, tuple(files.values()), times))
+        known = _with_layout(settings, tuple(files.values()), name, root, reporter or Silent())
+        streams.append(GenericLidarStream(name, known, T_rig_lidar, tuple(files.values()), times))
     return tuple(streams)
+
+
+def _with_layout(
+    settings: GenericLidar, files: tuple[Path, ...], name: str, root: Path, reporter: Reporter
+) -> GenericLidar:
+    """The settings with the columns and the data type of ``.bin`` files, told from a scan where they are not given."""
+    scans = [path for path in files if path.suffix.lower() == ".bin"]
+    if not scans or (settings.columns and settings.dtype != "auto"):
+        return settings
+    number = None if settings.dtype == "auto" else settings.dtype
+    # The scan in the middle tells more than one at an end, where a car may stand in a garage.
+    tried = dict.fromkeys(scans[k] for k in (len(scans) // 2, len(scans) // 4, 3 * len(scans) // 4, 0))
+    faults: list[DatasetError] = []
+    for path in tried:
+        data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
+        try:
+            found = detect_layout(data, path, number, len(settings.columns) or None)
+        except DatasetError as bad:
+            faults.append(bad)
+            continue
+        columns = settings.columns or USUAL_COLUMNS[found.columns]
+        reporter.note(
+            f"{root.name}: scans of {name} are read as {found.number} {' '.join(columns)}, told from {path.name}"
+        )
+        return settings.model_copy(update={"columns": columns, "dtype": found.number})
+    told = f"{faults[0].expected} (columns and dtype in {LIDAR_FILE})"
+    raise DatasetError(told, faults[0].path)
 
 
 def read_lidar_file(root: Path) -> LidarFile:
@@ -177,6 +216,8 @@ def _fields(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
 
 def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
     data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
+    if settings.dtype == "auto":
+        raise DatasetError(f"its data type is not known; name columns and dtype in {LIDAR_FILE}", path)
     width = np.dtype(settings.dtype).itemsize * len(settings.columns)
     if len(data) % width:
         what = f"{settings.dtype} {' '.join(settings.columns)}"
@@ -189,8 +230,12 @@ def _numpy(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
     if values.dtype.names:
         return {name: np.ravel(values[name]) for name in values.dtype.names if values.dtype[name].shape == ()}
     if values.ndim != 2:
-        raise DatasetError(f"is an array of shape {values.shape}, expected (points, {len(settings.columns)})", path)
-    return _columns(values, settings.columns, path)
+        width = len(settings.columns) or "3 to 6"
+        raise DatasetError(f"is an array of shape {values.shape}, expected (points, {width})", path)
+    columns = settings.columns or USUAL_COLUMNS.get(values.shape[1])
+    if columns is None:
+        raise DatasetError(f"has {values.shape[1]} columns; name them by columns in {LIDAR_FILE}", path)
+    return _columns(values, columns, path)
 
 
 def _columns(values: NDArray[Any], names: tuple[str, ...], path: Path) -> dict[str, NDArray[Any]]:

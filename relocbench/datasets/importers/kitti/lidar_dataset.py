@@ -28,8 +28,8 @@ class Options(FieldOptions, LinkingOptions):
     odometry: Literal["lidar", "poses"] = Field(
         "lidar", description="motion between scans: by registering them, or from poses/NN.txt (KITTI's own have jumps)"
     )
-    motion: Literal["compensated", "distorted"] = Field(
-        "compensated", description="'distorted' if the scans are not motion-compensated; KITTI's own are"
+    motion: Literal["auto", "compensated", "distorted"] = Field(
+        "auto", description="whether the scans are motion-compensated, as KITTI's own are; auto: told from the scans"
     )
     elevation: float = Field(
         0.0, gt=-5, lt=5, description="degrees by which to turn the beams up; the real KITTI lidar needs 0.205"
@@ -53,7 +53,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
-    from relocbench.datasets.groundtruth.odometry.files import kept_in
+    from relocbench.datasets.groundtruth.odometry.deferred import later
     from relocbench.datasets.importers.kitti.recording import read_kitti
 
     assert isinstance(options, Options)
@@ -78,7 +78,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
             elevation_deg=options.elevation,
             rate_hz=options.rate_hz,
             reporter=reporter,
-            from_lidar=kept_in(out / "groundtruth" / "odometry" / f"{title}.csv"),
+            from_lidar=later,
         )
         for sequence, title in zip(options.sequence, names, strict=True)
     ]

@@ -6,7 +6,7 @@ The rig is the lidar: x forward, y left, z up.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +15,7 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
+from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, detect_motion
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
@@ -23,7 +24,6 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
 
-ScanMotion = Literal["compensated", "distorted"]
 OdometrySource = Literal["lidar", "poses"]
 
 CAMERAS = ("image_0", "image_1", "image_2", "image_3")
@@ -82,7 +82,7 @@ def read_kitti(
     name: str | None = None,
     odometry: OdometrySource = "lidar",
     cameras: Sequence[str] | None = None,
-    motion: ScanMotion = "compensated",
+    motion: ScanMotion | Literal["auto"] = "compensated",
     elevation_deg: float = 0.0,
     rate_hz: float = 10.0,
     condition: Condition | None = None,
@@ -96,7 +96,8 @@ def read_kitti(
         odometry: ``lidar`` registers successive scans; ``poses`` reads ``poses/NN.txt``, which for the real data is
             smoothed GNSS/INS and locally wrong by up to a quarter of a step.
         cameras: cameras to read; default: those whose folders hold images.
-        motion: ``compensated`` if the scans are motion-compensated, as KITTI's own are, or ``distorted``.
+        motion: ``compensated`` if the scans are motion-compensated, as KITTI's own are, or ``distorted``; ``auto``
+            tells it from the scans.
         elevation_deg: angle by which to turn the beams up; the real lidar needs :data:`REAL_ELEVATION_DEG`.
         rate_hz: frames per second if ``times.txt`` is missing.
         from_lidar: computes odometry from scans; called after everything else has been checked.
@@ -116,8 +117,13 @@ def read_kitti(
     missing = 1 + max(scans) - min(scans) - len(scans)
     if missing:
         report.note(f"{files.traversal}: {missing} scans between the first and the last are missing")
-    lidar = VelodyneStream(tuple(scans.values()), times[list(scans)], motion, elevation_deg)
     streams = {camera: _camera(files, camera, numbers, times) for camera, numbers in found.items()}
+    lidar = VelodyneStream(tuple(scans.values()), times[list(scans)], "compensated", elevation_deg)
+    if motion == "auto":
+        told = detect_motion(lidar, replace(lidar, motion="distorted"))
+        motion = told.motion
+        report.note(f"{files.traversal}: scans are taken as {motion} by motion: {told.evidence} (--motion)")
+    lidar = replace(lidar, motion=motion)
     return FieldRecording(
         name=name or files.traversal,
         folder=files.folder,

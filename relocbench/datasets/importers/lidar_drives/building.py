@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.odometry.deferred import later
 from relocbench.datasets.groundtruth.odometry.files import kept_in
 from relocbench.datasets.importers.assembly import check_folder, open_writer
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, on_one_map
@@ -69,7 +70,8 @@ def build_from(
     """
     check_recordings([drive.with_times_only() for drive in drives], options)
     writer = open_writer(kind, sources, options, out, fitting_name(f"{kind.replace('-', '_')}_{drives[0].name}"))
-    recordings = finish(on_one_map(drives, reporter), out, reporter)
+    # Odometry that is missing is computed by the build, after it has checked all drives.
+    recordings = [drive.recording(later, reporter) for drive in on_one_map(drives, reporter)]
     return build_ground_truth(recordings, Build(writer, options, reporter, run))
 
 

@@ -43,6 +43,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
+    from relocbench.datasets.groundtruth.odometry.deferred import later
     from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 
     assert isinstance(options, Options)
@@ -57,7 +58,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         cameras=() if options.without_images else _with_right_camera(sources, options.cameras),
         odometry=options.odometry,
         reporter=reporter,
-        kept=out / "groundtruth" / "odometry",
+        from_lidar=later,
     )
     options.check_conditions([r.name for r in recordings])
     check_recordings(recordings, options)

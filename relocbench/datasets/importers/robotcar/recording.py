@@ -18,7 +18,6 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
-from relocbench.datasets.groundtruth.odometry.files import kept_in
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.importers.lidar_drives.conditions import simulated_condition
 from relocbench.datasets.importers.robotcar import files
@@ -39,6 +38,10 @@ from relocbench.progress import Reporter, Silent
 OdometrySource = Literal["auto", "vo", "ins", "lidar"]
 
 _PRIOR_SIGMA_M = 10.0
+_NO_MOTION = (
+    "has no odometry: it needs vo/vo.csv, or scans of a Velodyne to compute it from (those of lms_front and lms_rear "
+    "are single planes), or --odometry ins with gps/ins.csv"
+)
 _POOR_PRIOR_SIGMA_M = 30.0
 """for traversals tagged poor-gps"""
 _NAME = re.compile(r"([0-9]{4})-([0-9]{2})-([0-9]{2})-[0-9]{2}-[0-9]{2}-[0-9]{2}(-radar-.*)?")
@@ -132,6 +135,8 @@ def read_robotcar(
         report.note(f"{title}: odometry is computed from the scans of {spinning.name}")
         motion, source = from_lidar(spinning, report), spinning.name
     else:
+        if odometry == "auto" and not (folder / "vo" / "vo.csv").exists():
+            raise DatasetError(_NO_MOTION, folder)
         steps = files.read_visual_odometry(folder / "vo" / "vo.csv")
         motion = visual_trajectory(steps, prior)
         if motion.breaks:
@@ -151,21 +156,17 @@ def read_robotcar(
     )
 
 
-def read_robotcar_drives(
-    folders: Sequence[Path], *, kept: Path | None = None, **options: object
-) -> list[FieldRecording]:
+def read_robotcar_drives(folders: Sequence[Path], **options: object) -> list[FieldRecording]:
     """Read several traversals whose priors share a map, that of the first traversal with GNSS.
 
     Args:
-        kept: folder in which odometry that is computed from lidar is kept.
         options: options of :func:`read_robotcar` for all traversals.
     """
     origin = next((found for folder in folders if (found := map_origin(folder)) is not None), None)
     names = traversal_names(folders)
-    compute = [lidar_odometry if kept is None else kept_in(kept / f"{name}.csv") for name in names]
     return [
-        read_robotcar(folder, name=name, origin=origin, from_lidar=from_lidar, **options)  # type: ignore[arg-type]
-        for folder, name, from_lidar in zip(folders, names, compute, strict=True)
+        read_robotcar(folder, name=name, origin=origin, **options)  # type: ignore[arg-type]
+        for folder, name in zip(folders, names, strict=True)
     ]
 
 

@@ -77,13 +77,14 @@ def read_bag(
     motion = odometry(reading)
     fixes = fix_times(reading)
     check_clocks(reading.lags_ns, reading.source)
+    source = ""
     if motion is None:
         spinning = next((lidar for lidar in lidars if lidar.pattern == "spinning"), None)
         if spinning is None:
             told = "has neither odometry nor a spinning lidar to compute it from; name a topic by --odometry"
             raise DatasetError(told, reading.source)
         reading.note(f"odometry is computed from the scans of {spinning.messages.topic}")
-        motion = from_lidar(spinning, report, max_gap_ns=settings.max_gap_ns)
+        motion, source = from_lidar(spinning, report, max_gap_ns=settings.max_gap_ns), spinning.name
     trajectory, sigma, start = prior(reading, motion, origin, fixes)
     recording = FieldRecording(
         name=name,
@@ -94,6 +95,7 @@ def read_bag(
         cameras=cameras,
         prior=trajectory,
         prior_sigma_m=sigma,
+        odometry_lidar=source,
     )
     return recording, start
 

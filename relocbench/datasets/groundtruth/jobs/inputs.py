@@ -1,0 +1,176 @@
+"""Checks of recordings before any work begins, so that faults of inputs are found in seconds and told all at once.
+
+Odometry that has to be computed from lidar is computed after these checks.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.arrays import Times
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending
+from relocbench.datasets.groundtruth.odometry.files import kept_in
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream
+from relocbench.errors import DatasetError, raise_all
+from relocbench.progress import Reporter
+
+FEWEST_SCANS = 10
+LEAST_ROAD_M = 5.0
+"""a few blocks; registrations of fewer cannot confirm each other"""
+_BYTES_A_METRE = 100_000
+"""blocks of a drive with two push-broom lidars, measured"""
+
+
+def ready(
+    recordings: Sequence[FieldRecording], cameras: Sequence[str], job: Build[FieldOptions]
+) -> list[FieldRecording]:
+    """Check all recordings, then compute the odometry that is missing, and check the lengths that were driven.
+
+    Args:
+        cameras: the cameras whose images are paired.
+
+    Raises:
+        DatasetError: what is wrong with the recordings; all faults that can be found at once.
+    """
+    options, reporter, root = job.options, job.reporter, job.writer.layout.root
+    faults = [fault for recording in recordings for fault in faults_of(recording, cameras)]
+    known = [recording for recording in recordings if not is_pending(recording)]
+    if not faults:
+        faults = [fault for recording in known for fault in _motion_faults(recording, options, reporter)]
+    raise_all(faults)
+    out = []
+    for recording in recordings:
+        kept = kept_in(root / "groundtruth" / "odometry" / f"{recording.name}.csv")
+        out.append(computed(recording, kept, reporter))
+    pending = [after for before, after in zip(recordings, out, strict=True) if is_pending(before)]
+    raise_all([fault for recording in pending for fault in _motion_faults(recording, options, reporter)])
+    check_space(root, sum(driven_m(recording) for recording in out))
+    return out
+
+
+def faults_of(recording: FieldRecording, cameras: Sequence[str]) -> list[DatasetError]:
+    """What is wrong with the scans and images of a recording; the first, middle and last of each sensor are read."""
+    faults = []
+    if not recording.lidars:
+        faults.append(DatasetError("has no lidar scans, which the ground truth is made from", recording.folder))
+    for lidar in recording.lidars:
+        faults += _scan_faults(recording, lidar)
+    for name in cameras:
+        if name in recording.cameras:
+            faults += _image_faults(recording, recording.cameras[name])
+    return faults
+
+
+def _scan_faults(recording: FieldRecording, lidar: LidarStream) -> list[DatasetError]:
+    count = len(lidar.times_ns)
+    if count < FEWEST_SCANS:
+        return [DatasetError(f"{lidar.name} has {count} scans; at least {FEWEST_SCANS} are needed", recording.folder)]
+    points: list[int] = []
+
+    def look(index: int) -> None:
+        points.append(len(lidar.read(index).points))
+
+    faults = _looked_at(look, count)
+    if not faults and not any(points):
+        told = f"{lidar.name}: its first, middle and last scan have no point within {lidar.max_range_m:g} m"
+        faults = [DatasetError(told, recording.folder)]
+    return faults
+
+
+def _image_faults(recording: FieldRecording, stream: CameraStream) -> list[DatasetError]:
+    times, scans = stream.times_ns, [lidar.times_ns for lidar in recording.lidars if len(lidar.times_ns)]
+    if not len(times):
+        return [DatasetError(f"camera {stream.name} has no images", recording.folder)]
+    if scans:
+        begin, end = min(int(s[0]) for s in scans), max(int(s[-1]) for s in scans)
+        if not np.any((times >= begin) & (times <= end)):
+            spans = f"{_span(times)}, the lidar scans from {_span(np.array([begin, end]))}"
+            told = f"no image of {stream.name} was taken while a lidar recorded: the images are from {spans}"
+            return [DatasetError(told, recording.folder)]
+
+    def look(index: int) -> None:
+        size = stream.read(index).shape[1::-1]
+        if size != stream.camera.size:
+            wanted = "x".join(map(str, stream.camera.size))
+            told = f"image {index} of {stream.name} has {size[0]}x{size[1]} pixels, expected {wanted}"
+            raise DatasetError(told, stream.file(index) or recording.folder)
+
+    return _looked_at(look, len(times))
+
+
+def _looked_at(look: Callable[[int], None], count: int) -> list[DatasetError]:
+    """The faults of the first, middle and last of a sensor's files; the same fault is told once."""
+    faults: dict[str, DatasetError] = {}
+    for index in dict.fromkeys((0, count // 2, count - 1)):
+        try:
+            look(index)
+        except DatasetError as bad:
+            faults.setdefault(bad.expected, bad)
+    return list(faults.values())
+
+
+def _motion_faults(recording: FieldRecording, options: FieldOptions, reporter: Reporter) -> list[DatasetError]:
+    """What is wrong with the odometry of a recording; what only shortens the result is noted."""
+    odometry, folder = recording.odometry, recording.folder
+    for lidar in recording.lidars:
+        share = float(np.mean(odometry.covers(lidar.times_ns)))
+        if share == 0.0:
+            told = (
+                f"the odometry covers no scan of {lidar.name}: it is from {_span(odometry.times_ns)}, the scans from "
+                f"{_span(lidar.times_ns)}; times of both must be of one clock and in one unit"
+            )
+            return [DatasetError(told, folder)]
+        if share < 0.5:
+            reporter.note(f"{recording.name}: the odometry covers {100 * share:.0f} % of the scans of {lidar.name}")
+    driven = driven_m(recording)
+    if driven < LEAST_ROAD_M:
+        told = f"drove {driven:.1f} m of road while a lidar recorded; at least {LEAST_ROAD_M:g} m are needed"
+        return [DatasetError(f"{told}, and {options.submap:g} m to fill a submap (--submap)", folder)]
+    if driven < options.submap - 1:
+        reporter.note(
+            f"{recording.name} drove {driven:.0f} m of road, less than a submap has (--submap {options.submap:g}): "
+            f"its submaps hold {driven:.0f} m at most, and poses are less certain"
+        )
+    return []
+
+
+def driven_m(recording: FieldRecording) -> float:
+    """Metres of road driven while a lidar recorded and the odometry was known.
+
+    Raises:
+        DatasetError: odometry and lidars have no time in common.
+    """
+    way = arc_length_along(recording)
+    ends = [way.travelled_m[way.segment == s] for s in np.unique(way.segment)]
+    return float(sum(metres[-1] - metres[0] for metres in ends))
+
+
+def check_space(root: Path, metres: float) -> None:
+    """Raise DatasetError if the disk has no room for the blocks of so many metres of road."""
+    place = next(path for path in (root.resolve(), *root.resolve().parents) if path.exists())
+    free, needed = shutil.disk_usage(place).free, int(metres * _BYTES_A_METRE)
+    if free < needed:
+        told = (
+            f"{free / 2**20:.0f} MiB are free; the blocks of {metres:.0f} m of road need about {needed / 2**20:.0f} MiB"
+        )
+        raise DatasetError(told, root)
+
+
+def _span(times_ns: Times) -> str:
+    return f"{_moment(int(times_ns[0]))} to {_moment(int(times_ns[-1]))}"
+
+
+def _moment(time_ns: int) -> str:
+    """A time as a date if it is one since 1990, else in seconds."""
+    seconds = time_ns / 1e9
+    if seconds < 631152000 or seconds > 4e9:
+        return f"{seconds:.3f} s"
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}"

@@ -1,0 +1,40 @@
+"""Odometry that is computed from lidar later, after the inputs of all drives have been checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
+from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
+from relocbench.progress import Reporter
+
+
+@dataclass(frozen=True, eq=False)
+class Pending(Trajectory):
+    """Stands in for odometry that is not computed yet: the times of the scans, without motion."""
+
+
+def later(lidar: LidarStream, reporter: Reporter | None = None, /, *, max_gap_ns: int = 1_000_000_000) -> Trajectory:
+    """A :class:`FromLidar` that computes nothing; :func:`computed` does."""
+    times = lidar.times_ns
+    return Pending(times, np.tile(np.eye(4), (len(times), 1, 1)), max_gap_ns)
+
+
+def is_pending(recording: FieldRecording) -> bool:
+    """Whether the odometry of a recording is to be computed yet."""
+    return isinstance(recording.odometry, Pending)
+
+
+def computed(recording: FieldRecording, from_lidar: FromLidar, reporter: Reporter) -> FieldRecording:
+    """The recording with its odometry, computed from the lidar ``odometry_lidar``; itself if it has odometry.
+
+    Raises:
+        ConfigError, DatasetError: the odometry cannot be computed.
+    """
+    if not is_pending(recording):
+        return recording
+    lidar = next(one for one in recording.lidars if one.name == recording.odometry_lidar)
+    motion = from_lidar(lidar, reporter, max_gap_ns=recording.odometry.max_gap_ns)
+    return replace(recording, odometry=motion)

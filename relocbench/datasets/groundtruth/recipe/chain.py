@@ -1,0 +1,248 @@
+"""Pair after pair along a drive: the first by global registration or by hand, each other from the solution before it.
+
+Nothing is verified, and nothing is solved for jointly: a pair is accepted by its fitness and RMSE alone, and the next
+one starts from the last one that was accepted, moved along by both odometries. From the first pair, the chain goes to
+the end of the drive, and then back from the first pair to the beginning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.datasets.groundtruth.recipe.open3d_pair import (
+    FEWEST_POINTS,
+    Cloud,
+    Open3dFit,
+    Open3dOptions,
+    refine,
+    search,
+)
+from relocbench.datasets.groundtruth.recipe.raw_submaps import RawSubmaps
+from relocbench.datasets.groundtruth.registration.along_drive import Remember
+from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
+from relocbench.datasets.groundtruth.registration.submap_pair import NOTHING_JUDGED, unregistered
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.geometry import invert, rotation_angle
+
+NO_START = "no pair before it was accepted"
+_NAN = np.full((4, 4), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageTimes:
+    """One camera of a drive: its pose on the rig, and the times of its images."""
+
+    T_rig_cam: Array
+    times_ns: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ChainUnit:
+    """One camera of a query drive and of the reference: a unit of work."""
+
+    reference: FieldRecording
+    query: FieldRecording
+    camera: str
+    keyframes: ImageTimes
+    queries: ImageTimes
+    submap_m: float = 60.0
+    max_distance_m: float = 5.0
+    max_angle_deg: float = 60.0
+    first: tuple[int, int, Array] | None = None
+    """a pose by hand: (reference time, query time, ``T_ref_query`` of the rigs)"""
+    options: Open3dOptions = field(default_factory=Open3dOptions)
+
+    def __str__(self) -> str:
+        return f"pairs of {self.query.name} with {self.reference.name}, {self.camera}"
+
+
+def follow(
+    unit: ChainUnit,
+    say: Callable[[str], None] = lambda message: None,
+    remember: Remember = lambda key, work: work(),
+) -> list[Registration]:
+    """The pairs of a query drive: one for each query image, in their order.
+
+    ``ref`` and ``query`` of a pair are rows of ``keyframes`` and ``queries``, and its pose is that of the rigs at the
+    times of both images. Its evidence has fitness as ``overlap_query`` and RMSE as ``residual_query_m``.
+
+    Args:
+        say: takes what a user should know.
+        remember: see :class:`relocbench.datasets.groundtruth.registration.journal.Journal`.
+
+    Raises:
+        DatasetError: a scan is damaged.
+    """
+    return _Chain(unit, say, remember).run()
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A pair that the next one starts from."""
+
+    ref_ns: int
+    query_ns: int
+    T_ref_query: Array
+
+
+class _Chain:
+    def __init__(self, unit: ChainUnit, say: Callable[[str], None], remember: Remember) -> None:
+        self._unit, self._say, self._remember = unit, say, remember
+        submaps = [RawSubmaps(r, unit.submap_m) for r in (unit.reference, unit.query)]
+        # A keyframe is often that of several queries.
+        self._clouds = [lru_cache(2)(lambda ns, s=s: Cloud.of(s.around(ns), unit.options)) for s in submaps]
+        self._known = unit.query.odometry.covers(np.array(unit.queries.times_ns, dtype=np.int64))
+        keyframes = np.array(unit.keyframes.times_ns, dtype=np.int64)
+        self._T_odom_keyframe = unit.reference.odometry.at(keyframes) @ unit.keyframes.T_rig_cam
+
+    def run(self) -> list[Registration]:
+        count = len(self._unit.queries.times_ns)
+        found: dict[int, Registration] = {}
+        start, first = self._start()
+        if first is not None:
+            for rows in (range(start, count), range(start - 1, -1, -1)):
+                last = first
+                for row in rows:
+                    found[row] = self._pair(row, last)
+                    if found[row].trusted:
+                        last = self._solved(found[row])
+        return [found.get(row) or self._untried(row, NO_START) for row in range(count)]
+
+    def _solved(self, pair: Registration) -> _Solved:
+        times = self._unit.keyframes.times_ns[pair.ref], self._unit.queries.times_ns[pair.query]
+        return _Solved(*times, pair.T_ref_query)
+
+    def _untried(self, row: int, reason: str, keyframe: int = 0) -> Registration:
+        if not self._known[row]:
+            reason = "no odometry at the time of the query"
+        return unregistered((keyframe, row), _NAN, reason)
+
+    def _pair(self, row: int, last: _Solved) -> Registration:
+        """A query image with its nearest keyframe by the last pair's solution."""
+        unit, time = self._unit, self._unit.queries.times_ns[row]
+        if not self._known[row]:
+            return self._untried(row, "")
+        T_odom_query = self._predicted(last, time)
+        keyframe, reason = self._nearest(T_odom_query @ unit.queries.T_rig_cam)
+        if reason:
+            return self._untried(row, reason, keyframe)
+        ref_ns = unit.keyframes.times_ns[keyframe]
+        T_ref_query = invert(unit.reference.odometry.at(np.array([ref_ns]))[0]) @ T_odom_query
+        return self._refined(keyframe, row, T_ref_query)
+
+    def _predicted(self, last: _Solved, time_ns: int) -> Array:
+        """(4, 4) pose of the query's rig at a time in the reference's odometry."""
+        reference, query = self._unit.reference.odometry, self._unit.query.odometry
+        T_odom_ref = reference.at(np.array([last.ref_ns]))[0]
+        then, now = query.at(np.array([last.query_ns, time_ns]))
+        return np.asarray(T_odom_ref @ last.T_ref_query @ invert(then) @ now)
+
+    def _nearest(self, T_odom_querycam: Array) -> tuple[int, str]:
+        """The nearest keyframe that is turned by no more than is allowed, and why it is not paired; empty if it is."""
+        apart = np.linalg.norm(self._T_odom_keyframe[:, :3, 3] - T_odom_querycam[:3, 3], axis=1)
+        relative = np.swapaxes(self._T_odom_keyframe[:, :3, :3], -1, -2) @ T_odom_querycam[:3, :3]
+        turned = np.degrees(rotation_angle(relative))
+        fit = turned <= self._unit.max_angle_deg
+        best = int(np.argmin(np.where(fit if fit.any() else True, apart, np.inf)))
+        if not fit.any():
+            return best, f"no keyframe within {self._unit.max_angle_deg:g} deg: {turned[best]:.0f} deg"
+        return best, self._too_far(float(apart[best]))
+
+    def _too_far(self, apart_m: float) -> str:
+        limit = self._unit.max_distance_m
+        return f"no keyframe within {limit:g} m: nearest {apart_m:.0f} m" if apart_m > limit else ""
+
+    def _refined(self, keyframe: int, row: int, T_ref_query: Array | None) -> Registration:
+        """ICP of a pair from a prediction; from that of RANSAC if there is none."""
+        times = self._unit.keyframes.times_ns[keyframe], self._unit.queries.times_ns[row]
+        kind = "search" if T_ref_query is None else "pair"
+        result = self._remember(
+            f"{kind} {times[0]} {times[1]}",
+            lambda: SearchResult(self._register(keyframe, row, *times, T_ref_query)),
+        )
+        assert result.best is not None
+        return result.best
+
+    def _register(self, keyframe: int, row: int, ref_ns: int, query_ns: int, T_ref_query: Array | None) -> Registration:
+        ref, query = self._clouds[0](ref_ns), self._clouds[1](query_ns)
+        fewest = min(len(ref), len(query))
+        if fewest < FEWEST_POINTS:
+            return unregistered((keyframe, row), _NAN, f"one of its submaps has {fewest} points")
+        options = self._unit.options
+        start = search(ref, query, options) if T_ref_query is None else T_ref_query
+        fit = refine(ref, query, start, options)
+        reason = fit.refusal(options) or ("" if T_ref_query is None else self._too_far(self._apart(fit)))
+        evidence = replace(NOTHING_JUDGED, overlap_query=fit.fitness, residual_query_m=fit.rmse_m)
+        return Registration(keyframe, row, fit.T_ref_query, fit.information, evidence, reason)
+
+    def _apart(self, fit: Open3dFit) -> float:
+        T_refcam_querycam = invert(self._unit.keyframes.T_rig_cam) @ fit.T_ref_query @ self._unit.queries.T_rig_cam
+        return float(np.linalg.norm(T_refcam_querycam[:3, 3]))
+
+    def _start(self) -> tuple[int, _Solved | None]:
+        """The row of the first query image and a pair near it: by hand, else by global registration."""
+        unit = self._unit
+        rows = [row for row in range(len(unit.queries.times_ns)) if self._known[row]]
+        if not rows:
+            return 0, None
+        if unit.first is not None:
+            times = np.array(unit.queries.times_ns, dtype=np.int64)[rows]
+            return rows[int(np.argmin(np.abs(times - unit.first[1])))], _Solved(*unit.first)
+        # Where the drives do not overlap, the search is repeated further along the query's drive.
+        ways = self._travelled(rows)
+        tried = -np.inf
+        reason = ""
+        for row, way in zip(rows, ways, strict=True):
+            if way - tried < unit.submap_m / 2:
+                continue
+            tried = way
+            found = self._searched(row)
+            if found is not None and found.trusted:
+                self._say(f"first pair by Open3D's global registration, {way:.0f} m along the drive")
+                return row, self._solved(found)
+            reason = found.reason if found is not None else reason
+        self._say(
+            f"global registration found no first pair{f' (the last try: {reason})' if reason else ''}; give one by "
+            "--first-pose"
+        )
+        return 0, None
+
+    def _searched(self, row: int) -> Registration | None:
+        """The best fit of a query image with some keyframes; None if no keyframe is near by GNSS."""
+        found = [self._refined(keyframe, row, None) for keyframe in self._candidates(row)]
+        return max(found, key=lambda pair: (pair.trusted, np.nan_to_num(pair.evidence.overlap_query)), default=None)
+
+    def _candidates(self, row: int) -> Sequence[int]:
+        """The keyframe that is nearest by GNSS; without GNSS keyframes half a submap apart."""
+        unit, time = self._unit, np.array([self._unit.queries.times_ns[row]])
+        prior = unit.reference.prior, unit.query.prior
+        times = np.array(unit.keyframes.times_ns, dtype=np.int64)
+        if prior[0] is not None and prior[1] is not None and prior[1].covers(time)[0]:
+            known = np.flatnonzero(prior[0].covers(times))
+            if len(known):
+                there = prior[0].at(times[known])[:, :3, 3]
+                apart = np.linalg.norm(there - prior[1].at(time)[0, :3, 3], axis=1)
+                near = int(np.argmin(apart))
+                return [int(known[near])] if apart[near] <= unit.submap_m else []
+        return _every(self._T_odom_keyframe[:, :3, 3], unit.submap_m / 2)
+
+    def _travelled(self, rows: Sequence[int]) -> list[float]:
+        at = self._unit.query.odometry.at(np.array(self._unit.queries.times_ns, dtype=np.int64)[list(rows)])
+        steps = np.linalg.norm(np.diff(at[:, :3, 3], axis=0), axis=1)
+        return [0.0, *np.cumsum(steps).tolist()]
+
+
+def _every(positions: Array, apart_m: float) -> list[int]:
+    """Rows of positions (N, 3) of a path, ``apart_m`` of road apart, beginning with the first."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    chosen: list[int] = []
+    for row, metres in enumerate(way.tolist()):
+        if not chosen or metres - way[chosen[-1]] >= apart_m:
+            chosen.append(row)
+    return chosen

@@ -1,0 +1,191 @@
+"""Faults of recordings are found before any work begins, all at once; lengths that are needed are stated."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import relocbench
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.jobs import inputs
+from relocbench.datasets.groundtruth.jobs.inputs import check_space, driven_m, faults_of
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
+from relocbench.errors import DatasetError, ManyFaults, raise_all
+from relocbench.geometry import Camera, make_transform
+from relocbench.progress import Advance
+
+TENTH = 100_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """A lidar whose scans have one point; some are damaged."""
+
+    times_ns: NDArray[np.int64]
+    damaged: tuple[int, ...] = ()
+    empty: bool = False
+    name: str = "top"
+    pattern: str = "spinning"
+    max_range_m: float = 100.0
+    sigma_m: float = 0.02
+
+    @property
+    def T_rig_lidar(self) -> NDArray[np.float64]:
+        return np.eye(4)
+
+    def read(self, index: int) -> Scan:
+        if index in self.damaged:
+            raise DatasetError("is cut off", Path(f"{index}.bin"))
+        points = np.zeros((0, 3)) if self.empty else np.ones((1, 3))
+        return Scan(points, np.full(len(points), self.times_ns[index]))
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    times_ns: NDArray[np.int64]
+    size: tuple[int, int] = (40, 30)
+    name: str = "front"
+    camera: Camera = field(default_factory=lambda: Camera("pinhole", 40, 30, 30.0, 30.0, 20.0, 15.0))
+
+    @property
+    def T_rig_cam(self) -> NDArray[np.float64]:
+        return np.eye(4)
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        return np.zeros(self.size[::-1], dtype=np.uint8)
+
+    def file(self, index: int) -> Path | None:
+        return Path(f"{index}.png")
+
+
+def times(count: int, first: int = 0) -> NDArray[np.int64]:
+    return first + TENTH * np.arange(count, dtype=np.int64)
+
+
+def drive(
+    scans: Scans | None = None, images: Images | None = None, metres: float = 40.0, name: str = "summer", shift: int = 0
+) -> FieldRecording:
+    """Forty scans on a straight road."""
+    at = times(40, shift)
+    poses = make_transform(np.tile(np.eye(3), (40, 1, 1)), np.linspace([0, 0, 0], [metres, 0, 0], 40))
+    cameras = {"front": images} if images else {}
+    lidars = (scans or Scans(times(40)),)
+    return FieldRecording(name, Path(name), Condition(), Trajectory(at, poses), lidars, cameras)  # type: ignore[arg-type]
+
+
+class Notes:
+    """A reporter that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def note(self, message: str) -> None:
+        self.told.append(message)
+
+    @contextlib.contextmanager
+    def stage(self, description: str, total: int) -> Iterator[Advance]:
+        yield lambda count: None
+
+
+def test_a_sound_recording_has_no_fault() -> None:
+    assert faults_of(drive(images=Images(times(40))), ["front"]) == []
+
+
+@pytest.mark.parametrize(
+    ("recording", "words"),
+    [
+        (drive(Scans(times(4))), "top has 4 scans; at least 10 are needed"),
+        (drive(Scans(times(40), damaged=(20,))), "20.bin: is cut off"),
+        (drive(Scans(times(40), empty=True)), "its first, middle and last scan have no point within 100 m"),
+        (drive(images=Images(times(0))), "camera front has no images"),
+        (drive(images=Images(times(40), size=(50, 30))), "front has 50x30 pixels, expected 40x30"),
+        (
+            drive(images=Images(times(40, 1_700_000_000 * 10**9))),
+            "images are from 2023-11-14 22:13:20 to 2023-11-14 22:13:23, the lidar scans from 0.000 s to 3.900 s",
+        ),
+    ],
+)
+def test_what_is_wrong_with_scans_and_images_is_one_line(recording: FieldRecording, words: str) -> None:
+    faults = faults_of(recording, ["front"])
+    assert faults
+    assert words in str(faults[0])
+    assert "\n" not in str(faults[0])
+
+
+def test_images_that_are_not_paired_are_not_looked_at() -> None:
+    assert faults_of(drive(images=Images(times(40), size=(50, 30))), ["rig"]) == []
+
+
+@pytest.mark.parametrize(
+    ("recording", "words"),
+    [
+        (drive(metres=3.0), "m of road while a lidar recorded; at least 5 m are needed, and 60 m to fill"),
+        (
+            drive(shift=10**12),
+            "the odometry covers no scan of top: it is from 1000.000 s to 1003.900 s, the scans from 0",
+        ),
+    ],
+)
+def test_motion_that_cannot_work_is_a_fault(recording: FieldRecording, words: str) -> None:
+    faults = inputs._motion_faults(recording, FieldOptions(), Notes())
+    assert words in str(faults[0])
+
+
+def test_a_drive_shorter_than_a_submap_is_noted_with_what_is_possible() -> None:
+    notes = Notes()
+    assert driven_m(drive()) == pytest.approx(40, abs=0.5)
+    assert inputs._motion_faults(drive(), FieldOptions(), notes) == []
+    assert "summer drove 40 m of road, less than a submap has (--submap 60)" in notes.told[0]
+    assert inputs._motion_faults(drive(), FieldOptions(submap=30.0), notes) == []
+    assert len(notes.told) == 1
+
+
+def test_a_disk_without_room_is_told_before_it_is_full(tmp_path: Path) -> None:
+    check_space(tmp_path / "not" / "yet", 100.0)
+    with pytest.raises(DatasetError, match=r"MiB are free; .* m of road need about"):
+        check_space(tmp_path, 1e12)
+
+
+def test_all_faults_are_one_exception_with_a_line_each() -> None:
+    faults = [DatasetError("is cut off", "a.bin"), DatasetError("is empty", "b.bin")]
+    with pytest.raises(ManyFaults) as caught:
+        raise_all(faults)
+    assert str(caught.value) == "a.bin: is cut off\nb.bin: is empty"
+    with pytest.raises(DatasetError, match=r"a\.bin: is cut off") as one:
+        raise_all(faults[:1])
+    assert one.value is faults[0]
+    raise_all([])
+
+
+def generic(folder: Path, number: int, fault: bytes) -> Path:
+    """A drive of the generic layout without poses, whose odometry would be computed; its last scan has a fault."""
+    scans = folder / "lidar" / "top"
+    scans.mkdir(parents=True)
+    rng = np.random.default_rng(number)
+    for k in range(12):
+        points = np.column_stack([rng.uniform(-20, 20, size=(500, 3)), rng.random(500)]).astype("<f4")
+        (scans / f"{k * TENTH}.bin").write_bytes(points.tobytes())
+    last = scans / f"{11 * TENTH}.bin"
+    last.write_bytes(last.read_bytes() + fault)
+    settings = "lidars: {top: {pattern: spinning, columns: [x, y, z, intensity], dtype: float32}}\n"
+    (folder / "lidar.yaml").write_text(settings)
+    return folder
+
+
+def test_the_command_tells_the_faults_of_all_drives_before_it_computes_odometry(tmp_path: Path) -> None:
+    drives = [generic(tmp_path / f"drive {number}", number, b"xyz") for number in range(2)]
+    outcome = relocbench("build-dataset", "generic-lidar", *drives, "--out", tmp_path / "d", "-j", 1)
+    assert outcome.status == 2
+    lines = [line for line in outcome.err.splitlines() if line.startswith("relocbench: ")]
+    assert len(lines) == 2
+    for number, line in enumerate(lines):
+        assert f"drive {number}/lidar/top/{11 * TENTH}.bin: " in line
+        assert "not a whole number of points" in line
+    assert "odometry from" not in outcome.err
