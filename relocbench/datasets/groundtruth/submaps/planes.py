@@ -61,6 +61,10 @@ class Sample:
         """(N,) lengths of the lever arms, metres"""
         return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
 
+    def rows(self, which: Indices) -> Sample:
+        """Some of the points."""
+        return Sample(self.points[which], self.normals[which], self.weights[which], self.lever_arms[which])
+
     def rescaled(self, scale_error: float) -> Self:
         """The points as they would lie if the odometry's scale were larger by a factor of ``1 + scale_error``."""
         return replace(self, points=self.points + scale_error * self.lever_arms) if scale_error else self
@@ -188,6 +192,18 @@ def balanced(bins: Indices, count: int, often: Array) -> Indices:
     order = np.argsort(bins + wait / (1 + wait))
     rank = np.arange(len(bins)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     return np.sort(order[rank < int(share)])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def wrenches(directions: Array, points: Array) -> Array:
+    """(N, 6) derivative ``(m, q x m)`` of ``m^T se3_exp(xi) q`` by xi = (rho, phi), for directions m and points q (N, 3)."""
+    out = np.empty((len(points), 6))
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        a, b, c = directions[i, 0], directions[i, 1], directions[i, 2]
+        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+        out[i, 3], out[i, 4], out[i, 5] = y * c - z * b, z * a - x * c, x * b - y * a
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
