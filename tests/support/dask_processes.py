@@ -12,7 +12,7 @@ import runpy
 import signal
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -26,15 +26,23 @@ class DaskProcesses:
     Args:
         folder: for the scheduler file and the log.
         certificates: a folder with ``ca.pem``, ``cert.pem`` and ``key.pem``, for TLS.
+        environment: variables of all these processes that are added or replaced.
     """
 
-    def __init__(self, folder: Path, certificates: Path | None = None) -> None:
+    def __init__(
+        self, folder: Path, certificates: Path | None = None, environment: Mapping[str, str] | None = None
+    ) -> None:
         self.file = folder / "scheduler.json"
         self.workers: list[int] = []
         arguments = [sys.executable, str(Path(__file__)), str(folder), str(certificates or "")]
         self._log = (folder / "log").open("ab")
         self._forker = subprocess.Popen(
-            arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, env=_ENVIRONMENT, cwd=folder
+            arguments,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            cwd=folder,
+            env={**_ENVIRONMENT, **(environment or {})},
         )
         self.scheduler = self._fork()
         while not self.file.exists() or not self.file.read_text().endswith("}"):

@@ -51,6 +51,19 @@ class Ended:
     stderr: str
 
 
+def fault_environment(fault: Fault, trace: Path) -> dict[str, str]:
+    """The variables that give a Python process, and those that it starts, a fault point.
+
+    Args:
+        trace: folder for what is counted; made, and must not exist.
+    """
+    trace.mkdir(parents=True)
+    return {
+        "PYTHONPATH": os.pathsep.join([str(FAULT_POINTS), *(path for path in sys.path if path)]),
+        "FAULT_POINT": json.dumps({**asdict(fault), "trace": str(trace.resolve())}),
+    }
+
+
 def run_with_fault(command: Sequence[object], fault: Fault, trace: Path, **environment: str) -> Ended:
     """Run a command, with the importable paths of this process, to its end or to its fault point.
 
@@ -64,14 +77,8 @@ def run_with_fault(command: Sequence[object], fault: Fault, trace: Path, **envir
     Raises:
         subprocess.TimeoutExpired: the job hangs.
     """
-    trace.mkdir(parents=True)
     words = [sys.executable if word == "python" else str(word) for word in command]
-    variables = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(FAULT_POINTS), *(path for path in sys.path if path)]),
-        "FAULT_POINT": json.dumps({**asdict(fault), "trace": str(trace.resolve())}),
-        **environment,
-    }
+    variables = {**os.environ, **fault_environment(fault, trace), **environment}
     with (
         (trace / "stderr").open("wb") as errors,
         subprocess.Popen(

@@ -19,6 +19,7 @@ from relocbench.datasets.groundtruth.calibration.lidar_fits import (
     OPEN_SHARE,
     LidarFits,
     Reach,
+    corrections_of,
 )
 from relocbench.datasets.groundtruth.calibration.pairs import Measured, measured_in_common
 from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Sensors, moves
@@ -36,8 +37,10 @@ from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import adjoint, invert, se3_exp, se3_log
 
-_REACHES = (Reach(0.8, 0.3), Reach(0.8, 0.15), Reach(0.25, 0.08), *[Reach(0.25, 0.05)] * 3)
+_REACHES = (Reach(0, 0.3), Reach(0, 0.15), Reach(1, 0.08), *[Reach(1, 0.05)] * 3)
 """how far points may be from planes, iteration after iteration"""
+_SETTLED = 0.5
+"""at the last reach, iterations end when no unknown changes by more than so many standard deviations"""
 _LEAST_COUNT = 20
 """least number of matched points of a fit"""
 _LEAST_FITS = 30
@@ -100,9 +103,12 @@ def gather_evidence(solution: Solution, drives: tuple[Drive, Drive], sensors: Se
         used = measured[kept].downweighted(typical)
         adjustment = Adjustment(T, odometry, scales, used)
         reduced = _of_value(adjustment, calibration)
-        estimate = reduced.estimate(assumed)[0]
-        T, calibration = T @ se3_exp(adjustment.step(estimate - calibration)), estimate
+        estimate, covariance = reduced.estimate(assumed)
+        change = estimate - calibration
+        T, calibration = T @ se3_exp(adjustment.step(change)), estimate
         evidence = Evidence(reduced, adjustment.by_calibration, len(used))
+        if reach == _REACHES[-1] and (np.abs(change) <= _SETTLED * np.sqrt(np.diagonal(covariance)) + 1e-12).all():
+            break
     return evidence
 
 
@@ -146,24 +152,35 @@ class _Problem:
         pairs = measured_in_common(solution, drives, known)
         return cls(solution, fits, pairs, (first[0], first[1]), moves(twists), sensors.unknowns)
 
+    def _moves_of(self, drive: int) -> Array:
+        count = self.solution.drives.reference_count
+        return self.moves[count:] if drive else self.moves[:count]
+
     def edges(self, T_world_node: Array, calibration: Array, reach: Reach) -> CalibrationEdges:
         """Edges at the minimum of the fits, at poses (N, 4, 4) and for a calibration (K,)."""
         options, noise = LocalOptions(), self.solution.noise
         floor = options.least_sigma_m**2 * options.correlation
         distortion = options.inside_m * noise.sigma**2
-        nodes, poses, information, derivatives = [], [], [], []
+        nodes, poses, steps, information, derivatives = [], [], [], [], []
+        corrections = {
+            (drive, lidar): corrections_of(self._moves_of(drive) @ calibration[first : first + SIZE])
+            for drive in range(2)
+            for lidar, first in enumerate(self.columns[drive])
+        }
+        T_node_world = invert(T_world_node)
         for a, b in self.pairs:
             at = tuple(m.node + (self.solution.drives.reference_count if m.drive else 0) for m in (a, b))
             columns = [
                 slice(start, start + SIZE) for start in (self.columns[a.drive][a.lidar], self.columns[b.drive][b.lidar])
             ]
-            u_a, u_b = (self.moves[node] @ calibration[mine] for node, mine in zip(at, columns, strict=True))
-            T = invert(T_world_node[at[0]]) @ T_world_node[at[1]]
-            fit = self.fits.fit(a, b, T, (u_a, u_b), reach)
+            of_a, of_b = (corrections[m.drive, m.lidar][m.node] for m in (a, b))
+            T = T_node_world[at[0]] @ T_world_node[at[1]]
+            fit = self.fits.fit(a, b, T, (of_a, of_b), reach)
             if fit.count < _LEAST_COUNT:
                 continue
             nodes.append(at)
-            poses.append(T @ se3_exp(minimum(fit.H, fit.g, CHARACTERISTIC_LENGTH_M, OPEN_SHARE)))
+            poses.append(T)
+            steps.append(minimum(fit.H, fit.g, CHARACTERISTIC_LENGTH_M, OPEN_SHARE))
             own = sandwich_information(fit.H, options.repeats * fit.scatter, floor, CHARACTERISTIC_LENGTH_M)
             information.append(with_block_distortion(own, distortion))
             # T_measured = se3_exp(u_a) @ T @ se3_exp(-u_b), each correction about the rig's place.
@@ -172,8 +189,9 @@ class _Problem:
             by[:, columns[0]] -= adjoint(invert(T)) @ about(fit.rig_a) @ self.moves[at[0]]
             derivatives.append(by)
         numbers = np.array(nodes, dtype=np.int64).reshape(-1, 2)
+        measured = np.array(poses).reshape(-1, 4, 4) @ se3_exp(np.array(steps).reshape(-1, 6))
         edges = Edges(
-            numbers[:, 0], numbers[:, 1], np.array(poses).reshape(-1, 4, 4), np.array(information).reshape(-1, 6, 6),
+            numbers[:, 0], numbers[:, 1], measured, np.array(information).reshape(-1, 6, 6),
             np.full(len(numbers), Kind.REGISTRATION, dtype=np.int64),
         )  # fmt: skip
         return CalibrationEdges(edges, np.array(derivatives).reshape(-1, 6, self.unknowns))

@@ -20,14 +20,21 @@ from relocbench.datasets.groundtruth.blocks.blocks import Block
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.calibration.pairs import Measured
 from relocbench.datasets.groundtruth.pose_graph.edge_information import minimum, nearest_semidefinite, scatter_by_patch
-from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample, grid_planes
+from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample, wrenches
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 from relocbench.geometry import so3_exp
+from relocbench.kernels import njit
 
 CHARACTERISTIC_LENGTH_M, OPEN_SHARE = 10.0, 1e-4
 """see :mod:`relocbench.datasets.groundtruth.pose_graph.edge_information`"""
+REACHES_M = (0.8, 0.25)
+"""largest distances of a match, coarse and fine"""
 _SAMPLES = 800
-_KEPT = 256
+_OPTIONS = PlaneOptions(
+    thinning_m=(0.2, 0.0), reach_m=REACHES_M, samples=(_SAMPLES, _SAMPLES), near_m=(1e9, 1e9), rough=0.0
+)
+_KEPT = 4096
+"""blocks of single lidars in memory, each of some 100 KiB: all that are compared, so that none is prepared twice"""
 _PATCH_M = 1.0
 """size of the patches of surface on which errors are correlated"""
 
@@ -36,12 +43,17 @@ _PATCH_M = 1.0
 class Reach:
     """How far points may be from their planes."""
 
-    reach_m: float
-    """largest distance of a match"""
+    level: int
+    """number of the largest distance of a match, in :data:`REACHES_M`"""
     kernel_m: float
     """scale of Geman-McClure's kernel"""
     cosine: float = 0.8
     """cosine of the largest angle between the normals of a match"""
+
+
+Correction = tuple[Array, Array]
+"""rotation R (3, 3) and shift t (3,): what a lidar measured moves with the frame of the rig at the time of its beam,
+``rig + R (p - rig) + t``"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,43 +86,41 @@ class LidarFits:
         self._stores, self._mounts = stores, T_rig_lidar
         self._maps = lru_cache(maxsize=_KEPT)(self._make)
 
-    def _make(self, which: Measured, reach_m: float) -> PlaneMap:
+    def _make(self, which: Measured) -> PlaneMap:
         block = self._stores[which.drive].get(which.node)
         mine = slice(None) if block.lidar is None else block.lidar == which.lidar
         own = Block(*(getattr(block, name)[mine] for name in ("points", "normals", "origins", "surface", "steady")))
         # The rig was where the sensor is, less its lever arm; within a block it hardly turns.
         rig = own.origins - self._mounts[which.drive][which.lidar][:3, 3].astype(np.float32)
-        options = PlaneOptions(thinning_m=(0.0,), reach_m=(reach_m,), samples=(_SAMPLES,), near_m=(1e9,), rough=0.0)
-        return PlaneMap(replace(own, origins=rig), options)
+        return PlaneMap(replace(own, origins=rig), _OPTIONS)
 
-    def fit(self, a: Measured, b: Measured, T_a_b: Array, u: tuple[Array, Array], reach: Reach) -> CalibrationFit:
-        """The fit at a pose of the nodes (4, 4), and with corrections ``u`` = (u_a, u_b), each (6,), of what the lidars
-        measured. Raises DatasetError if a block is missing or damaged."""
-        planes = moved_planes(self._maps(a, reach.reach_m).level(0), u[0])
-        points = moved(self._maps(b, reach.reach_m).sample(0), u[1])
-        R = T_a_b[:3, :3]
-        there = points.points @ R.T + T_a_b[:3, 3]
-        match = planes.nearest(there, points.normals @ R.T, reach.reach_m, reach.cosine)
-        rows = np.flatnonzero(match >= 0)
-        match, q, own, n = match[rows], points.points[rows], points.normals[rows], planes.normals[match[rows]]
-        residuals = np.einsum("ni,ni->n", n, there[rows] - planes.points[match])
+    def fit(
+        self, a: Measured, b: Measured, T_a_b: Array, corrections: tuple[Correction, Correction], reach: Reach
+    ) -> CalibrationFit:
+        """The fit at a pose of the nodes (4, 4), and with corrections of what the lidars measured.
+
+        Raises DatasetError if a block is missing or damaged.
+        """
+        planes, points = self._maps(a).level(reach.level), self._maps(b).sample(0)
+        (R_a, t_a), (R_b, t_b) = corrections
+        # Planes are sorted as they were measured, so they are found from where the points lie without the correction
+        # of the planes, turned about the middle of where the rig was. Distances are from the corrected planes.
+        middle = planes.lever_arms.mean(axis=0) if len(planes) else np.zeros(3)
+        there, facing, back, back_facing = _place(
+            points.points, points.normals, points.lever_arms, R_b, t_b, np.ascontiguousarray(T_a_b), R_a, t_a, middle
+        )
+        match = planes.nearest(back, back_facing, REACHES_M[reach.level], reach.cosine)
+        by_planes, by_points, residuals, surface, patches, rigs = _linearise(
+            match, planes, points, there, facing, np.ascontiguousarray(T_a_b), R_a, t_a
+        )
         square = np.square(residuals / reach.kernel_m)
-        surface = np.minimum(planes.weights[match], points.weights[rows])
         weights = surface / np.square(1 + square)
         slopes = surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
-        by_planes, by_points = np.hstack([n @ R, np.cross(q, n @ R)]), np.hstack([own, np.cross(q, own)])
         H = nearest_semidefinite((slopes[:, None] * by_points).T @ by_planes, CHARACTERISTIC_LENGTH_M)
         g = by_points.T @ (weights * residuals)
         left = residuals + by_planes @ minimum(H, g, CHARACTERISTIC_LENGTH_M, OPEN_SHARE)
-        scatter = scatter_by_patch((weights * left)[:, None] * by_points, _patches(q, own))
-        rig_a, rig_b = (_mean(arms, weights) for arms in (planes.lever_arms[match], points.lever_arms[rows]))
-        return CalibrationFit(H, g, scatter, len(rows), rig_a, rig_b)
-
-
-def _patches(points: Array, normals: Array) -> Indices:
-    """(M,) number of the patch of surface that each point lies on."""
-    facing = np.argmax(np.abs(normals), axis=1) if len(normals) else np.zeros(0, dtype=np.int64)
-    return np.asarray(4 * voxel_keys(points, _PATCH_M) + facing)
+        scatter = scatter_by_patch((weights * left)[:, None] * by_points, patches)
+        return CalibrationFit(H, g, scatter, len(residuals), _mean(rigs[:, :3], weights), _mean(rigs[:, 3:], weights))
 
 
 def _mean(places: Array, weights: Array) -> Array:
@@ -118,21 +128,81 @@ def _mean(places: Array, weights: Array) -> Array:
     return np.asarray(weights @ places / total) if total > 0 else np.zeros(3)
 
 
-def moved(sample: Sample, u: Array) -> Sample:
-    """Points as they lie after a correction u (6,): each moves with the frame of the rig at the time of its beam.
-
-    The lever arms are the rig's positions.
-    """
-    if not u.any():
-        return sample
-    R = so3_exp(u[3:])
-    points = sample.lever_arms + (sample.points - sample.lever_arms) @ R.T + u[:3]
-    return Sample(points, sample.normals @ R.T, sample.weights, sample.lever_arms)
+def corrections_of(u: Array) -> list[Correction]:
+    """Corrections of twists (N, 6)."""
+    return list(zip(so3_exp(u[:, 3:]), np.ascontiguousarray(u[:, :3]), strict=True))
 
 
-def moved_planes(planes: Planes, u: Array) -> Planes:
-    """Planes as they lie after a correction u (6,), sorted anew."""
-    if not u.any():
-        return planes
-    there = moved(planes, u)
-    return grid_planes(there.points, there.normals, there.weights, there.lever_arms, planes.grid.size_m)
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _turn(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(
+    points: Array, normals: Array, rigs: Array, R_b: Array, t_b: Array, T_a_b: Array, R_a: Array, t_a: Array,
+    middle: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Points and normals (N, 3) of block b, corrected, in the frame of node b and in that of node a before the
+    correction of block a: corrected points, corrected normals, points to search from, normals to search with."""
+    n = len(points)
+    there, facing, back, back_facing = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    inverse, T = R_a.T.copy(), T_a_b
+    for i in range(n):
+        x, y, z = _turn(R_b, points[i, 0] - rigs[i, 0], points[i, 1] - rigs[i, 1], points[i, 2] - rigs[i, 2])
+        x, y, z = x + rigs[i, 0] + t_b[0], y + rigs[i, 1] + t_b[1], z + rigs[i, 2] + t_b[2]
+        there[i, 0], there[i, 1], there[i, 2] = x, y, z
+        x, y, z = _turn(T, x, y, z)
+        x, y, z = x + T[0, 3] - t_a[0], y + T[1, 3] - t_a[1], z + T[2, 3] - t_a[2]
+        x, y, z = _turn(inverse, x - middle[0], y - middle[1], z - middle[2])
+        back[i, 0], back[i, 1], back[i, 2] = x + middle[0], y + middle[1], z + middle[2]
+        x, y, z = _turn(R_b, normals[i, 0], normals[i, 1], normals[i, 2])
+        facing[i, 0], facing[i, 1], facing[i, 2] = x, y, z
+        x, y, z = _turn(T, x, y, z)
+        x, y, z = _turn(inverse, x, y, z)
+        back_facing[i, 0], back_facing[i, 1], back_facing[i, 2] = x, y, z
+    return there, facing, back, back_facing
+
+
+def _linearise(
+    match: Indices, planes: Planes, points: Sample, there: Array, facing: Array, T_a_b: Array, R_a: Array, t_a: Array
+) -> tuple[Array, Array, Array, Array, Indices, Array]:
+    """Of the points that are matched to a plane: derivatives of the distances (M, 6) by the planes' normals and by the
+    points' own, distances (M,), weights of the surfaces (M,), patches (M,), and the rig's places a and b (M, 6)."""
+    rows = np.flatnonzero(match >= 0)
+    found, q, own = match[rows], there[rows], facing[rows]
+    by_planes, residuals = _to_planes(
+        q, planes.points[found], planes.normals[found], planes.lever_arms[found], T_a_b, R_a, t_a
+    )
+    rigs = np.concatenate([planes.lever_arms[found], points.lever_arms[rows]], axis=1)
+    surface = np.minimum(planes.weights[found], points.weights[rows])
+    return by_planes, wrenches(own, q), residuals, surface, _patches(q, own), rigs
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_planes(
+    q: Array, points: Array, normals: Array, rigs: Array, T_a_b: Array, R_a: Array, t_a: Array
+) -> tuple[Array, Array]:
+    """(M, 6) derivatives of the distances of points q (M, 3) from planes (M, 3) that are corrected, and these (M,)."""
+    J, residuals, T = np.empty((len(q), 6)), np.empty(len(q)), T_a_b
+    inverse = T[:3, :3].T.copy()
+    for i in range(len(q)):
+        x, y, z = _turn(R_a, points[i, 0] - rigs[i, 0], points[i, 1] - rigs[i, 1], points[i, 2] - rigs[i, 2])
+        x, y, z = x + rigs[i, 0] + t_a[0], y + rigs[i, 1] + t_a[1], z + rigs[i, 2] + t_a[2]
+        a, b, c = _turn(R_a, normals[i, 0], normals[i, 1], normals[i, 2])
+        px, py, pz = _turn(T, q[i, 0], q[i, 1], q[i, 2])
+        residuals[i] = a * (px + T[0, 3] - x) + b * (py + T[1, 3] - y) + c * (pz + T[2, 3] - z)
+        a, b, c = _turn(inverse, a, b, c)
+        J[i, 0], J[i, 1], J[i, 2] = a, b, c
+        J[i, 3], J[i, 4], J[i, 5] = q[i, 1] * c - q[i, 2] * b, q[i, 2] * a - q[i, 0] * c, q[i, 0] * b - q[i, 1] * a
+    return J, residuals
+
+
+def _patches(points: Array, normals: Array) -> Indices:
+    """(M,) number of the patch of surface that each point lies on."""
+    facing = np.argmax(np.abs(normals), axis=1) if len(normals) else np.zeros(0, dtype=np.int64)
+    return np.asarray(4 * voxel_keys(points, _PATCH_M) + facing)

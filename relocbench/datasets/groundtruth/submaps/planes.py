@@ -61,6 +61,10 @@ class Sample:
         """(N,) lengths of the lever arms, metres"""
         return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
 
+    def rows(self, which: Indices) -> Sample:
+        """Some of the points."""
+        return Sample(self.points[which], self.normals[which], self.weights[which], self.lever_arms[which])
+
     def rescaled(self, scale_error: float) -> Self:
         """The points as they would lie if the odometry's scale were larger by a factor of ``1 + scale_error``."""
         return replace(self, points=self.points + scale_error * self.lever_arms) if scale_error else self
@@ -120,6 +124,10 @@ class PlaneMap:
         return len(self.points)
 
     @cached_property
+    def _squared_lever_lengths(self) -> Array:
+        return np.asarray(np.einsum("ni,ni->n", self._lever_arms, self._lever_arms))
+
+    @cached_property
     def _bins(self) -> Indices:
         return direction_bins(self.normals)
 
@@ -143,7 +151,7 @@ class PlaneMap:
         along it (Rusinkiewicz and Levoy, Efficient variants of the ICP algorithm, 3DIM 2001).
         """
         if k not in self._samples:
-            often = 1 / (1 + np.square(np.linalg.norm(self._lever_arms, axis=1) / self.options.near_m[k]))
+            often = 1 / (1 + self._squared_lever_lengths / self.options.near_m[k] ** 2)
             keep = balanced(self._bins, self.options.samples[k], often)
             self._samples[k] = Sample(
                 self.points[keep], self.normals[keep], self._weights[keep], self._lever_arms[keep]
@@ -158,13 +166,19 @@ def grid_planes(points: Array, normals: Array, weights: Array, lever_arms: Array
     return Planes(points[order], normals[order], weights[order], lever_arms[order], grid)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def direction_bins(normals: Array) -> Indices:
     """(N,) bins of unit vectors (N, 3) on an octahedral map (Meyer et al., On floating-point normal vectors, 2010)."""
-    n = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
-    folded = (1 - np.abs(n[:, [1, 0]])) * np.where(n[:, :2] < 0, -1.0, 1.0)
-    uv = np.where(n[:, 2:] < 0, folded, n[:, :2])
-    cell = np.clip(((uv + 1) / 2 * _BINS).astype(np.int64), 0, _BINS - 1)
-    return np.asarray(cell[:, 0] * _BINS + cell[:, 1])
+    bins = np.empty(len(normals), dtype=np.int64)
+    for i in range(len(normals)):
+        length = max(abs(normals[i, 0]) + abs(normals[i, 1]) + abs(normals[i, 2]), 1e-12)
+        x, y = normals[i, 0] / length, normals[i, 1] / length
+        if normals[i, 2] < 0:
+            x, y = (1 - abs(y)) * (-1.0 if x < 0 else 1.0), (1 - abs(x)) * (-1.0 if y < 0 else 1.0)
+        u = min(max(int((x + 1) / 2 * _BINS), 0), _BINS - 1)
+        v = min(max(int((y + 1) / 2 * _BINS), 0), _BINS - 1)
+        bins[i] = u * _BINS + v
+    return bins
 
 
 def balanced(bins: Indices, count: int, often: Array) -> Indices:
@@ -185,9 +199,24 @@ def balanced(bins: Indices, count: int, often: Array) -> Indices:
             break
         left -= float(size)
     wait = np.random.default_rng(0).exponential(size=len(bins)) / often
-    order = np.argsort(bins + wait / (1 + wait))
-    rank = np.arange(len(bins)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return np.sort(order[rank < int(share)])
+    chosen = []
+    order, ends = np.argsort(bins.astype(np.uint8), kind="stable"), np.cumsum(sizes)
+    for size, end in zip(sizes.tolist(), ends.tolist(), strict=True):
+        own = order[end - size : end]
+        chosen.append(own[np.argpartition(wait[own], int(share))[: int(share)]] if size > share else own)
+    return np.sort(np.concatenate(chosen))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def wrenches(directions: Array, points: Array) -> Array:
+    """(N, 6) derivative ``(m, q x m)`` of ``m^T se3_exp(xi) q`` by xi = (rho, phi), for directions m and points q."""
+    out = np.empty((len(points), 6))
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        a, b, c = directions[i, 0], directions[i, 1], directions[i, 2]
+        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+        out[i, 3], out[i, 4], out[i, 5] = y * c - z * b, z * a - x * c, x * b - y * a
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
