@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from relocbench.arrays import Array
@@ -24,14 +24,13 @@ from relocbench.datasets.groundtruth.calibration.files import (
     write_calibration,
     write_evidence,
 )
-from relocbench.datasets.groundtruth.calibration.lidar_fits import moved
+from relocbench.datasets.groundtruth.calibration.lidar_fits import corrections_of
 from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
 from relocbench.datasets.groundtruth.calibration.unknowns import RIG, SIZE, Cause, DriveLidars, Sensors, moves
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise
 from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
-from relocbench.datasets.groundtruth.submaps.planes import Sample
 from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 from relocbench.errors import DatasetError
 from relocbench.geometry import adjoint, apply, invert, make_transform, se3_exp, se3_log, so3_exp
@@ -60,17 +59,13 @@ def test_a_twist_about_a_place_moves_points_as_turning_about_it_does(xi: list[fl
     assert np.allclose(apply(se3_exp(about(at) @ small), p), turned, atol=1e-7)
 
 
-@settings(max_examples=20)
-@given(st.integers(0, 2**31))
-def test_points_move_with_the_rig_at_the_time_of_their_beam(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    points, rigs = rng.normal(size=(5, 3)) * 10, rng.normal(size=(5, 3))
-    normals = rng.normal(size=(5, 3))
-    u = rng.normal(size=6) * 0.01
-    there = moved(Sample(points, normals, np.ones(5), rigs), u)
-    T = se3_exp(np.concatenate([np.zeros(3), u[3:]]))
-    assert np.allclose(there.points, rigs + (points - rigs) @ T[:3, :3].T + u[:3])
-    assert np.allclose(np.linalg.norm(there.normals, axis=1), np.linalg.norm(normals, axis=1))
+def test_corrections_turn_and_shift_as_their_twists_say() -> None:
+    u = np.array([[0.1, -0.2, 0.3, 0.0, 0.0, 0.02], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    (R, shift), (nothing, none) = corrections_of(u)
+    assert np.allclose(R, so3_exp([0.0, 0.0, 0.02]))
+    assert np.allclose(shift, [0.1, -0.2, 0.3])
+    assert np.allclose(nothing, np.eye(3))
+    assert not none.any()
 
 
 def test_causes_are_those_of_the_rig_of_drives_and_of_single_lidars() -> None:
