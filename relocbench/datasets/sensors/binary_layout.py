@@ -21,8 +21,8 @@ COLUMNS = (3, 4, 5, 6)
 """numbers of columns that are considered: x y z, then intensity, ring, time and the like"""
 _LOOKED_AT = 120_000
 """values that are looked at"""
-_LARGEST, _SMALLEST = 1e7, 1e-30
-"""sizes of values, other than 0, that points, intensities and times have"""
+_LARGEST, _SMALLEST = 1e19, 1e-30
+"""sizes of values, other than 0, that points, intensities and times have, up to nanoseconds since 1970"""
 _SENSIBLE = 0.98
 """share of the values that must have such a size"""
 _CLEAR = 0.97

@@ -165,3 +165,12 @@ def test_a_small_scene_with_values_next_to_zero_has_a_layout() -> None:
     points = wavy() / 4
     points[::3, 1] = 1e-17
     assert detect_layout(points.astype("<f4").tobytes(), Path("room.bin")) == BinaryLayout("float32", 3)
+
+
+@pytest.mark.parametrize("start", [1.7e9, 1.7e18], ids=["seconds", "nanoseconds"])
+def test_absolute_times_beside_the_coordinates_are_no_obstacle(start: float) -> None:
+    count = 400
+    ring = np.arange(count) % 16
+    times = start * (1 + 1e-10 * np.linspace(0, 1, count))
+    values = np.column_stack([wavy(count), np.full(count, 0.3), ring, times])
+    assert detect_layout(values.tobytes(), Path("scan.bin")) == BinaryLayout("float64", 6)
