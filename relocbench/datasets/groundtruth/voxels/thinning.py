@@ -14,6 +14,8 @@ from relocbench.datasets.groundtruth.voxels.voxels import EMPTY, slot_of, voxel_
 from relocbench.kernels import njit
 
 _UNIT_M = 1e-6
+_MASK, _FACTOR = 0xFFFFFFFF, 0x2C1B3C6D
+"""for mixing the bits of 32-bit numbers by multiplications and shifts"""
 
 
 def thin(points: Array, voxel_m: float) -> Indices:
@@ -79,7 +81,7 @@ def _nearest_to_mean(points: Array, keys: Indices, order: Indices) -> Indices:
             dy = size * int(np.rint(points[p, 1] / _UNIT_M)) - sy
             dz = size * int(np.rint(points[p, 2] / _UNIT_M)) - sz
             distance = float(dx) * dx + float(dy) * dy + float(dz) * dz
-            if distance < best_distance or (distance == best_distance and _before(points, p, best)):
+            if distance < best_distance or (distance == best_distance and _drawn_before(points, p, best)):
                 best, best_distance = p, distance
         kept[count] = best
         count += 1
@@ -88,8 +90,29 @@ def _nearest_to_mean(points: Array, keys: Indices, order: Indices) -> Indices:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _before(points: Array, a: int, b: int) -> bool:
+def _drawn_before(points: Array, a: int, b: int) -> bool:
+    """Which of two points a draw by their coordinates prefers, whatever their order.
+
+    Of two points alone in a voxel both are equally near to their mean. To prefer the one with the smaller x, say, would
+    shift every surface by a part of its noise towards -x, and two drives in opposite directions by millimetres apart.
+    """
+    one, other = _mixed(points, a), _mixed(points, b)
+    if one != other:
+        return bool(one < other)
     for axis in range(3):
         if points[a, axis] != points[b, axis]:
             return bool(points[a, axis] < points[b, axis])
     return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _mixed(points: Array, row: int) -> int:
+    """A number that looks random, of a point's coordinates in whole micrometres."""
+    mixed = np.int64(0)
+    for axis in range(3):
+        mixed = (mixed ^ np.int64(np.rint(points[row, axis] / _UNIT_M))) & _MASK
+        mixed = (mixed * _FACTOR) & _MASK
+        mixed ^= mixed >> 16
+        mixed = (mixed * _FACTOR) & _MASK
+        mixed ^= mixed >> 15
+    return int(mixed)
