@@ -14,6 +14,7 @@ from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.drives.routes import RouteName, route
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene, scan, spinning
 from relocbench.datasets.synthetic.town.town import District, compose, make_district
+from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert, make_transform, so3_exp
 
 Array = NDArray[np.float64]
@@ -22,6 +23,7 @@ EXTENT_M = 300.0
 _LENGTH_M = 200.0
 _SENSOR_M = 1.73
 """height of the lidar over the road"""
+_SEEDS = 1_000_000
 _LANE_M = 3.4
 """distance between the lanes of a street"""
 
@@ -54,7 +56,13 @@ class Streets:
 
     @cached_property
     def district(self) -> District:
-        return make_district(self.seed, self.split, EXTENT_M)
+        # Not every seed has a street network of this size; the next one of another range has.
+        for seed in range(self.seed, self.seed + 10 * _SEEDS, _SEEDS):
+            try:
+                return make_district(seed, self.split, EXTENT_M)
+            except ConfigError:
+                continue
+        raise ConfigError(f"no district for seed {self.seed}")
 
     def pose(self, along_m: float, lateral_m: float, yaw_deg: float, name: RouteName = "common") -> Array:
         """``T_world_lidar`` (4, 4) on a route, turned to the left by ``yaw_deg``."""
@@ -230,6 +238,11 @@ def unrelated_rooms(seed: int, *, merged: bool = False) -> Pair:
     if merged:
         return Pair(merged_room_pair(seed).a, merged_room_pair(seed + 1).b, np.full((4, 4), np.nan))
     return Pair(room_view(seed, 0).cloud, room_view(seed + 1, 1).cloud, np.full((4, 4), np.nan))
+
+
+def unrelated_depth(seed: int) -> Pair:
+    """Views of two different rooms by a depth camera."""
+    return Pair(depth_pair(seed).a, depth_pair(seed + 1).b, np.full((4, 4), np.nan))
 
 
 def depth_pair(seed: int) -> Pair:
