@@ -3,8 +3,8 @@
 Simulated: scans of streets in other weather (``street``), by a car that drives back in the other lane (``reverse``),
 short submaps of opposite drives (``submaps``), the street of repeating facades (``periodic``); rooms of 4 to 6 m
 scanned twice (``room``), put together without sensors (``merged``), seen by a depth camera (``depth``); an object of
-1 m (``object``); and clouds of different places (``other streets``, ``other rooms``, ``other merged``, ``other depth``), all of which
-must be refused.
+1 m (``object``); and clouds of different places (``other streets``, ``other rooms``, ``other merged``,
+``other depth``), all of which must be refused.
 
 Real: all pairs of KITTI 07 and Newer College against their graph, which is itself off by centimetres, clouds of
 different recordings, and views of the TUM RGB-D depth camera against the motion capture.
