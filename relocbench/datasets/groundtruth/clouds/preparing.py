@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
-from relocbench.datasets.groundtruth.clouds.field_of_view import FieldOfView
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
 from relocbench.datasets.groundtruth.submaps.free_space import FreeSpace, Patches
 from relocbench.datasets.groundtruth.submaps.planes import direction_bins
@@ -90,7 +89,6 @@ class _Space(FreeSpace):
     def __init__(self, submap: Submap, sees: bool, by_points: bool) -> None:
         super().__init__(submap)
         self._sees, self._by_points = sees, by_points
-        self._view = FieldOfView.of(submap) if sees and not by_points else None
         if by_points:
             self.same_place_m = _NEAR_POINTS_M
 
@@ -110,9 +108,6 @@ class _Space(FreeSpace):
         else:
             weights = np.where(patches.middle[:, 2] < self.low_height_m, _LOW * weights, weights)
         return replace(patches, origins=patches.middle if self._by_points else patches.origins, weights=weights)
-
-    def in_view(self, points: Array) -> Mask:
-        return super().in_view(points) if self._view is None else self._view.holds(points)
 
     @cached_property
     def sensor_positions(self) -> Array:

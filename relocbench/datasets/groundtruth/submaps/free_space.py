@@ -137,10 +137,6 @@ class FreeSpace:
         origins = self.submap.origins.astype(np.float64)
         return np.asarray(origins[first_in_voxels(origins, 1.0)])
 
-    def in_view(self, points: Array) -> Mask:
-        """(N,) whether points (N, 3) lie in the field of view, which is all around."""
-        return np.ones(len(points), dtype=bool)
-
     @cached_property
     def beams(self) -> tuple[Array, Array]:
         """Origins and ends (B, 3) of beams; the ends are evenly spread."""

@@ -105,7 +105,6 @@ def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -
     sensor_positions = apply(invert(T_other_this), other.space.sensor_positions)
     reach = other.space.same_place_m
     same_place = cKDTree(sensor_positions).query(patches.origins, distance_upper_bound=reach)[0] < reach
-    same_place &= other.space.in_view(there)
     could_see, everything = float(patches.weights[met | same_place].sum()), float(patches.weights.sum())
     return _OneWay(
         overlap=float(patches.weights[found].sum()) / could_see if could_see > 0 else float("nan"),
