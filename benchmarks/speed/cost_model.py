@@ -40,7 +40,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from rendering import PLACE, poses
 
 from relocbench.datasets.core.images import write_depth
 from relocbench.datasets.groundtruth.alignment.two_drives import RegistrationUnit, register_query
@@ -53,12 +52,14 @@ from relocbench.datasets.groundtruth.pose_graph.graph import optimise
 from relocbench.datasets.groundtruth.submaps.drive import make_drive
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.drives.rig import rig_named
 from relocbench.datasets.synthetic.drives.routes import route
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import carry_out
 from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, render_unit
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, make_transform
@@ -66,6 +67,7 @@ from relocbench.progress import Silent
 
 Result = TypeVar("Result")
 GIB = 2**30
+PLACE = DistrictSpec(0, "test", 400.0)
 ROBOTCAR = Camera("pinhole", 1280, 960, 983.0, 983.0, 643.0, 493.0)
 T_RIG_CAM = make_transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0, 0, 0])
 SIZES = ((256, 192), (512, 512), (1280, 960))
@@ -203,7 +205,9 @@ def rendering(folder: Path) -> dict[str, Cost]:
             ]  # fmt: skip
             return RenderUnit(PLACE, factors, factors, tuple(steps))
 
-        shown = poses(_IMAGES + 1)
+        path = scenes.district(PLACE).network.drive(100.0, PLACE.seed)
+        _, T_rig_cam = rig_named("front").cameras(width, height)["front"]
+        shown = [path.pose(at) @ T_rig_cam for at in np.linspace(5, 95, _IMAGES + 1)]
         render_unit(unit(shown[:1]))
         _, cost = measured(lambda unit=unit, shown=shown: render_unit(unit(shown[1:])))  # type: ignore[misc]
         costs[f"an image rendered with depth, {width} x {height}"] = Cost(

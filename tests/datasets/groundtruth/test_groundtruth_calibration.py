@@ -24,7 +24,7 @@ from relocbench.datasets.groundtruth.calibration.files import (
     write_calibration,
     write_evidence,
 )
-from relocbench.datasets.groundtruth.calibration.lidar_fits import corrections_of
+from relocbench.datasets.groundtruth.calibration.lidar_fits import corrections_of, distances, placed
 from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
 from relocbench.datasets.groundtruth.calibration.unknowns import RIG, SIZE, Cause, DriveLidars, Sensors, moves
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
@@ -66,6 +66,25 @@ def test_corrections_turn_and_shift_as_their_twists_say() -> None:
     assert np.allclose(shift, [0.1, -0.2, 0.3])
     assert np.allclose(nothing, np.eye(3))
     assert not none.any()
+
+
+def test_points_and_planes_are_corrected_about_where_the_rig_was() -> None:
+    rng = np.random.default_rng(0)
+    points, rigs, off = rng.normal(size=(5, 3)) * 10, rng.normal(size=(5, 3)), rng.normal(size=5)
+    normals = rng.normal(size=(5, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    u, T_a_b, middle = rng.normal(size=(1, 6)) * 0.01, se3_exp(rng.normal(size=6)), rigs.mean(axis=0)
+    ((R, shift),) = corrections_of(u)
+    there = rigs + (points - rigs) @ R.T + u[0, :3]
+    moved, facing, back, back_facing = placed(points, normals, rigs, R, shift, T_a_b, R, shift, middle)
+    assert np.allclose(moved, there)
+    assert np.allclose(facing, normals @ R.T)
+    # They are searched for where they would be if what lidar a measured were not corrected.
+    assert np.allclose(middle + (back - middle) @ R.T + u[0, :3], apply(T_a_b, moved))
+    assert np.allclose(back_facing @ R.T, facing @ T_a_b[:3, :3].T)
+    J, apart = distances(there + off[:, None] * facing, points, normals, rigs, np.eye(4), R, shift)
+    assert np.allclose(apart, off)
+    assert np.allclose(J[:, :3], facing)
 
 
 def test_causes_are_those_of_the_rig_of_drives_and_of_single_lidars() -> None:

@@ -106,7 +106,7 @@ class LidarFits:
         # Planes are sorted as they were measured, so they are found from where the points lie without the correction
         # of the planes, turned about the middle of where the rig was. Distances are from the corrected planes.
         middle = planes.lever_arms.mean(axis=0) if len(planes) else np.zeros(3)
-        there, facing, back, back_facing = _place(
+        there, facing, back, back_facing = placed(
             points.points, points.normals, points.lever_arms, R_b, t_b, np.ascontiguousarray(T_a_b), R_a, t_a, middle
         )
         match = planes.nearest(back, back_facing, REACHES_M[reach.level], reach.cosine)
@@ -143,7 +143,7 @@ def _turn(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _place(
+def placed(
     points: Array, normals: Array, rigs: Array, R_b: Array, t_b: Array, T_a_b: Array, R_a: Array, t_a: Array,
     middle: Array,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
@@ -175,7 +175,7 @@ def _linearise(
     points' own, distances (M,), weights of the surfaces (M,), patches (M,), and the rig's places a and b (M, 6)."""
     rows = np.flatnonzero(match >= 0)
     found, q, own = match[rows], there[rows], facing[rows]
-    by_planes, residuals = _to_planes(
+    by_planes, residuals = distances(
         q, planes.points[found], planes.normals[found], planes.lever_arms[found], T_a_b, R_a, t_a
     )
     rigs = np.concatenate([planes.lever_arms[found], points.lever_arms[rows]], axis=1)
@@ -184,7 +184,7 @@ def _linearise(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _to_planes(
+def distances(
     q: Array, points: Array, normals: Array, rigs: Array, T_a_b: Array, R_a: Array, t_a: Array
 ) -> tuple[Array, Array]:
     """(M, 6) derivatives of the distances of points q (M, 3) from planes (M, 3) that are corrected, and these (M,)."""
