@@ -243,7 +243,7 @@ def test_what_both_have_measured_contradicts_nothing() -> None:
 
 def test_leaves_are_no_walls_and_low_things_count_less() -> None:
     assert len(FreeSpace(wall(6.0, 0.0, Surface.ROUGH)).patches) == 0
-    assert set(FreeSpace(wall(6.0, 0.0, low=-1.5)).patches.weights) == {0.3}
+    assert set(FreeSpace(wall(6.0, 0.0, low=-1.5)).patches.weights) == {0.15}
 
 
 def test_the_right_pose_is_trusted(pair: Pair) -> None:
