@@ -34,7 +34,7 @@ _SHOWN_ONLY = {"toml", ""}
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?![\w])")
 _HASH = re.compile(r"\b[0-9a-f]{12,64}\b")
 _SECONDS = re.compile(r"\b\d+(?:\.\d+)? (?:s|ms)\b")
-_NEAR = 0.35
+_NEAR = 0.22
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def _same(wanted: str, got: str) -> bool:
 
 
 def _tolerance(number: str) -> float:
-    """How far another processor's number may be off: a third, or two of the last digit; whole numbers are counts."""
+    """How far another processor's number may be off: some fifth, or two of the last digit; whole numbers are counts."""
     decimals = number.partition(".")[2]
     return max(_NEAR * abs(float(number)), 2 * 10.0 ** -len(decimals)) if decimals else 0.0
 
