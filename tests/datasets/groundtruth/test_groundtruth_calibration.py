@@ -141,6 +141,15 @@ def test_the_cause_is_named_and_measured(cause: Cause, size: float) -> None:
     assert (np.abs(found.errors - truth) <= 5 * found.sigmas.ravel() + 1e-4).all()
 
 
+def test_errors_that_are_not_corrected_count_as_uncertainty() -> None:
+    truth = np.zeros(SENSORS.unknowns)
+    late = SIZE * SENSORS.number("winter", 1) + 6
+    truth[late] = LATE_S
+    found = calibrate(_evidence_of(truth), SENSORS)
+    assert np.sqrt(found.uncorrected[late, late]) == pytest.approx(LATE_S, rel=0.05)
+    assert np.sqrt(found.covariance[late, late]) < 0.1 * LATE_S
+
+
 def test_what_is_not_observed_is_not_guessed() -> None:
     blind = Reduced(np.zeros((SENSORS.unknowns,) * 2), np.zeros(SENSORS.unknowns))
     found = calibrate(blind, SENSORS)

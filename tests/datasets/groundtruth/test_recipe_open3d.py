@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import csv
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import street_clouds as clouds
 from command_line import Outcome, relocbench
-from fenced_street import fenced_street_mesh
 from numpy.typing import NDArray
-from recording_reading import Truth, hashes
-from small_street import SolidTexture, StraightRoad, Street
+from recording_reading import hashes
+from rig_drives import RigDrives, drive_twice
 
-from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.recipe.answers import SOURCE
 from relocbench.datasets.groundtruth.recipe.open3d_pair import Cloud, Open3dFit, Open3dOptions, refine, search
 from relocbench.datasets.groundtruth.recipe.raw_submaps import RawSubmaps
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
-from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
-from relocbench.datasets.synthetic.jobs.recording import record
 from relocbench.geometry import apply, hat, invert, make_transform, rotation_angle, so3_exp
 from relocbench.progress import Silent
 
@@ -81,27 +75,6 @@ def test_fitness_and_rmse_alone_decide(fitness: float, rmse_m: float, reason: st
     assert Open3dFit(np.eye(4), fitness, rmse_m, np.eye(6)).refusal(OPTIONS) == reason
 
 
-@dataclass(frozen=True)
-class Drives:
-    """Two recordings of one street, and what the recipe made of them."""
-
-    folders: tuple[Path, ...]
-    truths: tuple[Truth, ...]
-    T_car_rig: np.ndarray
-    out: Path
-    outcome: Outcome
-
-    @property
-    def pairs(self) -> list[Pair]:
-        return list(Dataset(self.out).pair_set(f"{self.folders[0].name}__{self.folders[1].name}__rig").all_pairs)
-
-    def exact(self, pair: Pair) -> Array:
-        ref, query = self.truths
-        T_world_ref = ref.rig(pair.ref_timestamp_ns) @ self.T_car_rig
-        T_world_query = query.rig(pair.query_timestamp_ns) @ self.T_car_rig
-        return np.asarray(invert(T_world_query) @ T_world_ref)
-
-
 SMALL = ("--submap", 30, "--keyframe-distance", 3, "--query-distance", 4, "--max-distance", 3, "--recipe", "open3d")
 
 
@@ -110,24 +83,12 @@ def build(out: Path, *arguments: object) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> Drives:
-    root = tmp_path_factory.mktemp("recordings")
-    recorded = [
-        record(
-            Street(), StraightRoad(), CONDITIONS[condition].factors, root, "robotcar", frames=64, scale=0.06,
-            number=number, cameras=(), renderer_factory=SolidTexture, compose=fenced_street_mesh,
-        )
-        for number, condition in enumerate(("Sunny", "Overcast"))
-    ]  # fmt: skip
-    folders = tuple(one.folder for one in recorded)
-    truths = tuple(Truth(one.truth) for one in recorded)
-    lidar = read_robotcar_drives(list(folders), cameras=(), reporter=Silent())[0].lidars[0]
-    T_car_rig = truths[0].T_rig[lidar.name] @ invert(lidar.T_rig_lidar)
+def drives(tmp_path_factory: pytest.TempPathFactory) -> RigDrives:
     out = tmp_path_factory.mktemp("built") / "dataset"
-    return Drives(folders, truths, T_car_rig, out, build(out, *folders))
+    return drive_twice(tmp_path_factory.mktemp("recordings"), out, build)
 
 
-def test_raw_submaps_hold_the_points_of_the_road_around_a_time(drives: Drives) -> None:
+def test_raw_submaps_hold_the_points_of_the_road_around_a_time(drives: RigDrives) -> None:
     recording = read_robotcar_drives(list(drives.folders), cameras=(), reporter=Silent())[0]
     middle = int(recording.odometry.times_ns[len(recording.odometry.times_ns) // 2])
     begin, end = RawSubmaps(recording, 10.0).span(middle)
@@ -138,7 +99,7 @@ def test_raw_submaps_hold_the_points_of_the_road_around_a_time(drives: Drives) -
 
 
 @pytest.mark.slow
-def test_the_dataset_is_complete_and_says_what_made_it(drives: Drives) -> None:
+def test_the_dataset_is_complete_and_says_what_made_it(drives: RigDrives) -> None:
     assert drives.outcome.status == 0, drives.outcome.err
     assert "first pair by Open3D's global registration" in drives.outcome.err
     assert len(drives.pairs) >= 6
@@ -158,7 +119,7 @@ def test_the_dataset_is_complete_and_says_what_made_it(drives: Drives) -> None:
 
 
 @pytest.mark.slow
-def test_a_build_that_was_interrupted_ends_with_the_same_bytes(drives: Drives, tmp_path: Path) -> None:
+def test_a_build_that_was_interrupted_ends_with_the_same_bytes(drives: RigDrives, tmp_path: Path) -> None:
     shutil.copytree(drives.out, tmp_path / "d")
     before = hashes(tmp_path / "d")
     (tmp_path / "d" / "dataset.yaml").unlink()
@@ -171,7 +132,7 @@ def test_a_build_that_was_interrupted_ends_with_the_same_bytes(drives: Drives, t
 
 
 @pytest.mark.slow
-def test_a_first_pose_is_taken_as_it_is_given(drives: Drives, tmp_path: Path) -> None:
+def test_a_first_pose_is_taken_as_it_is_given(drives: RigDrives, tmp_path: Path) -> None:
     """Neither searched for nor verified: with one that is far off, everything after it is lost and rejected."""
     pair = drives.pairs[len(drives.pairs) // 2]
     sound = invert(drives.exact(pair))
@@ -205,7 +166,7 @@ def _pose_words(T: Array, quaternion: str | None) -> str:
     ],
 )
 def test_options_that_the_recipe_has_not_are_refused(
-    drives: Drives, tmp_path: Path, given: tuple[str, ...], words: str
+    drives: RigDrives, tmp_path: Path, given: tuple[str, ...], words: str
 ) -> None:
     outcome = build(tmp_path / "d", *drives.folders, *given)
     assert outcome.status == 2

@@ -4,53 +4,24 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import Outcome, relocbench
 from fenced_street import fenced_street_mesh
-from recording_reading import Truth, hashes
+from recording_reading import hashes
+from rig_drives import RigDrives, drive_twice
 from small_street import SolidTexture, StraightRoad, Street
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
 from relocbench.datasets.synthetic.jobs.recording import record
 from relocbench.geometry import invert, rotation_angle
-from relocbench.progress import Silent
 
 SMALL = ("--submap", 30, "--keyframe-distance", 1.5, "--query-distance", 3, "--max-distance", 3, "--matcher", "fgr")
 
 pytestmark = pytest.mark.slow
-
-
-@dataclass(frozen=True)
-class Drives:
-    """Two recordings of one street without a camera, and what the builder made of them."""
-
-    folders: tuple[Path, ...]
-    truths: tuple[Truth, ...]
-    T_car_rig: np.ndarray
-    out: Path
-    outcome: Outcome
-
-    @property
-    def pair_set(self) -> str:
-        return f"{self.folders[0].name}__{self.folders[1].name}__rig"
-
-    @property
-    def dataset(self) -> Dataset:
-        return Dataset(self.out)
-
-    def exact(self, pair: Pair) -> np.ndarray:
-        """``T_query_ref`` of the rig as the importer defines it."""
-        ref, query = self.truths
-        T_world_ref = ref.rig(pair.ref_timestamp_ns) @ self.T_car_rig
-        T_world_query = query.rig(pair.query_timestamp_ns) @ self.T_car_rig
-        return np.asarray(invert(T_world_query) @ T_world_ref)
 
 
 def build(out: Path, *arguments: object) -> Outcome:
@@ -58,25 +29,12 @@ def build(out: Path, *arguments: object) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> Drives:
-    root = tmp_path_factory.mktemp("recordings")
-    recorded = [
-        record(
-            Street(), StraightRoad(), CONDITIONS[condition].factors, root, "robotcar", frames=64, scale=0.06,
-            number=number, cameras=(), renderer_factory=SolidTexture, compose=fenced_street_mesh,
-        )
-        for number, condition in enumerate(("Sunny", "Overcast"))
-    ]  # fmt: skip
-    folders = tuple(one.folder for one in recorded)
-    truths = tuple(Truth(one.truth) for one in recorded)
-    # The recording states where sensors are on its car, the importer where they are on its rig.
-    lidar = read_robotcar_drives(list(folders), cameras=(), reporter=Silent())[0].lidars[0]
-    T_car_rig = truths[0].T_rig[lidar.name] @ invert(lidar.T_rig_lidar)
+def drives(tmp_path_factory: pytest.TempPathFactory) -> RigDrives:
     out = tmp_path_factory.mktemp("built") / "dataset"
-    return Drives(folders, truths, T_car_rig, out, build(out, *folders))
+    return drive_twice(tmp_path_factory.mktemp("recordings"), out, build)
 
 
-def test_pairs_of_the_rig_are_right_to_centimetres_and_their_sigmas_too(drives: Drives) -> None:
+def test_pairs_of_the_rig_are_right_to_centimetres_and_their_sigmas_too(drives: RigDrives) -> None:
     assert drives.outcome.status == 0, drives.outcome.err
     pairs = drives.dataset.pair_set(drives.pair_set).all_pairs
     accepted = [p for p in pairs if p.accepted]
@@ -95,7 +53,7 @@ def test_pairs_of_the_rig_are_right_to_centimetres_and_their_sigmas_too(drives: 
     assert np.mean(normalised) < 2.5
 
 
-def test_every_pair_has_its_sigmas_or_its_reason_and_times_are_those_of_scans(drives: Drives) -> None:
+def test_every_pair_has_its_sigmas_or_its_reason_and_times_are_those_of_scans(drives: RigDrives) -> None:
     dataset = drives.dataset
     scans = [{int(p.stem) * 1000 for p in (folder / "lms_front").glob("*.bin")} for folder in drives.folders]
     pairs = dataset.pair_set(drives.pair_set).all_pairs
@@ -110,7 +68,7 @@ def test_every_pair_has_its_sigmas_or_its_reason_and_times_are_those_of_scans(dr
     assert (gaps > 0).all()
 
 
-def test_the_dataset_has_frames_and_neither_images_nor_depth(drives: Drives) -> None:
+def test_the_dataset_has_frames_and_neither_images_nor_depth(drives: RigDrives) -> None:
     for name in drives.dataset.traversal_names:
         traversal = drives.dataset.traversal(name)
         assert (traversal.cameras, traversal.frames) == ([], ["rig"])
@@ -123,7 +81,7 @@ def test_the_dataset_has_frames_and_neither_images_nor_depth(drives: Drives) -> 
     assert checked.status == 0, checked.out
 
 
-def test_the_ground_truth_is_drawn_without_images(drives: Drives, tmp_path: Path) -> None:
+def test_the_ground_truth_is_drawn_without_images(drives: RigDrives, tmp_path: Path) -> None:
     done = relocbench("inspect", drives.out, "--ground-truth", tmp_path / "gt", "--pairs", 2, "-q")
     assert done.status == 0, done.err
     names = {p.name for p in (tmp_path / "gt").rglob("*.png")}
@@ -132,7 +90,7 @@ def test_the_ground_truth_is_drawn_without_images(drives: Drives, tmp_path: Path
     assert "in both images" not in (tmp_path / "gt" / "index.html").read_text()
 
 
-def test_a_build_that_is_run_again_ends_with_the_same_bytes(drives: Drives, tmp_path: Path) -> None:
+def test_a_build_that_is_run_again_ends_with_the_same_bytes(drives: RigDrives, tmp_path: Path) -> None:
     shutil.copytree(drives.out, tmp_path / "d")
     before = hashes(tmp_path / "d")
     (tmp_path / "d" / "dataset.yaml").unlink()
@@ -141,7 +99,7 @@ def test_a_build_that_is_run_again_ends_with_the_same_bytes(drives: Drives, tmp_
     assert hashes(tmp_path / "d") == before
 
 
-def test_predictions_on_it_are_scored(drives: Drives, tmp_path: Path) -> None:
+def test_predictions_on_it_are_scored(drives: RigDrives, tmp_path: Path) -> None:
     out = ("--out", tmp_path / "r", "--json", "-q")
     outcome = relocbench("evaluate", "-d", drives.out, "-m", "identity", "-m", "clock", *out)
     assert outcome.status == 0, outcome.err
@@ -149,7 +107,7 @@ def test_predictions_on_it_are_scored(drives: Drives, tmp_path: Path) -> None:
     assert scored["identity"][drives.pair_set]["all"]["coverage"] == 1.0
 
 
-def test_stereo_depth_of_no_images_is_refused_before_any_work(drives: Drives, tmp_path: Path) -> None:
+def test_stereo_depth_of_no_images_is_refused_before_any_work(drives: RigDrives, tmp_path: Path) -> None:
     outcome = build(tmp_path / "d", *drives.folders, "--depth", "stereo")
     assert outcome.status == 2
     assert "--depth stereo needs images of two cameras" in outcome.complaint

@@ -27,6 +27,11 @@ class Calibration:
     """(K, K)"""
 
     @property
+    def uncorrected(self) -> Array:
+        """(K, K) second moment of the errors as long as they are not corrected: uncertainty and estimate."""
+        return self.covariance + np.outer(self.errors, self.errors)
+
+    @property
     def sigmas(self) -> Array:
         """(S, 7) standard deviations: position (3, metres), rotation (3, radians) and time (seconds) of each lidar."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, SIZE)

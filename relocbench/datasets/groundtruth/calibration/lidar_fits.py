@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -110,17 +111,16 @@ class LidarFits:
             points.points, points.normals, points.lever_arms, R_b, t_b, np.ascontiguousarray(T_a_b), R_a, t_a, middle
         )
         match = planes.nearest(back, back_facing, REACHES_M[reach.level], reach.cosine)
-        by_planes, by_points, residuals, surface, patches, rigs = _linearise(
-            match, planes, points, there, facing, np.ascontiguousarray(T_a_b), R_a, t_a
-        )
-        square = np.square(residuals / reach.kernel_m)
-        weights = surface / np.square(1 + square)
-        slopes = surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
-        H = nearest_semidefinite((slopes[:, None] * by_points).T @ by_planes, CHARACTERISTIC_LENGTH_M)
-        g = by_points.T @ (weights * residuals)
-        left = residuals + by_planes @ minimum(H, g, CHARACTERISTIC_LENGTH_M, OPEN_SHARE)
-        scatter = scatter_by_patch((weights * left)[:, None] * by_points, patches)
-        return CalibrationFit(H, g, scatter, len(residuals), _mean(rigs[:, :3], weights), _mean(rigs[:, 3:], weights))
+        m = _linearise(match, planes, points, there, facing, np.ascontiguousarray(T_a_b), R_a, t_a)
+        square = np.square(m.residuals / reach.kernel_m)
+        weights = m.surface / np.square(1 + square)
+        slopes = m.surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
+        H = nearest_semidefinite((slopes[:, None] * m.by_points).T @ m.by_planes, CHARACTERISTIC_LENGTH_M)
+        g = m.by_points.T @ (weights * m.residuals)
+        left = m.residuals + m.by_planes @ minimum(H, g, CHARACTERISTIC_LENGTH_M, OPEN_SHARE)
+        scatter = scatter_by_patch((weights * left)[:, None] * m.by_points, m.patches)
+        rig_a, rig_b = _mean(m.rigs_a, weights), _mean(m.rigs_b, weights)
+        return CalibrationFit(H, g, scatter, len(m.residuals), rig_a, rig_b)
 
 
 def _mean(places: Array, weights: Array) -> Array:
@@ -168,19 +168,37 @@ def placed(
     return there, facing, back, back_facing
 
 
+class _Matched(NamedTuple):
+    """The M points that are matched to a plane."""
+
+    by_planes: Array
+    """(M, 6) derivatives of the distances, by the planes' normals"""
+    by_points: Array
+    """(M, 6) the same by the points' own normals"""
+    residuals: Array
+    """(M,) distances, metres"""
+    surface: Array
+    """(M,) weights of the surfaces"""
+    patches: Indices
+    """(M,) numbers of the patches of surface"""
+    rigs_a: Array
+    """(M, 3) where the rig was when it measured each plane"""
+    rigs_b: Array
+    """(M, 3) the same of each point"""
+
+
 def _linearise(
     match: Indices, planes: Planes, points: Sample, there: Array, facing: Array, T_a_b: Array, R_a: Array, t_a: Array
-) -> tuple[Array, Array, Array, Array, Indices, Array]:
-    """Of the points that are matched to a plane: derivatives of the distances (M, 6) by the planes' normals and by the
-    points' own, distances (M,), weights of the surfaces (M,), patches (M,), and the rig's places a and b (M, 6)."""
+) -> _Matched:
+    """Linearise the distances of corrected points (N, 3), whose planes are ``match`` (N,), -1 where there is none."""
     rows = np.flatnonzero(match >= 0)
     found, q, own = match[rows], there[rows], facing[rows]
     by_planes, residuals = distances(
         q, planes.points[found], planes.normals[found], planes.lever_arms[found], T_a_b, R_a, t_a
     )
-    rigs = np.concatenate([planes.lever_arms[found], points.lever_arms[rows]], axis=1)
     surface = np.minimum(planes.weights[found], points.weights[rows])
-    return by_planes, wrenches(own, q), residuals, surface, _patches(q, own), rigs
+    rigs = planes.lever_arms[found], points.lever_arms[rows]
+    return _Matched(by_planes, wrenches(own, q), residuals, surface, _patches(q, own), *rigs)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -9,7 +9,7 @@ import numpy as np
 
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
-from relocbench.datasets.groundtruth.verification.verification import Thresholds
+from relocbench.datasets.groundtruth.verification.verification import Thresholds, first_fault, percent
 
 FreeSpaceKnown = Literal["both", "A", "B", "none"]
 """whose beams free space is judged by"""
@@ -74,34 +74,20 @@ def _reason(e: Evidence, scale: SceneScale, known: FreeSpaceKnown, t: Thresholds
         e = replace(e, violations_ref=0.0)
     if known in ("B", "none"):
         e = replace(e, violations_query=0.0)
-    sides = (
-        ("A", "B", e.seen_ref, e.overlap_ref, e.violations_ref, e.detail_ref, e.residual_ref_m),
-        ("B", "A", e.seen_query, e.overlap_query, e.violations_query, e.detail_query, e.residual_query_m),
-    )
-    for this, other, seen, *_ in sides:
-        if not seen >= t.least_seen:
-            return f"too little in common: {other} measured or saw through {_percent(seen)} of {this}'s surfaces"
-    for this, other, _, _, violations, *_ in sides:
-        if not violations <= t.most_violations:
-            return f"free space: {_percent(violations)} of {this}'s surfaces are where {other} saw through"
-    for this, other, _, overlap, *_ in sides:
-        if not overlap >= t.least_overlap:
-            return f"overlap: {other} measured {_percent(overlap)} of {this}'s surfaces that it could see"
-    for this, other, _, _, _, detail, _ in sides:
-        if not detail >= t.least_detail:
-            return f"details: {_percent(detail)} of {this}'s surfaces of all directions lie in one of {other}'s"
-    for this, other, *_, residual in sides:
-        if not residual <= t.most_residual_m:
-            return f"residual: {this}'s points lie {residual / scale.factor:.2g} m off {other}'s surfaces"
-    if not e.weakest_sigma_m <= t.most_sigma_m:
-        return f"weak {_direction(e.weakest_direction)}: sigma {e.weakest_sigma_m / scale.factor:.2g} m"
-    if not e.weakest_sigma_deg <= t.most_sigma_deg:
-        return f"weak rotation: sigma {e.weakest_sigma_deg:.1f} deg"
-    return ""
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if np.isfinite(share) else "nothing"
+    fault = first_fault(e, t)
+    if fault is None:
+        return ""
+    this, other = ("B", "A") if fault.of_query else ("A", "B")
+    share, metres = percent(fault.value), fault.value / scale.factor
+    return {
+        "seen": f"too little in common: {other} measured or saw through {share} of {this}'s surfaces",
+        "violations": f"free space: {share} of {this}'s surfaces are where {other} saw through",
+        "overlap": f"overlap: {other} measured {share} of {this}'s surfaces that it could see",
+        "detail": f"details: {share} of {this}'s surfaces of all directions lie in one of {other}'s",
+        "residual": f"residual: {this}'s points lie {metres:.2g} m off {other}'s surfaces",
+        "position": f"weak {_direction(e.weakest_direction)}: sigma {metres:.2g} m",
+        "rotation": f"weak rotation: sigma {fault.value:.1f} deg",
+    }[fault.test]
 
 
 def _direction(direction: tuple[float, float, float]) -> str:

@@ -107,8 +107,12 @@ def align(
         file = write_calibration(folder, found, total, open_to, corrections, at)
         for line in tell(file, found, sum(e.count for e in evidence)):
             reporter.note(line)
+        if not _settled(found):
+            reporter.note(
+                f"calibration: errors remain after {corrections} corrections; they are part of the sigma of each pair"
+            )
         shared = {
-            d.name: SharedErrors(e.by_calibration, found.covariance)
+            d.name: SharedErrors(e.by_calibration, found.uncorrected)
             for d, e in zip(drives[1:], evidence, strict=True)
             if e.count
         }

@@ -8,6 +8,7 @@ uncertainty in each direction.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -143,36 +144,65 @@ def weakest(information: Array, T_ref_query: Array) -> tuple[float, tuple[float,
     return float(np.sqrt(values[-1])), (x, y, z), sigma_deg
 
 
+class Fault(NamedTuple):
+    """Evidence that is outside its limit."""
+
+    test: Literal["seen", "violations", "overlap", "detail", "residual", "position", "rotation"]
+    of_query: bool
+    """whether it is the query's surfaces that fail the test, rather than the reference's"""
+    value: float
+    """a share, metres, or degrees; nan if nothing could be measured"""
+
+
+def first_fault(evidence: Evidence, thresholds: Thresholds) -> Fault | None:
+    """The first evidence outside its limit, in the order of :class:`Fault`; missing evidence (nan) is outside."""
+    e, t = evidence, thresholds
+    sides = (
+        (e.seen_ref, e.violations_ref, e.overlap_ref, e.detail_ref, e.residual_ref_m),
+        (e.seen_query, e.violations_query, e.overlap_query, e.detail_query, e.residual_query_m),
+    )
+    for of_query, (seen, *_) in enumerate(sides):
+        if not seen >= t.least_seen:
+            return Fault("seen", bool(of_query), seen)
+    for of_query, (_, violations, *_) in enumerate(sides):
+        if not violations <= t.most_violations:
+            return Fault("violations", bool(of_query), violations)
+    for of_query, (_, _, overlap, *_) in enumerate(sides):
+        if not overlap >= t.least_overlap:
+            return Fault("overlap", bool(of_query), overlap)
+    for of_query, (*_, detail, _) in enumerate(sides):
+        if not detail >= t.least_detail:
+            return Fault("detail", bool(of_query), detail)
+    for of_query, (*_, residual) in enumerate(sides):
+        if not residual <= t.most_residual_m:
+            return Fault("residual", bool(of_query), residual)
+    if not e.weakest_sigma_m <= t.most_sigma_m:
+        return Fault("position", True, e.weakest_sigma_m)
+    if not e.weakest_sigma_deg <= t.most_sigma_deg:
+        return Fault("rotation", True, e.weakest_sigma_deg)
+    return None
+
+
 def verdict(evidence: Evidence, thresholds: Thresholds | None = None) -> str:
     """Why a pose is not trusted; empty if it is trusted. Missing evidence (nan) counts against it."""
-    t = thresholds or Thresholds()
-    e = evidence
-    sides = (("reference", "query", e.seen_ref, e.overlap_ref, e.violations_ref, e.detail_ref, e.residual_ref_m),
-             ("query", "reference", e.seen_query, e.overlap_query, e.violations_query, e.detail_query,
-              e.residual_query_m))  # fmt: skip
-    for this, other, seen, *_ in sides:
-        if not seen >= t.least_seen:
-            return f"too little in common: the {other}'s beams met {_percent(seen)} of the {this}'s walls"
-    for this, other, _, _, violations, *_ in sides:
-        if not violations <= t.most_violations:
-            return f"free space: {_percent(violations)} of the {this}'s walls stand where the {other} saw through"
-    for this, other, _, overlap, *_ in sides:
-        if not overlap >= t.least_overlap:
-            return f"overlap {_percent(overlap)}: of the {this}'s walls that the {other} could see"
-    for this, other, _, _, _, detail, _ in sides:
-        if not detail >= t.least_detail:
-            return f"details: {_percent(detail)} of the {this}'s surfaces of all directions lie in one of the {other}'s"
-    for this, other, *_, residual in sides:
-        if not residual <= t.most_residual_m:
-            return f"residual: the {this}'s points lie {residual:.3f} m off the {other}'s planes"
-    if not e.weakest_sigma_m <= t.most_sigma_m:
-        return f"weak {_direction(e.weakest_direction)}: {e.weakest_sigma_m:.1f} m"
-    if not e.weakest_sigma_deg <= t.most_sigma_deg:
-        return f"weak rotation: {e.weakest_sigma_deg:.1f} deg"
-    return ""
+    fault = first_fault(evidence, thresholds or Thresholds())
+    if fault is None:
+        return ""
+    this, other = ("query", "reference") if fault.of_query else ("reference", "query")
+    share = percent(fault.value)
+    return {
+        "seen": f"too little in common: the {other}'s beams met {share} of the {this}'s walls",
+        "violations": f"free space: {share} of the {this}'s walls stand where the {other} saw through",
+        "overlap": f"overlap {share}: of the {this}'s walls that the {other} could see",
+        "detail": f"details: {share} of the {this}'s surfaces of all directions lie in one of the {other}'s",
+        "residual": f"residual: the {this}'s points lie {fault.value:.3f} m off the {other}'s planes",
+        "position": f"weak {_direction(evidence.weakest_direction)}: {fault.value:.1f} m",
+        "rotation": f"weak rotation: {fault.value:.1f} deg",
+    }[fault.test]
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """A share in words."""
     return f"{100 * share:.0f} %" if np.isfinite(share) else "nothing"
 
 

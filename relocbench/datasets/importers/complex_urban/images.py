@@ -9,29 +9,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from relocbench.arrays import Array, Image, Times
+from relocbench.arrays import Array, Image
 from relocbench.datasets.core import images
 from relocbench.datasets.importers.lidar_drives.files import camera_of
+from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml_value
 from relocbench.geometry import Camera, invert, is_rotation, make_transform, project_to_rotation
 
 
-@dataclass(frozen=True, eq=False)
-class BayerImages:
+class BayerImages(ImageFiles):
     """The images of one camera, demosaicked and undistorted when read."""
-
-    name: str
-    distorted: Camera
-    T_rig_cam: Array
-    files: tuple[Path, ...]
-    times_ns: Times
-    size_from: str
-
-    @property
-    def camera(self) -> Camera:
-        return self.distorted.pinhole()
 
     def read(self, index: int) -> Image:
         """Read an image, (H, W, 3) RGB. Raises DatasetError with the file."""

@@ -1,0 +1,68 @@
+"""Two recordings of one small street in the RobotCar layout, without a camera, and the dataset built from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from command_line import Outcome
+from fenced_street import fenced_street_mesh
+from recording_reading import Truth
+from small_street import SolidTexture, StraightRoad, Street
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
+from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
+from relocbench.datasets.synthetic.jobs.recording import record
+from relocbench.geometry import invert
+from relocbench.progress import Silent
+
+
+@dataclass(frozen=True)
+class RigDrives:
+    """Two recordings, and what the builder made of them."""
+
+    folders: tuple[Path, ...]
+    truths: tuple[Truth, ...]
+    T_car_rig: np.ndarray
+    out: Path
+    outcome: Outcome
+
+    @property
+    def pair_set(self) -> str:
+        return f"{self.folders[0].name}__{self.folders[1].name}__rig"
+
+    @property
+    def dataset(self) -> Dataset:
+        return Dataset(self.out)
+
+    @property
+    def pairs(self) -> list[Pair]:
+        return list(self.dataset.pair_set(self.pair_set).all_pairs)
+
+    def exact(self, pair: Pair) -> np.ndarray:
+        """``T_query_ref`` of the rig as the importer defines it."""
+        ref, query = self.truths
+        T_world_ref = ref.rig(pair.ref_timestamp_ns) @ self.T_car_rig
+        T_world_query = query.rig(pair.query_timestamp_ns) @ self.T_car_rig
+        return np.asarray(invert(T_world_query) @ T_world_ref)
+
+
+def drive_twice(root: Path, out: Path, build: Callable[..., Outcome]) -> RigDrives:
+    """Record two drives below ``root`` and build a dataset: ``build(out, *folders)``."""
+    recorded = [
+        record(
+            Street(), StraightRoad(), CONDITIONS[condition].factors, root, "robotcar", frames=64, scale=0.06,
+            number=number, cameras=(), renderer_factory=SolidTexture, compose=fenced_street_mesh,
+        )
+        for number, condition in enumerate(("Sunny", "Overcast"))
+    ]  # fmt: skip
+    folders = tuple(one.folder for one in recorded)
+    truths = tuple(Truth(one.truth) for one in recorded)
+    # The recording states where sensors are on its car, the importer where they are on its rig.
+    lidar = read_robotcar_drives(list(folders), cameras=(), reporter=Silent())[0].lidars[0]
+    T_car_rig = truths[0].T_rig[lidar.name] @ invert(lidar.T_rig_lidar)
+    return RigDrives(folders, truths, T_car_rig, out, build(out, *folders))
