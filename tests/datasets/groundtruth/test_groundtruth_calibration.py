@@ -146,8 +146,17 @@ def test_errors_that_are_not_corrected_count_as_uncertainty() -> None:
     late = SIZE * SENSORS.number("winter", 1) + 6
     truth[late] = LATE_S
     found = calibrate(_evidence_of(truth), SENSORS)
-    assert np.sqrt(found.uncorrected[late, late]) == pytest.approx(LATE_S, rel=0.05)
-    assert np.sqrt(found.covariance[late, late]) < 0.1 * LATE_S
+    assert np.sqrt(found.uncorrected(0 * truth)[late, late]) == pytest.approx(LATE_S, rel=0.05)
+    assert np.sqrt(found.uncorrected(truth)[late, late]) < 0.1 * LATE_S
+
+
+def test_a_cause_is_judged_by_all_that_is_wrong_and_not_by_what_is_left_after_a_correction() -> None:
+    truth = SENSORS.spread(Cause("winter", "time")) @ np.array([LATE_S])
+    half = 0.5 * truth
+    reduced = _evidence_of(truth - half).about(half)
+    found = calibrate(reduced, SENSORS)
+    assert found.causes == (Cause("winter", "time"),)
+    assert np.abs(found.errors - truth).max() < 5e-3
 
 
 def test_what_is_not_observed_is_not_guessed() -> None:

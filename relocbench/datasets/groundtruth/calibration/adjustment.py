@@ -61,6 +61,10 @@ class Reduced:
         """Those of both data."""
         return Reduced(self.A + other.A, self.h + other.h)
 
+    def about(self, origin: Array) -> Reduced:
+        """The same for a calibration that is counted from elsewhere, where the present origin is ``origin`` (K,)."""
+        return Reduced(self.A, self.h + self.A @ origin)
+
     def estimate(self, prior: Array) -> tuple[Array, Array]:
         """The estimate (K,) and its covariance (K, K), for a prior of mean 0 and covariance (K, K), maybe singular."""
         root = _root(prior)

@@ -114,8 +114,7 @@ def gather_evidence(solution: Solution, drives: tuple[Drive, Drive], sensors: Se
 
 def _of_value(adjustment: Adjustment, calibration: Array) -> Reduced:
     """Normal equations of the calibration's value, whose prior has the mean 0; the adjustment's are of its change."""
-    reduced = adjustment.reduced
-    return Reduced(reduced.A, reduced.h + reduced.A @ calibration)
+    return adjustment.reduced.about(calibration)
 
 
 def node_twists(odometry: Trajectory, nodes: Nodes) -> Array:

@@ -26,10 +26,10 @@ class Calibration:
     covariance: Array
     """(K, K)"""
 
-    @property
-    def uncorrected(self) -> Array:
-        """(K, K) second moment of the errors as long as they are not corrected: uncertainty and estimate."""
-        return self.covariance + np.outer(self.errors, self.errors)
+    def uncorrected(self, corrected: Array) -> Array:
+        """(K, K) second moment of the errors that are left after some (K,) were corrected: uncertainty and rest."""
+        rest = self.errors - corrected
+        return self.covariance + np.outer(rest, rest)
 
     @property
     def sigmas(self) -> Array:
@@ -50,12 +50,8 @@ def find_causes(reduced: Reduced, sensors: Sensors) -> tuple[Cause, ...]:
         best = likely[cause]
 
 
-def calibrate(reduced: Reduced, sensors: Sensors, known: tuple[Cause, ...] = ()) -> Calibration:
-    """The calibration by the normal equations of all drives.
-
-    Args:
-        known: causes that were found in error before, and corrected as far as was known.
-    """
-    causes = tuple(dict.fromkeys([*known, *find_causes(reduced, sensors)]))
+def calibrate(reduced: Reduced, sensors: Sensors) -> Calibration:
+    """The calibration by the normal equations of all drives, whose origin is the calibration as it is given."""
+    causes = find_causes(reduced, sensors)
     errors, covariance = reduced.estimate(sensors.prior(causes))
     return Calibration(sensors, causes, errors, covariance)

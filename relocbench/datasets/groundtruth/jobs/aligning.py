@@ -25,7 +25,7 @@ from relocbench.datasets.groundtruth.calibration.files import (
     write_evidence,
 )
 from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
-from relocbench.datasets.groundtruth.calibration.unknowns import EVERY, RIG, SIZE, Cause, DriveLidars, Sensors
+from relocbench.datasets.groundtruth.calibration.unknowns import EVERY, RIG, SIZE, DriveLidars, Sensors
 from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, optimise
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -34,8 +34,8 @@ from relocbench.execution import Run, run_units
 from relocbench.progress import Reporter
 
 _MOST_CORRECTIONS = 3
-_SETTLED = 2.0
-"""corrections end when no remaining error is larger than so many standard deviations"""
+_SETTLED = 3.0
+"""corrections end when no error differs from what was corrected by more than so many standard deviations"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,46 +83,38 @@ def align(
         DatasetError: a recording or an intermediate file is damaged.
     """
     sensors = Sensors(tuple(DriveLidars.of(r) for r in recordings))
-    total, causes = np.zeros(sensors.unknowns), tuple[Cause, ...]()
-    now = list(recordings)
-    at = Places({r.name: folder / "blocks" / r.name for r in now}, {r.name: folder / "registrations" for r in now[1:]})
-    corrections = 0
+    total, wrong, corrections = np.zeros(sensors.unknowns), set[str](), 0
     while True:
+        now = [corrected(r, sensors, total) if r.name in wrong else r for r in recordings]
+        at = _places(recordings, wrong, folder, corrections)
         drives = [make_drive(r, at.blocks[r.name], options.block_m, options.blocks, reporter, run) for r in now]
         registrations = _register(drives, at, options, first, reporter, run)
         if not estimate or not sensors.causes():
             return Aligned(drives, registrations, {})
         evidence = _evidence(drives, registrations, sensors, at, options, reporter, run)
-        reduced = sum((e.reduced for e in evidence[1:]), evidence[0].reduced)
-        found = calibrate(reduced, sensors, causes)
+        reduced = sum((e.reduced for e in evidence[1:]), evidence[0].reduced).about(total)
+        found = calibrate(reduced, sensors)
         open_to = open_kinds(reduced, sensors)
-        if not _settled(found) and corrections < _MOST_CORRECTIONS:
-            corrections, causes = corrections + 1, found.causes
-            wrong = _concerned(found, now)
-            total = total + found.errors * _of_drives(sensors, wrong)
-            now = [corrected(r, sensors, total) if r.name in wrong else r for r in recordings]
-            at = _next_places(at, now, wrong, folder / f"corrected-{corrections}")
-            reporter.note(f"calibration: {'; '.join(map(str, causes))} in error; corrected, and registered again")
+        settled = bool((np.abs(found.errors - total) <= _SETTLED * found.sigmas.ravel() + 1e-9).all())
+        if not settled and corrections < _MOST_CORRECTIONS:
+            corrections, wrong = corrections + 1, _concerned(found, recordings)
+            total = found.errors * _of_drives(sensors, wrong)
+            told = "; ".join(map(str, found.causes)) or "nothing"
+            reporter.note(f"calibration: {told} in error; corrected, and registered again")
             continue
         file = write_calibration(folder, found, total, open_to, corrections, at)
         for line in tell(file, found, sum(e.count for e in evidence)):
             reporter.note(line)
-        if not _settled(found):
+        if not settled:
             reporter.note(
                 f"calibration: errors remain after {corrections} corrections; they are part of the sigma of each pair"
             )
         shared = {
-            d.name: SharedErrors(e.by_calibration, found.uncorrected)
+            d.name: SharedErrors(e.by_calibration, found.uncorrected(total))
             for d, e in zip(drives[1:], evidence, strict=True)
             if e.count
         }
         return Aligned(drives, registrations, shared)
-
-
-def _settled(found: Calibration) -> bool:
-    """Whether what is left of the errors that were found is within their uncertainty."""
-    errors = np.abs(found.errors).reshape(-1, SIZE)
-    return not found.causes or bool((errors <= _SETTLED * found.sigmas + 1e-9).all())
 
 
 def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:
@@ -138,14 +130,14 @@ def _of_drives(sensors: Sensors, names: set[str]) -> Array:
     return np.repeat([float(drive in names) for drive, _ in sensors.names], SIZE)
 
 
-def _next_places(at: Places, recordings: Sequence[FieldRecording], wrong: set[str], folder: Path) -> Places:
-    """Where the next round's files are: those of drives that are not concerned stay where they are."""
-    blocks = {name: folder / "blocks" / name if name in wrong else path for name, path in at.blocks.items()}
+def _places(recordings: Sequence[FieldRecording], wrong: set[str], folder: Path, corrections: int) -> Places:
+    """Where a round's files are: those of drives that are not concerned stay where they were from the beginning."""
+    anew = folder / f"corrected-{corrections}" if corrections else folder
     both = recordings[0].name in wrong
-    registrations = {
-        name: folder / "registrations" if both or name in wrong else path for name, path in at.registrations.items()
-    }
-    return Places(blocks, registrations)
+    return Places(
+        {r.name: (anew if r.name in wrong else folder) / "blocks" / r.name for r in recordings},
+        {r.name: (anew if both or r.name in wrong else folder) / "registrations" for r in recordings[1:]},
+    )
 
 
 def _register(
