@@ -41,7 +41,14 @@ class Catalogue:
 
 
 def catalogue_of(areas: str = ",".join(AREAS)) -> Catalogue:
-    """The parsers of some modules, whose names are parted by commas."""
+    """The parsers of some modules, whose names are parted by commas.
+
+    Raises:
+        ValueError: two modules have valid files of one name.
+    """
     modules = [importlib.import_module(name) for name in areas.split(",")]
     parsers = {parser.name: parser for module in modules for parser in module.PARSERS}
-    return Catalogue(parsers, {name: make for module in modules for name, make in module.SEEDS.items()}, areas)
+    seeds = {name: make for module in modules for name, make in module.SEEDS.items()}
+    if len(seeds) < sum(len(module.SEEDS) for module in modules):
+        raise ValueError("two modules have valid files of one name")
+    return Catalogue(parsers, seeds, areas)

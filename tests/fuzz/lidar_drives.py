@@ -185,7 +185,7 @@ def _reads(name: str) -> Read:
             "nclt": lambda: read_nclt(root / "2012-01-08", "a", "poses"),
             "kitti-360": lambda: read_kitti360(root, "0000", "a", "poses"),
             "complex-urban": lambda: read_complex_urban(root / "urban28", "a", ["VLP_left", "SICK_back"], "poses"),
-            "clouds": lambda: read_clouds(root / "summer", "a", Silent()),
+            "folder-of-clouds": lambda: read_clouds(root / "summer", "a", Silent()),
         }
         _all_of(readers[name]())
 
@@ -208,7 +208,7 @@ SEEDS: dict[str, Any] = {
     "nclt": write_nclt,
     "kitti-360": write_kitti360,
     "complex-urban": write_complex_urban,
-    "clouds": write_clouds,
+    "folder-of-clouds": write_clouds,
     "velodynes": write_velodynes,
 }
 PARSERS = (

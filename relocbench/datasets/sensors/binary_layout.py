@@ -71,6 +71,8 @@ def detect_layout(data: bytes, path: Path, number: Number | None = None, columns
         raise DatasetError(f"{len(data)} bytes are not a whole number of points ({said})", path)
     if number is not None and columns is not None:
         return fitting[0]
+    if not any(data):
+        raise DatasetError("holds nothing but zeros, which tell no layout; name its type and columns", path)
     types = [n for n in NUMBERS if any(layout.number == n for layout in fitting) and _is_sensible(data, n)]
     if not types:
         raise DatasetError(

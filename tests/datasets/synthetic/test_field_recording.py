@@ -291,7 +291,11 @@ def test_a_scan_that_left_out_beams_gets_its_times_from_their_azimuth(copied: Pa
 
 @pytest.mark.parametrize(
     ("gone", "message"),
-    [("vo/vo.csv", "missing"), ("../extrinsics", "no folder 'extrinsics'"), ("../extrinsics/lms_rear.txt", "missing")],
+    [
+        ("vo/vo.csv", "needs vo/vo.csv"),
+        ("../extrinsics", "no folder 'extrinsics'"),
+        ("../extrinsics/lms_rear.txt", "missing"),
+    ],
 )
 def test_what_is_needed_and_missing_is_named(copied: Path, gone: str, message: str) -> None:
     path = copied / gone
