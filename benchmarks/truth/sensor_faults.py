@@ -36,7 +36,9 @@ from sensor_faults_spinning import record_spinning
 
 from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
 from relocbench.datasets.groundtruth.jobs.aligning import align
+from relocbench.datasets.groundtruth.jobs.inputs import motion_faults
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.odometry.jumps import interrupted
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
@@ -85,6 +87,26 @@ def lost(recording: FieldRecording) -> FieldRecording:
     return replace(recording, prior=replace(recording.prior, T_odom_rig=T))
 
 
+def jumped(recording: FieldRecording) -> FieldRecording:
+    """The recording with odometry whose step in the middle is off by 30 cm along, 10 cm across and 1 degree."""
+    T = recording.odometry.T_odom_rig.copy()
+    half = len(T) // 2
+    step = se3_exp(np.array([0.3, 0.1, 0.0, 0.0, 0.0, np.radians(1.0)]))
+    T[half:] = T[half - 1] @ step @ invert(T[half - 1]) @ T[half:]
+    return replace(recording, odometry=replace(recording.odometry, T_odom_rig=T))
+
+
+def stretched(recording: FieldRecording) -> FieldRecording:
+    """The recording with odometry that is 8 % too long."""
+    T = recording.odometry.T_odom_rig
+    steps = invert(T[:-1]) @ T[1:]
+    steps[:, :3, 3] *= 1.08
+    poses = [T[0]]
+    for step in steps:
+        poses.append(poses[-1] @ step)
+    return replace(recording, odometry=replace(recording.odometry, T_odom_rig=np.array(poses)))
+
+
 @dataclass(frozen=True)
 class Case:
     """One row of the table."""
@@ -110,6 +132,8 @@ def cases(seed: int) -> dict[str, Case]:
         "turned": Case("extrinsics 1 deg and 5 cm off in both drives, driven opposite ways", 2, off, off),
         "turned-one": Case("extrinsics 1 deg and 5 cm off in one drive", 1, spoil=off),
         "gnss": Case("GNSS 85 m off", 1, spoil=lost),
+        "jump": Case("one step of the odometry 32 cm and 1 deg off", 1, spoil=jumped),
+        "drift": Case("odometry of one drive 8 % too long", 1, spoil=stretched),
     }
 
 
@@ -125,7 +149,9 @@ def outcomes(
     """The outcomes of a build, the pose (4, 4) of the query's camera on its rig, and what the build said."""
     options, T_rig_cam = FieldOptions(), T_RIG_BACK if LEGS[case.query].route == "return" else T_RIG_CAM
     told = _Listening(spoken)
-    recordings = [case.reference(a.recording), case.spoil(b.recording)]
+    recordings = [interrupted(r, told) for r in (case.reference(a.recording), case.spoil(b.recording))]
+    if faults := [fault for recording in recordings for fault in motion_faults(recording, options, told)]:
+        return [], T_rig_cam, [*told.notes, *(f"refused: {fault.expected}" for fault in faults)]
     aligned = align(recordings, folder, options.alignment, None, True, told, Run(workers))
     name = aligned.drives[1].name
     frames = CameraFrames("camera", T_RIG_CAM, T_rig_cam, a.image_ns, b.image_ns)
@@ -181,6 +207,8 @@ def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[
 
 def line(title: str, f: dict[str, Any]) -> str:
     """A row of the table in Markdown."""
+    if not f["pairs"]:
+        return f"| {title} | refused before any work | | | | {f['refused_because'].removeprefix('refused: ')} |"
     if not f["accepted"]:
         return f"| {title} | 0 of {f['pairs']} | | | | {f['refused_because']} |"
     return (
@@ -218,6 +246,8 @@ def main() -> None:
         spoken.note(f"case {name}: {case.title}")
         found, T_rig_cam, notes = outcomes(*pair, case, work / "built" / name, spoken, a.workers)
         result[name] = row(*pair, found, T_rig_cam) | {"notes": notes}
+        if not found:
+            result[name]["refused_because"] = notes[-1]
         lines.append(line(case.title, result[name]))
         spoken.note(lines[-1])
     head = "| situation | accepted | median | largest | normalised squared error | most frequent reason of refusal |"

@@ -134,16 +134,16 @@ def test_images_that_are_not_paired_are_not_looked_at() -> None:
     ],
 )
 def test_motion_that_cannot_work_is_a_fault(recording: FieldRecording, words: str) -> None:
-    faults = inputs._motion_faults(recording, FieldOptions(), Notes())
+    faults = inputs.motion_faults(recording, FieldOptions(), Notes())
     assert words in str(faults[0])
 
 
 def test_a_drive_shorter_than_a_submap_is_noted_with_what_is_possible() -> None:
     notes = Notes()
     assert driven_m(drive()) == pytest.approx(40, abs=0.5)
-    assert inputs._motion_faults(drive(), FieldOptions(), notes) == []
+    assert inputs.motion_faults(drive(), FieldOptions(), notes) == []
     assert "summer drove 40 m of road, less than a submap has (--submap 60)" in notes.told[0]
-    assert inputs._motion_faults(drive(), FieldOptions(submap=30.0), notes) == []
+    assert inputs.motion_faults(drive(), FieldOptions(submap=30.0), notes) == []
     assert len(notes.told) == 1
 
 

@@ -95,7 +95,7 @@ def align(
         reduced = sum((e.reduced for e in evidence[1:]), evidence[0].reduced).about(total)
         found = calibrate(reduced, sensors)
         open_to = open_kinds(reduced, sensors)
-        settled = bool((np.abs(found.errors - total) <= _SETTLED * found.sigmas.ravel() + 1e-9).all())
+        settled = _settled(found, total)
         if not settled and corrections < _MOST_CORRECTIONS:
             corrections, wrong = corrections + 1, _concerned(found, recordings)
             total = found.errors * _of_drives(sensors, wrong)
@@ -115,6 +115,13 @@ def align(
             if e.count
         }
         return Aligned(drives, registrations, shared)
+
+
+def _settled(found: Calibration, corrected: Array) -> bool:
+    """Whether nothing was found and corrected (K,), or what was corrected is what was found, within its uncertainty."""
+    if not found.causes and not corrected.any():
+        return True
+    return bool((np.abs(found.errors - corrected) <= _SETTLED * found.sigmas.ravel() + 1e-9).all())
 
 
 def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:

@@ -18,6 +18,8 @@ from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending
 from relocbench.datasets.groundtruth.odometry.files import kept_in
+from relocbench.datasets.groundtruth.odometry.jumps import interrupted
+from relocbench.datasets.groundtruth.odometry.length import length_ratio
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream
 from relocbench.errors import DatasetError, raise_all
 from relocbench.progress import Reporter
@@ -27,12 +29,18 @@ LEAST_ROAD_M = 5.0
 """a few blocks; registrations of fewer cannot confirm each other"""
 _BYTES_A_METRE = 100_000
 """blocks of a drive with two push-broom lidars, measured"""
+_LARGEST_STRETCH = 0.04
+"""largest error of the odometry's scale: submaps that are stretched more do not fit those of other drives"""
+_CHANGING = 0.1
+"""share of the standard deviation of GNSS that changes within a hundred metres of road"""
 
 
 def ready(
     recordings: Sequence[FieldRecording], cameras: Sequence[str], job: Build[FieldOptions]
 ) -> list[FieldRecording]:
     """Check all recordings, then compute the odometry that is missing, and check the lengths that were driven.
+
+    Odometry is interrupted where it jumps.
 
     Args:
         cameras: the cameras whose images are paired.
@@ -42,16 +50,18 @@ def ready(
     """
     options, reporter, root = job.options, job.reporter, job.writer.layout.root
     faults = [fault for recording in recordings for fault in faults_of(recording, cameras)]
-    known = [recording for recording in recordings if not is_pending(recording)]
     if not faults:
-        faults = [fault for recording in known for fault in _motion_faults(recording, options, reporter)]
+        recordings = [r if is_pending(r) else interrupted(r, reporter) for r in recordings]
+        known = [recording for recording in recordings if not is_pending(recording)]
+        faults = [fault for recording in known for fault in motion_faults(recording, options, reporter)]
     raise_all(faults)
     out = []
     for recording in recordings:
         kept = kept_in(root / "groundtruth" / "odometry" / f"{recording.name}.csv")
-        out.append(computed(recording, kept, reporter))
+        motion = computed(recording, kept, reporter)
+        out.append(interrupted(motion, reporter) if is_pending(recording) else motion)
     pending = [after for before, after in zip(recordings, out, strict=True) if is_pending(before)]
-    raise_all([fault for recording in pending for fault in _motion_faults(recording, options, reporter)])
+    raise_all([fault for recording in pending for fault in motion_faults(recording, options, reporter)])
     check_space(root, sum(driven_m(recording) for recording in out))
     return out
 
@@ -117,8 +127,30 @@ def _looked_at(look: Callable[[int], None], count: int) -> list[DatasetError]:
     return list(faults.values())
 
 
-def _motion_faults(recording: FieldRecording, options: FieldOptions, reporter: Reporter) -> list[DatasetError]:
+def motion_faults(recording: FieldRecording, options: FieldOptions, reporter: Reporter) -> list[DatasetError]:
     """What is wrong with the odometry of a recording; what only shortens the result is noted."""
+    faults = _span_faults(recording, options, reporter)
+    return faults or (stretch_faults(recording) if options.use_prior else [])
+
+
+def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
+    """The fault of odometry whose length is not that by GNSS, if there is GNSS."""
+    prior = recording.prior
+    if prior is None:
+        return []
+    found = length_ratio(recording.odometry, prior, _CHANGING * recording.prior_sigma_m)
+    if found is None or abs(found.ratio - 1) - 2 * found.sigma <= _LARGEST_STRETCH:
+        return []
+    longer, percent = "longer" if found.ratio > 1 else "shorter", 100 * abs(found.ratio - 1)
+    told = (
+        f"the way by odometry is {percent:.1f} % {longer} than by GNSS (sigma {100 * found.sigma:.1f} %), expected at "
+        f"most {100 * _LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the "
+        "odometry, or give --no-use-prior if the GNSS is wrong"
+    )
+    return [DatasetError(told, recording.folder)]
+
+
+def _span_faults(recording: FieldRecording, options: FieldOptions, reporter: Reporter) -> list[DatasetError]:
     odometry, folder = recording.odometry, recording.folder
     for lidar in recording.lidars:
         share = float(np.mean(odometry.covers(lidar.times_ns)))

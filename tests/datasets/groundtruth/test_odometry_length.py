@@ -1,0 +1,74 @@
+"""Odometry is as long as GNSS says, whatever the drift of its heading, and a wrong scale is refused before any work."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.jobs.inputs import stretch_faults
+from relocbench.datasets.groundtruth.odometry.length import length_ratio
+from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
+from relocbench.geometry import se3_exp
+
+Array = NDArray[np.float64]
+
+
+def drive(metres: float, scale: float = 1.0, seed: int = 0, gnss_m: float = 0.5) -> tuple[Trajectory, Trajectory]:
+    """Odometry with a drifting heading and a scale, and GNSS that wanders by decimetres, of a road with bends."""
+    rng = np.random.default_rng(seed)
+    count = int(metres / 0.5) + 1
+    truth, odometry = [np.eye(4)], [np.eye(4)]
+    for k in range(count - 1):
+        step = np.array([0.5, 0, 0, 0, 0, 0.01 * np.sin(k / 60)])
+        truth.append(truth[-1] @ se3_exp(step))
+        odometry.append(odometry[-1] @ se3_exp(step * np.array([scale, 1, 1, 1, 1, 1]) + [0, 0, 0, 0, 0, 2e-4]))
+    T_map_rig = np.array(truth)
+    wander = np.cumsum(rng.normal(size=(count, 3)), axis=0) * gnss_m / np.sqrt(200)
+    T_map_rig[:, :3, 3] += wander + np.array([620_000.0, 5_735_000.0, 40.0])
+    times = np.arange(count, dtype=np.int64) * 62_500_000
+    return Trajectory(times, np.array(odometry)), Trajectory(times, T_map_rig)
+
+
+@pytest.mark.parametrize("scale", [0.92, 1.0, 1.03, 1.08])
+@pytest.mark.parametrize("metres", [80, 160, 1000])
+def test_the_ratio_is_that_of_the_scales(scale: float, metres: float) -> None:
+    for seed in range(10):
+        found = length_ratio(*drive(metres, scale, seed))
+        assert found is not None
+        assert abs(found.ratio - scale) < 4 * found.sigma
+        assert found.sigma < 0.02
+
+
+def test_a_jump_of_gnss_and_gaps_of_odometry_do_no_harm() -> None:
+    odometry, prior = drive(800, 1.08)
+    T = prior.T_odom_rig.copy()
+    T[700:, 0, 3] += 30.0
+    found = length_ratio(replace(odometry, breaks=(400, 1000)), replace(prior, T_odom_rig=T))
+    assert found is not None
+    assert found.ratio == pytest.approx(1.08, abs=0.01)
+
+
+def test_too_short_a_way_says_nothing() -> None:
+    assert length_ratio(*drive(50)) is None
+    odometry, prior = drive(200)
+    assert length_ratio(odometry, replace(prior, times_ns=prior.times_ns + 10**12)) is None
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"), [(1.0, ""), (1.03, ""), (1.08, "% longer than by GNSS"), (0.9, "% shorter")]
+)
+def test_odometry_of_a_wrong_scale_is_refused_and_what_can_be_done_is_said(scale: float, words: str) -> None:
+    odometry, prior = drive(300, scale)
+    condition = Condition(weather="clear", season="summer", time_of_day="day")
+    recording = FieldRecording("summer", Path("summer"), condition, odometry, (), prior=prior)
+    faults = stretch_faults(recording)
+    assert bool(words) == bool(faults)
+    if words:
+        assert words in faults[0].expected
+        assert "--no-use-prior" in faults[0].expected
+    assert stretch_faults(replace(recording, prior=None)) == []
