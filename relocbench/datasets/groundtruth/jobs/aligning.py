@@ -34,8 +34,10 @@ from relocbench.execution import Run, run_units
 from relocbench.progress import Reporter
 
 _MOST_CORRECTIONS = 3
-_SETTLED = 3.0
-"""corrections end when no error differs from what was corrected by more than so many standard deviations"""
+_SETTLED = 1.0
+"""corrections end when no error that was found differs from what was corrected by more standard deviations"""
+_REMAINS = 3.0
+"""an error remains if it differs by more standard deviations after the last correction"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +97,7 @@ def align(
         reduced = sum((e.reduced for e in evidence[1:]), evidence[0].reduced).about(total)
         found = calibrate(reduced, sensors)
         open_to = open_kinds(reduced, sensors)
-        settled = _settled(found, total)
-        if not settled and corrections < _MOST_CORRECTIONS:
+        if not _settled(found, total) and corrections < _MOST_CORRECTIONS:
             corrections, wrong = corrections + 1, _concerned(found, recordings)
             total = found.errors * _of_drives(sensors, wrong)
             told = "; ".join(map(str, found.causes)) or "nothing"
@@ -105,7 +106,7 @@ def align(
         file = write_calibration(folder, found, total, open_to, corrections, at)
         for line in tell(file, found, sum(e.count for e in evidence)):
             reporter.note(line)
-        if not settled:
+        if corrections and (np.abs(found.errors - total) > _REMAINS * found.sigmas.ravel()).any():
             reporter.note(
                 f"calibration: errors remain after {corrections} corrections; they are part of the sigma of each pair"
             )
@@ -118,10 +119,12 @@ def align(
 
 
 def _settled(found: Calibration, corrected: Array) -> bool:
-    """Whether nothing was found and corrected (K,), or what was corrected is what was found, within its uncertainty."""
-    if not found.causes and not corrected.any():
-        return True
-    return bool((np.abs(found.errors - corrected) <= _SETTLED * found.sigmas.ravel() + 1e-9).all())
+    """Whether what was corrected (K,) is what was found, within its uncertainty."""
+    concerned = corrected != 0
+    for cause in found.causes:
+        concerned |= found.sensors.spread(cause).any(axis=1)
+    apart = np.abs(found.errors - corrected) > _SETTLED * found.sigmas.ravel()
+    return not bool((concerned & apart).any())
 
 
 def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:
