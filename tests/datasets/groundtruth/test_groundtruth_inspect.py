@@ -135,6 +135,27 @@ def test_the_page_shows_every_picture_that_was_drawn(made: Dataset, drawn: Path)
     assert page.cells[at : at + 2] == [accepted, "2"]
 
 
+def test_the_page_has_what_is_known_of_the_calibration(drawn: Path, tmp_path: Path) -> None:
+    assert 'id="calibration"' not in drawn.read_text(encoding="utf-8")
+    found = make_field_dataset(tmp_path / "D")
+    (tmp_path / "D" / "groundtruth" / "calibration.yaml").write_text(
+        "causes: [time of winter]\nrounds: 2\nlidars:\n"
+        "  summer/front: {late_ms: 0.0, late_sigma_ms: 1.04, position_m: [0, 0, 0], position_sigma_m: [0.01, 0.01,\n"
+        "    0.02], rotation_deg: [0, 0, 0], rotation_sigma_deg: [0.04, 0.03, 0.04], open: [position, time]}\n"
+        "  winter/front: {late_ms: 50.21, late_sigma_ms: 1.17, position_m: [-0.002, 0.03, 0],\n"
+        "    position_sigma_m: [0.01, 0.01, 0.02], rotation_deg: [0.14, 0.0, -0.03],\n"
+        "    rotation_sigma_deg: [0.04, 0.03, 0.04]}\n"
+        "blocks: {summer: blocks/summer, winter: blocks/winter}\nregistrations: {winter: registrations}\n"
+    )
+    text = write_ground_truth(found, found.pair_sets(), tmp_path / "page", 1, 0, Silent()).read_text(encoding="utf-8")
+    page = Page(text)
+    assert "In error: time of winter. The recordings were corrected 2 times." in text
+    assert page.cells[page.cells.index("summer/front") :][:2] == ["summer/front", "0.0 ± 1.0"]
+    assert "position, time" in page.cells
+    assert "<td><b>50.2 ± 1.2</b></td><td>-0.2 ± 1.0<br><b>3.0 ± 1.0</b><br>0.0 ± 2.0</td>" in text
+    assert "<td><b>0.14 ± 0.04</b><br>0.00 ± 0.03<br>-0.03 ± 0.04</td><td>–</td>" in text
+
+
 def test_the_same_dataset_draws_the_same_bytes(made: Dataset, drawn: Path, tmp_path: Path) -> None:
     again = write_ground_truth(made, [made.pair_set(ACROSS)], tmp_path, 2, 0, Silent())
     files = [p for p in drawn.parent.rglob("*.*") if p.is_file()]

@@ -13,7 +13,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
-from relocbench.datasets.groundtruth.calibration.files import read_calibration
+from relocbench.datasets.groundtruth.calibration.files import CalibrationFile, read_calibration
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, kind_of
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, read_graph
 from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
@@ -90,6 +90,15 @@ def inspected_sets(dataset: Dataset, pair_sets: Sequence[PairSet]) -> list[Inspe
         names = ", ".join(s.name for s in pair_sets) or "any pair set"
         raise DatasetError(f"no pose graph of {names}", folder / "graph")
     return [_inspect(dataset, folder, pair_set) for pair_set in found]
+
+
+def inspected_calibration(dataset: Dataset) -> CalibrationFile:
+    """What is known of the lidars' calibration; without lidars if it was not estimated.
+
+    Raises:
+        DatasetError: its file is damaged.
+    """
+    return read_calibration(dataset.root / _FOLDER)
 
 
 def _graph_file(folder: Path, pair_set: PairSet) -> Path:

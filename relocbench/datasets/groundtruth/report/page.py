@@ -10,7 +10,9 @@ from urllib.parse import quote
 import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.groundtruth.calibration.files import CalibrationFile
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
+from relocbench.datasets.groundtruth.report.calibration_table import calibration_rows
 from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot, reason_of
 from relocbench.datasets.groundtruth.report.residual_picture import Residuals
 from relocbench.files import write_text
@@ -39,13 +41,17 @@ class DrawnSet:
     spots: tuple[DrawnSpot, ...]
 
 
-def write_page(path: Path, dataset: Dataset, drawn: Sequence[DrawnSet], residuals: str) -> None:
-    """Write the page of all pair sets."""
+def write_page(
+    path: Path, dataset: Dataset, drawn: Sequence[DrawnSet], residuals: str, calibration: CalibrationFile
+) -> None:
+    """Write the page of all pair sets, and of the lidars' calibration if it was estimated."""
     page = render(
         __name__,
         "page.html.j2",
         dataset=dataset,
         residuals=residuals,
+        calibration=calibration,
+        lidars=calibration_rows(calibration),
         sets=[_pair_set(one) for one in drawn],
         pictured=any(spot.keyframe is not None for one in drawn for spot in one.spots),
         address=quote,
