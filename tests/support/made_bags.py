@@ -28,6 +28,10 @@ class Bag:
             self.store.register(
                 get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
             )
+        stamp = "time" if ros1 else "builtin_interfaces/Time"
+        packet = get_types_from_msg(f"{stamp} stamp\nuint8[1206] data", "velodyne_msgs/msg/VelodynePacket")
+        scan = "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets"
+        self.store.register({**packet, **get_types_from_msg(scan, "velodyne_msgs/msg/VelodyneScan")})
         self.rows: list[tuple[int, str, Any]] = []
 
     def new(self, kind: str, *values: Any) -> Any:
@@ -64,6 +68,18 @@ class Bag:
         for name, value in changes.items():
             setattr(message, name, value)
         self.add(topic, time if received is None else received, message)
+
+    def packets(self, topic: str, time: int, packets: Sequence[tuple[int, bytes]], frame: str = "lidar") -> None:
+        """A scan of a Velodyne: nanoseconds and bytes of its packets."""
+        found = [
+            self.new(
+                "velodyne_msgs/VelodynePacket",
+                self.new("builtin_interfaces/Time", at // SECOND, at % SECOND),
+                np.frombuffer(raw, np.uint8).copy(),
+            )
+            for at, raw in packets
+        ]
+        self.add(topic, time, self.new("velodyne_msgs/VelodyneScan", self.header(time, frame), found))
 
     def laser(self, topic: str, time: int, ranges: ArrayLike, frame: str = "lidar", **changes: float) -> None:
         values = {"angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.01, "time_increment": 1e-4,

@@ -253,7 +253,11 @@ def test_guesses_say_why_and_take_the_rectified_images(tmp_path: Path) -> None:
             Wanted(),
             r"topics with odometry \(/ekf, /odom\); .*--odometry",
         ),
-        (lambda bag, t: bag.cloud("/again", t, points(0)), Wanted(), r"several clouds in the frame 'lidar' .*--lidars"),
+        (
+            lambda bag, t: bag.cloud("/again", t, points(0)),
+            Wanted(),
+            r"several topics of clouds in the frame 'lidar' .*--lidars",
+        ),
         (None, Wanted(odometry="/nothing"), "--odometry: no topic '/nothing' in .*there is /odom"),
         (None, Wanted(lidars=("/odom",)), "--lidars: /odom has nav_msgs/Odometry; expected sensor_msgs/PointCloud2"),
         (None, Wanted(cameras=("/points",)), "--cameras: /points has sensor_msgs/PointCloud2; expected"),
@@ -633,19 +637,19 @@ def test_packets_name_what_converts_them(tmp_path: Path) -> None:
 
     bag = drive(lidar=False)
     definition = "std_msgs/Header header\nuint8[] packets"
-    bag.store.register(get_types_from_msg(definition, "velodyne_msgs/msg/VelodyneScan"))
+    bag.store.register(get_types_from_msg(definition, "ouster_ros/msg/PacketMsg"))
     for k in range(SCANS):
         time = START + k * SECOND // 10
         bag.add(
-            "/velodyne_packets",
+            "/ouster_packets",
             time,
-            bag.new("velodyne_msgs/VelodyneScan", bag.header(time, "lidar"), np.zeros(4, np.uint8)),
+            bag.new("ouster_ros/PacketMsg", bag.header(time, "lidar"), np.zeros(4, np.uint8)),
         )
     path = bag.write(tmp_path / "drive.bag")
-    with pytest.raises(DatasetError, match=r"/velodyne_packets: packets .* play it through velodyne_pointcloud"):
+    with pytest.raises(DatasetError, match=r"/ouster_packets: packets .* play it through ouster_ros"):
         read(path)
-    with pytest.raises(ConfigError, match=r"--lidars: /velodyne_packets .*velodyne_msgs/VelodyneScan cannot be read"):
-        read(path, wanted=Wanted(lidars=("/velodyne_packets",)))
+    with pytest.raises(ConfigError, match=r"--lidars: /ouster_packets .*ouster_ros/PacketMsg cannot be read"):
+        read(path, wanted=Wanted(lidars=("/ouster_packets",)))
 
 
 def test_a_damaged_message_names_topic_and_time(tmp_path: Path) -> None:

@@ -294,6 +294,10 @@ def typestore(ros1: bool) -> Any:
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     if ros1:
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kinds.TRANSFORMS))
+    stamp = "time" if ros1 else "builtin_interfaces/Time"
+    packet = get_types_from_msg(f"{stamp} stamp\nuint8[1206] data", "velodyne_msgs/msg/VelodynePacket")
+    scan = get_types_from_msg("std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets", kinds.PACKETS)
+    store.register({**packet, **scan})
     return store
 
 

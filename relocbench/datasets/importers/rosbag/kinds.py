@@ -4,6 +4,7 @@ from __future__ import annotations
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 LASER = "sensor_msgs/msg/LaserScan"
+PACKETS = "velodyne_msgs/msg/VelodyneScan"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -15,7 +16,7 @@ FIX = "sensor_msgs/msg/NavSatFix"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 OLD_TRANSFORMS = "tf/msg/tfMessage"
 
-LIDARS = (CLOUD, LASER)
+LIDARS = (CLOUD, PACKETS, LASER)
 CAMERAS = (IMAGE, COMPRESSED)
 POSES = (ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM)
 ALL_TRANSFORMS = (TRANSFORMS, OLD_TRANSFORMS)
@@ -27,7 +28,6 @@ UNREADABLE: dict[str, str] = {
     "livox_ros_driver/msg/CustomMsg": "convert it to PointCloud2 with times (xfer_format 0 of livox_ros_driver)",
     "livox_ros_driver2/msg/CustomMsg": "convert it to PointCloud2 with times (xfer_format 0 of livox_ros_driver2)",
     "livox_interfaces/msg/CustomMsg": "convert it to PointCloud2 with times (xfer_format 0 of the driver)",
-    "velodyne_msgs/msg/VelodyneScan": f"{_PACKETS}; play it through velodyne_pointcloud and record its PointCloud2",
     "ouster_ros/msg/PacketMsg": f"{_PACKETS}; play it through ouster_ros and record its PointCloud2",
     "ouster_sensor_msgs/msg/PacketMsg": f"{_PACKETS}; play it through ouster_ros and record its PointCloud2",
     "hesai_ros_driver/msg/UdpFrame": f"{_PACKETS}; play it through hesai_ros_driver and record its PointCloud2",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,6 +41,8 @@ def lidar_stream(reading: Reading, name: str, topic: str) -> BagLidar:
     if about.type == kinds.LASER:
         reading.note(f"{topic}: laser scans, times by time_increment")
         return plain
+    if about.type == kinds.PACKETS:
+        return _of_packets(reading, plain)
     samples = np.unique(np.linspace(0, len(times) - 1, _SAMPLES).astype(int)).tolist()
     pattern = settings.pattern
     if pattern == "auto":
@@ -47,6 +50,18 @@ def lidar_stream(reading: Reading, name: str, topic: str) -> BagLidar:
     spread = _point_times(reading, plain, samples, pattern)
     reading.note(f"{topic}: {pattern} lidar, times of points: {spread}")
     return BagLidar(name, messages, pose, times, pattern, spread, settings.min_range_m, farthest, settings.sigma_m)
+
+
+def _of_packets(reading: Reading, plain: BagLidar) -> BagLidar:
+    """A lidar whose messages hold packets: it spins, and its points have the times of their firings."""
+    settings = reading.settings
+    if settings.point_times is not None and settings.point_times.field:
+        raise ConfigError(f"--point-time: {plain.messages.topic} holds packets, which have no fields")
+    timed = settings.motion != "compensated" and settings.point_times is None
+    pattern = "spinning" if settings.pattern == "auto" else settings.pattern
+    told = "by their firings" if timed else "none: scans are taken as motion compensated"
+    reading.note(f"{plain.messages.topic}: {pattern} lidar, packets of a Velodyne, times of points: {told}")
+    return replace(plain, pattern=pattern, packets=settings.packets, timed=timed)
 
 
 def _flat(lidar: BagLidar, samples: Sequence[int]) -> bool:

@@ -21,6 +21,7 @@ _WORLDS = (*_MAPS, "odom", "world")
 _DEPTHS = ("16UC1", "32FC1", "compressedDepth")
 _LEAST_HZ = 1.0
 """poses and scans come more often than this; a goal or a map does not"""
+_LIDAR_ENDINGS = ("points", "points_raw", "points2", "pointcloud", "point_cloud", "scan", "packets", "velodyne_packets")
 _BEST_IMAGES = ("rect_color", "rect", "color", "raw")
 
 
@@ -178,7 +179,7 @@ def _lidars(found: Survey, wanted: Wanted, roles: Roles) -> None:
     else:
         chosen, why = _guessed_lidars(found, roles)
     for topic in chosen:
-        name = _sensor_name(topic.name, ("points", "points_raw", "points2", "pointcloud", "point_cloud", "scan"))
+        name = _sensor_name(topic.name, _LIDAR_ENDINGS)
         if name in roles.lidars:
             name = _sensor_name(topic.name, ())
         roles.lidars[name] = topic.name
@@ -187,22 +188,27 @@ def _lidars(found: Survey, wanted: Wanted, roles: Roles) -> None:
 
 
 def _guessed_lidars(found: Survey, roles: Roles) -> tuple[list[Topic], dict[str, str]]:
-    """The clouds, one topic for each frame; laser scans if there is no cloud."""
+    """The clouds, one topic for each frame; packets, and else laser scans, if there is no cloud."""
     odometry = found.topics.get(roles.odometry)
     worlds = {*_WORLDS, odometry.frame if odometry else "map"}
     clouds = [t for t in found.of_types((kinds.CLOUD,)) if {"x", "y", "z"} <= set(t.fields) and t.rate_hz >= _LEAST_HZ]
+    packets = [t for t in found.of_types((kinds.PACKETS,)) if t.rate_hz >= _LEAST_HZ]
     scans = [t for t in found.of_types((kinds.LASER,)) if t.rate_hz >= _LEAST_HZ]
     for topic in clouds:
         if topic.frame in worlds:
             roles.why[topic.name] = ("-", f"is in the frame {topic.frame}, not in that of a sensor")
     candidates = [t for t in clouds if t.frame not in worlds]
-    what = "cloud" if candidates else "laser scan"
-    for topic in scans if candidates else ():
-        roles.why[topic.name] = ("-", "there are clouds")
-    candidates = candidates or scans
+    what = "clouds"
+    for others, called in ((packets, "packets"), (scans, "laser scans")):
+        if candidates:
+            roles.why |= {t.name: ("-", f"there are {what}") for t in others}
+        else:
+            candidates, what = others, called
     if not candidates:
         hints = [f"{t.name}: {kinds.UNREADABLE[t.type]}" for t in found.of_types(tuple(kinds.UNREADABLE))]
-        told = "; ".join(hints[:1]) or "expected PointCloud2 or LaserScan of a sensor, at least one a second"
+        told = (
+            "; ".join(hints[:1]) or "expected PointCloud2, VelodyneScan or LaserScan of a sensor, at least one a second"
+        )
         raise DatasetError(f"has no lidar that can be read ({told})", found.source)
     chosen, why = [], {}
     for frame in dict.fromkeys(t.frame for t in candidates):
@@ -211,11 +217,11 @@ def _guessed_lidars(found: Survey, roles: Roles) -> tuple[list[Topic], dict[str,
         if len(timed) > 1:
             names = ", ".join(t.name for t in timed)
             raise DatasetError(
-                f"has several {what}s in the frame {frame!r} ({names}); name one by --lidars", found.source
+                f"has several topics of {what} in the frame {frame!r} ({names}); name one by --lidars", found.source
             )
         chosen += timed
         reason = "with times of points" if len(same) > 1 else "the only one"
-        why[timed[0].name] = f"{what}s of the frame {frame!r}: {reason}"
+        why[timed[0].name] = f"{what} of the frame {frame!r}: {reason}"
         roles.why |= {t.name: ("-", f"same frame as {timed[0].name}, without times") for t in same if t not in timed}
     return chosen, why
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from relocbench.datasets.importers.rosbag.extrinsics import Extrinsics
+from relocbench.datasets.importers.rosbag.packets import PacketReading
 from relocbench.datasets.importers.rosbag.point_times import PointTimes
 from relocbench.datasets.importers.rosbag.roles import Wanted
 from relocbench.datasets.importers.rosbag.stamps import Stamps
@@ -24,6 +25,7 @@ class BagSettings:
     """empty: it is guessed"""
     extrinsics: Extrinsics = field(default_factory=Extrinsics)
     extrinsics_file: Path | None = None
+    packets: PacketReading = field(default_factory=PacketReading)
     point_times: PointTimes | None = None
     """None: they are told from the values"""
     motion: ScanMotion = "auto"

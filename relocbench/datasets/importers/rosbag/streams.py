@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +13,7 @@ from relocbench.datasets.core import images
 from relocbench.datasets.importers.rosbag import kinds
 from relocbench.datasets.importers.rosbag.bag import Part, open_part, read_raw
 from relocbench.datasets.importers.rosbag.clouds import cloud_fields, laser_points
+from relocbench.datasets.importers.rosbag.packets import PacketReading, packet_points
 from relocbench.datasets.importers.rosbag.pictures import image_of
 from relocbench.datasets.importers.rosbag.point_times import PointTimes
 from relocbench.datasets.sensors.recording import Scan
@@ -48,7 +49,7 @@ class Messages:
 
 @dataclass(frozen=True, eq=False)
 class BagLidar:
-    """The scans of one topic of PointCloud2 or LaserScan."""
+    """The scans of one topic of PointCloud2, VelodyneScan or LaserScan."""
 
     name: str
     messages: Messages
@@ -59,6 +60,9 @@ class BagLidar:
     min_range_m: float
     max_range_m: float
     sigma_m: float
+    packets: PacketReading = field(default_factory=PacketReading)
+    timed: bool = True
+    """points of packets have the times of their firings, not that of the scan"""
 
     def read(self, index: int) -> Scan:
         """Read a scan without the points that are not finite or out of range. Raises DatasetError with the file."""
@@ -69,6 +73,10 @@ class BagLidar:
                 points, offsets = laser_points(message)
                 near = self.in_range(points)
                 return Scan(points[near], stamp + offsets[near])
+            if self.messages.type == kinds.PACKETS:
+                points, offsets = packet_points(message, self.packets)
+                near = self.in_range(points)
+                return Scan(points[near], stamp + offsets[near] * self.timed)
             wanted = ("x", "y", "z", self.times.field) if self.times.field else ("x", "y", "z")
             fields = cloud_fields(message, wanted)
             with np.errstate(invalid="ignore"):  # NaN of any kind are beams without a return
