@@ -45,6 +45,7 @@ _EXAMPLES = {
     "nclt": "relocbench build-dataset nclt 2012-01-08 2012-08-20 --out D",
     "kitti-360": "relocbench build-dataset kitti-360 KITTI-360 --sequence 0000,0002 --out D",
     "complex-urban": "relocbench build-dataset complex-urban urban28 urban38 --out D",
+    "ford-av": "relocbench build-dataset ford-av 2017-08-04/V2/Log1 2017-10-26/V2/Log1 --out D",
     "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
     "colmap": "relocbench build-dataset colmap sparse/0 --images images --queries 'night/*' --out D",
     "kapture": "relocbench build-dataset kapture 7scenes/stairs/mapping 7scenes/stairs/query --out D",
@@ -61,6 +62,7 @@ _SOURCES = {
     "photographs": "Folders of photographs, PNG or JPEG; folders in them are searched too.",
     "rosbag": "Bags: .bag, .mcap or .db3 files, folders of ROS 2, or folders of the files of one drive; the first is "
     "the reference.",
+    "ford-av": "Folders of logs, each with its bag and folders of images, or the bags; the first is the reference.",
     "poses": "Trajectories in one world, the first of them the reference; a single one is paired with itself.",
     "pair-files": "Files of pairs: ref_ts query_ts tx ty tz qx qy qz qw, one for each pair set.",
 }
@@ -90,6 +92,7 @@ _SETS = {
     "nclt": "cameras: [Cam5]",
     "kitti-360": "sequence: ['0000', '0002']",
     "complex-urban": "lidars: [VLP_left, VLP_right]",
+    "ford-av": "lidars: [red, blue]",
     "generic": "max_distance: 3",
     "colmap": "queries: ['night/*']",
     "kapture": "max_distance: 3",

@@ -12,7 +12,7 @@ from relocbench.datasets.importers import KINDS, options_of
 
 LIDAR = (
     *("robotcar", "kitti-lidar", "generic-lidar", "boreas", "mulran", "helipr", "clouds"),
-    *("nclt", "kitti-360", "complex-urban", "rosbag"),
+    *("nclt", "kitti-360", "complex-urban", "ford-av", "rosbag"),
 )
 UNLINKED = ("robotcar", "mulran", "helipr", "nclt", "complex-urban", "rosbag")
 """kinds of lidar drives that have no images, or whose images have to be converted"""

@@ -13,7 +13,7 @@ from relocbench.errors import DatasetError, quoted
 from relocbench.files import read_rows, seconds_to_ns, whole_number
 
 TIME_FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv")
-_NS_A_UNIT = {10: 10**9, 13: 10**6, 16: 10**3, 19: 1}
+NS_BY_DIGITS = {10: 10**9, 13: 10**6, 16: 10**3, 19: 1}
 """digits of a whole number that is a time between 2001 and 2286 -> nanoseconds of its unit"""
 _UNITS = {10**9: "seconds", 10**6: "milliseconds", 10**3: "microseconds", 1: "nanoseconds"}
 
@@ -93,7 +93,7 @@ def _parsed(texts: list[str], places: Sequence[tuple[Path, int | None]]) -> tupl
         return np.array([_seconds(text, *place) for text, place in zip(texts, places, strict=True)]), "seconds"
     longest = max(texts, key=lambda text: len(text.lstrip("0")))
     digits = len(longest.lstrip("0"))
-    factor = _NS_A_UNIT.get(digits)
+    factor = NS_BY_DIGITS.get(digits)
     if factor is None:
         path, line = places[texts.index(longest)]
         raise DatasetError(

@@ -1,0 +1,1 @@
+"""Logs in the layout of the Ford Multi-AV Seasonal dataset."""

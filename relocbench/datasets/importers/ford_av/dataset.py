@@ -1,0 +1,73 @@
+"""Kind ``ford-av``: logs of the Ford Multi-AV Seasonal dataset, with ground truth across drives from their lidars."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.importers.assembly import open_writer
+from relocbench.errors import ConfigError
+from relocbench.execution import Run
+from relocbench.files import fitting_name
+from relocbench.progress import Reporter
+
+if TYPE_CHECKING:
+    from relocbench.datasets.core.dataset import Dataset
+
+
+class Options(FieldOptions, LinkingOptions):
+    """Options of ``relocbench build-dataset ford-av``."""
+
+    calibration_folder: Path | None = Field(
+        None,
+        description="folder with lidarRed_body.yaml and the like, or that of Calibration-V2; default: searched for",
+    )
+    lidars: tuple[str, ...] = Field((), description="of red, green, blue, yellow; default: all that the bags have")
+    odometry: Literal["auto", "ground-truth", "localized", "raw", "lidar"] = Field(
+        "auto",
+        description="motion of the car: pose_ground_truth, pose_localized or pose_raw, or computed from the scans of "
+        "the first lidar; default: pose_ground_truth, or else pose_raw, or else from scans",
+    )
+    lidar_axes: Literal["auto", "ros", "velodyne"] = Field(
+        "auto",
+        description="axes of the lidars in the calibration: azimuth 0 along x, or along y; default: by the scans",
+    )
+    lidar_intrinsics: Path | None = Field(
+        None, description="angles of the beams, lidarIntrinsics.yaml; default: those of an HDL-32E"
+    )
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """Build a dataset from a reference log (the first source) and one or more query logs.
+
+    Raises:
+        DatasetError: with file, topic and time: something in a log is missing or wrong, or no pair can be accepted.
+        ConfigError: the options do not fit the logs, or the packages that read bags are not installed.
+    """
+    from relocbench.datasets.core.build import Build
+    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
+    from relocbench.datasets.groundtruth.odometry.deferred import later
+    from relocbench.datasets.importers.ford_av.files import find_logs
+    from relocbench.datasets.importers.ford_av.recording import ReadingOptions, read_ford
+    from relocbench.datasets.importers.lidar_drives.drives import on_one_map
+    from relocbench.datasets.importers.rosbag.packets import check_calibration
+
+    assert isinstance(options, Options)
+    if len(sources) < 2:
+        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(sources)}")
+    logs = find_logs(sources, options.calibration_folder)
+    options.check_conditions([log.name for log in logs])
+    if options.lidar_intrinsics is not None:
+        check_calibration(options.lidar_intrinsics)
+    how = ReadingOptions(options.lidars, options.odometry, options.lidar_axes, options.lidar_intrinsics)
+    writer = open_writer("ford-av", sources, options, out, fitting_name(f"ford_av_{logs[0].name}"))
+    index = out / "groundtruth" / "index"
+    drives = [read_ford(log, how, reporter, kept=index / f"{log.name}.npz") for log in logs]
+    check_recordings([drive.with_times_only() for drive in drives], options)
+    # Odometry that is missing is computed by the build, after it has checked all drives.
+    recordings = [drive.recording(later, reporter) for drive in on_one_map(drives, reporter)]
+    return build_ground_truth(recordings, Build(writer, options, reporter, run))

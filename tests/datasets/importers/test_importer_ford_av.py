@@ -1,0 +1,347 @@
+"""Logs of the Ford Multi-AV Seasonal dataset: conventions by the true depth, axes of the lidars, faults, a build."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import relocbench
+from ford_layout import URDF, Made, calibration_file, stamped, urdf_pose, write_ford, write_yaml
+from projected_depth import agrees
+from recorded_street import (
+    SMALL,
+    Spoken,
+    StreetDrive,
+    errors_of,
+    from_poses,
+    record_street,
+    street_scene,
+    worst_pair,
+)
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.ford_av.calibration import read_camera_pose, read_lidar_pose
+from relocbench.datasets.importers.ford_av.files import find_logs
+from relocbench.datasets.importers.ford_av.recording import ReadingOptions, image_time, read_ford
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
+from relocbench.datasets.synthetic.lidar.lidar import LidarScene
+from relocbench.errors import DatasetError
+from relocbench.geometry import invert
+
+pytestmark = pytest.mark.slow
+NAMES = ("2017-08-04-V2-Log1", "2017-10-26-V2-Log1")
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> list[StreetDrive]:
+    """Two drives of 2.6 s along one street."""
+    out = tmp_path_factory.mktemp("ford drives")
+    return [record_street(out, number) for number in range(2)]
+
+
+@pytest.fixture(scope="module")
+def scene() -> LidarScene:
+    return street_scene()
+
+
+@pytest.fixture(scope="module")
+def logs(drives: list[StreetDrive], scene: LidarScene, tmp_path_factory: pytest.TempPathFactory) -> list[Made]:
+    root = tmp_path_factory.mktemp("ford logs") / "Ford AV"
+    return [write_ford(drive, root, scene, name) for drive, name in zip(drives, NAMES, strict=True)]
+
+
+def read(source: Path, how: ReadingOptions | None = None, calibration: Path | None = None) -> tuple[DriveFiles, Spoken]:
+    spoken = Spoken()
+    return read_ford(find_logs([source], calibration)[0], how or ReadingOptions(), spoken), spoken
+
+
+@pytest.mark.parametrize("lidar", [0, 1], ids=["red", "yellow, tilted to the side"])
+def test_lidar_points_are_where_the_camera_sees_their_surfaces(
+    drives: list[StreetDrive], logs: list[Made], scene: LidarScene, lidar: int
+) -> None:
+    recording = from_poses(read(logs[0].folder)[0])
+    for index in (4, 13, 22):
+        assert agrees(errors_of(drives[0], recording, "front_left", index, scene, lidar=lidar))
+
+
+def test_a_calibration_in_the_axes_of_the_ros_driver_is_told_by_scans(
+    drives: list[StreetDrive], logs: list[Made], scene: LidarScene, tmp_path: Path
+) -> None:
+    made = write_ford(drives[0], tmp_path, scene, axes="ros", lidars=("lidar_red",))
+    drive, spoken = read(made.folder)
+    assert any("azimuth 0 of the lidars is along x (ros): told by scans" in note for note in spoken.notes)
+    assert agrees(errors_of(drives[0], from_poses(drive), "front_left", 13, scene))
+    wrong = from_poses(read(made.folder, ReadingOptions(axes="velodyne"))[0])
+    assert not agrees(errors_of(drives[0], wrong, "front_left", 13, scene))
+    _, spoken = read(logs[0].folder)
+    assert any("is along y (velodyne): told by scans" in note for note in spoken.notes)
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    values = json.loads(path.read_text())
+    change(values)
+    path.write_text(json.dumps(values))
+
+
+def swapped_frames(values: dict[str, Any]) -> None:
+    values["header"]["frame_id"], values["child_frame_id"] = values["child_frame_id"], "body"
+
+
+def quaternion_from_w(values: dict[str, Any]) -> None:
+    x, y, z, w = (values["transform"]["rotation"][k] for k in "xyzw")
+    values["transform"]["rotation"] = dict(zip("xyzw", (w, x, y, z), strict=True))
+
+
+def left_for_right(values: dict[str, Any]) -> None:
+    values["transform"]["translation"]["y"] *= -1
+
+
+@pytest.mark.parametrize(
+    ("sensor", "change"),
+    [("camera_front_left", swapped_frames), ("lidar_red", swapped_frames), ("lidar_red", left_for_right)],
+    ids=["inverse camera", "inverse lidar", "left for right"],
+)
+def test_a_wrong_convention_shows_in_the_depths(
+    drives: list[StreetDrive],
+    logs: list[Made],
+    scene: LidarScene,
+    tmp_path: Path,
+    sensor: str,
+    change: Callable[[dict[str, Any]], None],
+) -> None:
+    calibration = tmp_path / "calibration"
+    shutil.copytree(logs[0].calibration, calibration)
+    changed(calibration / calibration_file(sensor), change)
+    how = ReadingOptions(lidars=("red",), axes="velodyne")
+    recording = from_poses(read(logs[0].folder, how, calibration)[0])
+    assert not agrees(errors_of(drives[0], recording, "front_left", 13, scene))
+
+
+def test_frames_say_which_pose_a_file_holds(logs: list[Made], tmp_path: Path) -> None:
+    path = tmp_path / "lidarRed_body.yaml"
+    expected = read_lidar_pose(logs[0].calibration / path.name)
+    values = stamped(invert(urdf_pose("lidar_red")), "body")
+    values["header"]["frame_id"] = "/lidar_red"
+    write_yaml(path, values)
+    np.testing.assert_allclose(read_lidar_pose(path), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("sensor", URDF)
+def test_published_poses_fit_a_car(sensor: str, tmp_path: Path) -> None:
+    """Positions and angles of the dataset's URDF: where a sensor is, which way is up, and where it looks."""
+    path = tmp_path / calibration_file(sensor)
+    write_yaml(path, stamped(urdf_pose(sensor), sensor))
+    kind, *place = sensor.split("_")
+    T_rig_sensor = read_lidar_pose(path) if kind == "lidar" else read_camera_pose(path)
+    assert 1.1 < T_rig_sensor[2, 3] < 1.45  # above the axle, on the roof
+    on_the_left = place[-1] in ("left", "red", "yellow")
+    assert (T_rig_sensor[1, 3] > 0.2) == on_the_left
+    if kind == "lidar":
+        tilt = np.degrees(np.arccos(T_rig_sensor[2, 2]))
+        assert tilt == pytest.approx(25.3 if place[0] in ("yellow", "green") else 0.4, abs=0.6)
+        if place[0] in ("yellow", "green"):
+            assert (T_rig_sensor[1, 2] > 0) == on_the_left  # the outer side of the lidar is the lower one
+        return
+    looks = {"front": 0.0, "rear": 180.0, "side": 90.0 if on_the_left else -90.0}[place[0]]
+    x, y, z = T_rig_sensor[:3, 2]
+    away = np.degrees(np.arctan2(y, x)) - looks
+    assert abs((away + 180) % 360 - 180) < 12
+    assert abs(z) < 0.05
+    assert T_rig_sensor[2, 1] < -0.99  # the image's y is down
+
+
+def test_poses_are_those_of_the_topic_and_prior_of_the_map(drives: list[StreetDrive], logs: list[Made]) -> None:
+    drive, spoken = read(logs[0].folder)
+    assert drive.poses is not None
+    assert drive.prior is drive.poses
+    assert drive.poses_from == "/pose_ground_truth"
+    assert (drive.name, drive.condition.season) == (NAMES[0], "summer")
+    times = drive.poses.times_ns[::50]
+    moved = drive.poses.at(times)
+    truth = drives[0].T_world_car(times)
+    steps = [np.linalg.inv(T[:-1]) @ T[1:] for T in (moved, truth)]
+    np.testing.assert_allclose(steps[0][:, :3, :3], steps[1][:, :3, :3], atol=1e-5)
+    assert np.all(moved[:, 2, 2] > 0.99)  # the map's z is up
+    raw = read(logs[0].folder, ReadingOptions(odometry="raw"))[0].poses
+    assert raw is not None
+    np.testing.assert_allclose(raw.at(times)[:, :3, 3] - moved[:, :3, 3], np.tile([0.4, -0.4, -0.4], (len(times), 1)))
+    bare, _ = read(logs[0].folder, ReadingOptions(odometry="lidar"))
+    assert bare.poses is None
+    assert bare.prior is not None
+    with pytest.raises(DatasetError, match=r"Log1\.bag: has no poses /pose_localized \(--odometry localized\)"):
+        read(logs[0].folder, ReadingOptions(odometry="localized"))
+    assert any("/gps" in note and "not needed" in note for note in spoken.notes)
+
+
+def test_small_images_of_the_bag_stand_in_for_missing_ones(
+    drives: list[StreetDrive], logs: list[Made], scene: LidarScene, tmp_path: Path
+) -> None:
+    bag = tmp_path / logs[0].bag.name
+    shutil.copy(logs[0].bag, bag)
+    whole = read(logs[0].folder)[0].cameras["front_left"].camera
+    drive, spoken = read(bag, calibration=logs[0].calibration)
+    small = drive.cameras["front_left"].camera
+    assert small.size == (whole.width // 2, whole.height // 2)
+    assert any("/image_front_left holds images of" in note for note in spoken.notes)
+    pixels = np.array([[0.0, 0.0], [7.0, 3.0], [small.width - 1.0, small.height - 1.0]])
+    np.testing.assert_allclose(small.unproject(pixels)[0], whole.unproject(2 * pixels + 0.5)[0], atol=1e-12)
+    assert np.median(np.abs(errors_of(drives[0], from_poses(drive), "front_left", 13, scene))) < 0.06
+    calibration = tmp_path / "calibration"
+    shutil.copytree(logs[0].calibration, calibration)
+    changed(calibration / "cameraFrontLeftIntrinsics.yaml", lambda values: values.update(width=whole.width * 2))
+    drive, spoken = read(bag, calibration=calibration)
+    assert not drive.cameras
+    assert any("are no smaller copies of images of" in note for note in spoken.notes)
+    (calibration / "cameraFrontLeft_body.yaml").unlink()
+    _, spoken = read(bag, calibration=calibration)
+    assert any("'front_left' is not read" in note and "no cameraFrontLeft_body.yaml" in note for note in spoken.notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("1501822145979544", 1_501_822_145_979_544_000),
+        ("1501822145.979544", 1_501_822_145_979_544_000),
+        ("1501822145979544001", 1_501_822_145_979_544_001),
+        ("1501822145979", 1_501_822_145_979_000_000),
+    ],
+)
+def test_names_of_images_are_times_in_any_unit(name: str, expected: int) -> None:
+    assert image_time(name, Path(f"{name}.png")) == expected
+
+
+@pytest.mark.parametrize("name", ["000017", "frame_3", "15018221459", "-1501822145", "nan"])
+def test_a_name_that_is_no_time_is_told(name: str) -> None:
+    with pytest.raises(DatasetError, match=r"is not a time since 1970; expected seconds with a point"):
+        image_time(name, Path(f"{name}.png"))
+
+
+def test_calibrations_are_found_where_users_keep_them(logs: list[Made], tmp_path: Path) -> None:
+    def touched(*places: str) -> None:
+        for place in places:
+            (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / place).touch()
+
+    touched("2017-08-04/V2/Log1/2017-08-04-V2-Log1.bag", "2017-10-26/V3/Log1/2017-10-26-V3-Log1.bag", "sample.bag")
+    touched("Calibration-V2/lidarRed_body.yaml", "Calibration-V3/V3/lidarRed_body.yaml", "own/lidarBlue_body.yaml")
+    bags = [tmp_path / "2017-08-04" / "V2" / "Log1", tmp_path / "2017-10-26" / "V3" / "Log1"]
+    found = find_logs(bags, None)
+    assert [log.calibration for log in found] == [tmp_path / "Calibration-V2", tmp_path / "Calibration-V3" / "V3"]
+    assert [(log.vehicle, log.month) for log in found] == [("V2", 8), ("V3", 10)]
+    assert find_logs(bags[:1], tmp_path / "own")[0].calibration == tmp_path / "own"
+    with pytest.raises(Exception, match=r"is of one vehicle, the logs are of V2 and V3"):
+        find_logs(bags, tmp_path / "own")
+    with pytest.raises(DatasetError, match=r"nothing tells the vehicle of sample\.bag.*Calibration-V2, V3"):
+        find_logs([tmp_path / "sample.bag"], None)
+    with pytest.raises(DatasetError, match="the calibration of V2 is missing"):
+        find_logs(bags[:1], bags[0])
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        ("lidarRed_body.yaml", lambda v: v.pop("transform"), r"lidarRed_body\.yaml:1: key 'transform' is missing"),
+        ("lidarRed_body.yaml", lambda v: v.update(child_frame_id="body"), r"is the pose of 'body' in 'body'"),
+        ("lidarRed_body.yaml", lambda v: v["header"].update(frame_id="imu"), r"'lidar_red' in 'imu'; expected one in"),
+        ("lidarRed_body.yaml", lambda v: v["transform"]["rotation"].update(x=2.0), r"has norm 2\.\d+, expected 1"),
+        ("lidarRed_body.yaml", quaternion_from_w, r"z axis would not point up"),
+        (
+            "cameraFrontLeft_body.yaml",
+            lambda v: v["transform"].update(rotation={"x": 0, "y": 0, "z": 0, "w": 1}),
+            "look up",
+        ),
+        ("cameraFrontLeftIntrinsics.yaml", lambda v: v.update(P=[1.0, 2.0]), r"Intrinsics\.yaml: P is not 12 finite"),
+        ("cameraFrontLeftIntrinsics.yaml", lambda v: v.update(P=[0.0] * 12), r"P has the focal lengths 0 and 0"),
+        ("cameraFrontLeftIntrinsics.yaml", lambda v: (v.pop("P"), v.pop("K")), r"has neither P nor K"),
+        (
+            "cameraFrontLeftIntrinsics.yaml",
+            lambda v: v.update(width=9),
+            r"images are \d+x\d+, the calibration .* of 9x",
+        ),
+    ],
+)
+def test_a_fault_of_the_calibration_is_told_with_its_file(
+    logs: list[Made], tmp_path: Path, file: str, change: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    calibration = tmp_path / "calibration"
+    shutil.copytree(logs[0].calibration, calibration)
+    changed(calibration / file, change)
+    with pytest.raises(DatasetError, match=words):
+        read(logs[0].folder, calibration=calibration)
+
+
+def test_logs_are_brought_together_by_one_command(drives: list[StreetDrive], logs: list[Made], tmp_path: Path) -> None:
+    out = tmp_path / "data set"
+    arguments = ("--lidars", "red", "-j", 1, *SMALL)
+    outcome = relocbench("build-dataset", "ford-av", *(log.folder for log in logs), "--out", out, *arguments)
+    assert outcome.status == 0, outcome.err
+    assert "odometry is /pose_ground_truth" in outcome.err
+    assert "/lidar_red_scan: spinning lidar, packets of a Velodyne" in outcome.err
+    count, metres, degrees = worst_pair(Dataset(out), f"{NAMES[0]}__{NAMES[1]}__front_left", *drives)
+    assert count >= 4
+    assert metres < 0.10
+    assert degrees < 0.15
+    assert relocbench("validate", out).status == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["{0}"], "needs a reference and at least one query"),
+        (["{0}", "{0}"], "is given twice"),
+        (["{0}", "{1}", "--cameras", "center"], "has no images of a camera 'center'; it has front_left"),
+        (["{0}", "{1}", "--lidars", "pink"], "has no lidar 'pink'; there is red, green, blue, yellow"),
+        (["{0}", "{1}", "--lidars", "green"], "has no /lidar_green_scan or /lidar_green_pointcloud that can be read"),
+        (["{0}/..", "{1}"], "holds no bag; expected one, such as 2017-08-04-V2-Log1.bag"),
+        (["{0}/none.bag", "{1}"], "missing; expected a bag, or the folder of one"),
+        (["{0}", "{1}", "--calibration-folder", "{0}/none"], "no such folder; expected the calibration"),
+        (["{0}", "{1}", "--lidar-intrinsics", "{0}/none"], "missing; expected a calibration of the beams"),
+        (["{0}", "{1}", "--odometry", "imu"], "odometry"),
+    ],
+)
+def test_wrong_use_is_told_in_one_line(logs: list[Made], tmp_path: Path, arguments: list[str], words: str) -> None:
+    places = [log.folder for log in logs]
+    outcome = relocbench("build-dataset", "ford-av", *(a.format(*places) for a in arguments), "--out", tmp_path / "d")
+    assert outcome.status == 2
+    assert words in outcome.err
+
+
+def test_axes_that_nothing_tells_have_to_be_named(logs: list[Made], tmp_path: Path) -> None:
+    """A car that stands, and one without poses."""
+    for topic, words in (("/pose_ground_truth", "scans do not tell"), (None, "there are no poses by which scans")):
+        bag = tmp_path / (topic or "none").strip("/") / logs[0].bag.name
+        bag.parent.mkdir()
+        rewritten(logs[0].bag, bag, topic)
+        with pytest.raises(DatasetError, match=rf"{words}.* which axes of the lidars .*; --lidar-axes tells"):
+            read(bag, calibration=logs[0].calibration)
+        named, spoken = read(bag, ReadingOptions(axes="velodyne"), logs[0].calibration)
+        assert (named.poses is None) == (topic is None)
+        assert any("is along y (velodyne): as --lidar-axes says" in note for note in spoken.notes)
+
+
+def rewritten(source: Path, target: Path, standing: str | None) -> None:
+    """A bag in which the car stands by the poses of one topic, or which has no poses."""
+    from rosbags.rosbag1 import Reader, Writer
+
+    from relocbench.datasets.importers.rosbag.bag import typestore
+
+    store = typestore(True)
+    with Reader(source) as old, Writer(target) as new:
+        kept = {c.topic: c for c in old.connections if not c.topic.startswith(("/pose", "/tf")) or c.topic == standing}
+        made = {
+            topic: new.add_connection(topic, c.msgtype, msgdef=c.msgdef.data, md5sum=c.digest)
+            for topic, c in kept.items()
+        }
+        first = None
+        for connection, time, raw in old.messages(connections=list(kept.values())):
+            if connection.topic == standing:
+                message = store.deserialize_ros1(raw, connection.msgtype)
+                first = first or message.pose
+                message.pose = first
+                raw = store.serialize_ros1(message, connection.msgtype)
+            new.write(made[connection.topic], time, raw)
