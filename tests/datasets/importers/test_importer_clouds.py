@@ -26,10 +26,10 @@ from recorded_street import (
 )
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.importers.clouds.recording import read_clouds
+from relocbench.datasets.importers.clouds.recording import SweptClouds, read_clouds
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import DatasetError
-from relocbench.geometry import invert, transform_to_tq
+from relocbench.geometry import apply, invert, transform_to_tq
 
 pytestmark = pytest.mark.slow
 
@@ -196,6 +196,31 @@ def test_distorted_clouds_without_times_are_placed_by_azimuth(
     write(tmp_path / "poses.txt", "\n".join(rows[1:]) + "\n")
     with pytest.raises(DatasetError, match=r"poses\.txt: holds 25 poses without times for 26 clouds"):
         read_clouds(tmp_path, "a", Spoken())
+
+
+def test_whether_motion_distorts_clouds_is_told_from_them(drives: list[StreetDrive], tmp_path: Path) -> None:
+    drive = drives[0]
+    write_clouds(drive, tmp_path / "distorted", by_time("bin"), floats(4))
+    for found in scans_of(drive):
+        at = found.middle_ns
+        T_lidar_fired = (
+            invert(drive.T_world_car(np.array([at]))[0] @ drive.T_car_lidar)
+            @ drive.T_world_car(at + found.offsets_ns)
+            @ drive.T_car_lidar
+        )
+        points = apply(T_lidar_fired, found.points[:, None, :])[:, 0]
+        table = np.column_stack([points, np.ones(len(points))]).astype("<f4")
+        write(tmp_path / "compensated" / f"{at}.bin", table.tobytes())
+    for motion, turning in (("distorted", True), ("compensated", False)):
+        spoken = Spoken()
+        lidar = read_clouds(tmp_path / motion, "a", spoken, motion="auto").lidars[0]
+        assert isinstance(lidar, SweptClouds) == turning, spoken.notes
+        assert any(f"a: scans are taken as {motion} by motion: scans" in note for note in spoken.notes), spoken.notes
+        assert not any("taken to be" in note for note in spoken.notes)
+    write_clouds(drive, tmp_path / "timed", by_time("bin"), floats(6))
+    spoken = Spoken()
+    read_clouds(tmp_path / "timed", "a", spoken, motion="auto")
+    assert not any("--motion" in note for note in spoken.notes)
 
 
 def numbered(number: int, _: int) -> str:

@@ -22,6 +22,7 @@ from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.datasets.sensors.recording import LidarStream, Scan
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, se3_log
+from relocbench.progress import Reporter
 
 ScanMotion = Literal["compensated", "distorted"]
 
@@ -122,6 +123,17 @@ def detect_motion(compensated: LidarStream, distorted: LidarStream) -> Detected:
     if sum(better[1]) > len(fits) / 2 and corrected > _MARGIN * plain:
         return Detected("compensated", told)
     return Detected("compensated", f"cannot be told: {told}")
+
+
+def told_motion(title: str, compensated: LidarStream, distorted: LidarStream, reporter: Reporter) -> ScanMotion:
+    """What :func:`detect_motion` tells of a drive, which is reported together with the evidence.
+
+    Raises:
+        DatasetError: a scan is damaged.
+    """
+    told = detect_motion(compensated, distorted)
+    reporter.note(f"{title}: scans are taken as {told.motion} by motion: {told.evidence} (--motion)")
+    return told.motion
 
 
 def _from_the_middle(starts: Sequence[int]) -> list[int]:

@@ -22,8 +22,8 @@ class Options(FieldOptions, LinkingOptions):
     odometry: Literal["auto", "poses", "lidar"] = Field(
         "auto", description="motion of the lidar: from poses.txt, or by registering the clouds; default: poses if there"
     )
-    motion: Literal["compensated", "distorted"] = Field(
-        "compensated", description="'distorted' if clouds without times of points are not motion-compensated"
+    motion: Literal["auto", "compensated", "distorted"] = Field(
+        "auto", description="whether clouds without times of points are motion-compensated; auto: told from the clouds"
     )
     pattern: Literal["spinning", "push-broom"] = Field("spinning", description="how the lidar scans")
     columns: tuple[str, ...] = Field((), description="columns of .bin and plain .npy files; default: found")

@@ -16,6 +16,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition, Transform
+from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, told_motion
 from relocbench.datasets.importers.clouds.detection import Found, look_at
 from relocbench.datasets.importers.clouds.times import clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
@@ -33,7 +34,6 @@ from relocbench.files import parse_floats, read_rows
 from relocbench.progress import Reporter
 
 OdometrySource = Literal["auto", "poses", "lidar"]
-ScanMotion = Literal["compensated", "distorted"]
 
 POSE_FILES = ("poses.txt", "poses.csv", "poses.tum")
 _TURN_NS = 100_000_000
@@ -80,7 +80,7 @@ def read_clouds(
     reporter: Reporter,
     *,
     odometry: OdometrySource = "auto",
-    motion: ScanMotion = "compensated",
+    motion: ScanMotion | Literal["auto"] = "compensated",
     columns: Sequence[str] = (),
     rate_hz: float | None = None,
     pattern: Literal["spinning", "push-broom"] = "spinning",
@@ -91,7 +91,8 @@ def read_clouds(
     Args:
         reporter: is told what was found.
         odometry: ``poses`` is a file of poses, ``lidar`` registers the clouds, ``auto`` uses poses if there are some.
-        motion: whether clouds without times of points are motion-compensated, or those of a lidar that turns.
+        motion: whether clouds without times of points are motion-compensated, or those of a lidar that turns; ``auto``
+            tells it from a few of them.
         columns: columns of .bin and plain .npy files; default: found.
         rate_hz: clouds a second, if they have no times.
 
@@ -114,12 +115,14 @@ def read_clouds(
         time_from=seen.time_from,
     )
     clouds = GenericLidarStream("lidar", settings, np.eye(4), tuple(found.values()), times)
-    turning = seen.time is None and motion == "distorted" and pattern == "spinning"
     poses = next((folder / p for p in POSE_FILES if (folder / p).is_file()), None)
     if poses is None and odometry == "poses":
         raise DatasetError(f"holds no poses; expected {' or '.join(POSE_FILES)}", folder)
     reporter.note(f"{name}: {len(found)} clouds, times from {times_from}")
-    reporter.note(f"{name}: points are {seen.words}{_assumed(seen.time, turning, pattern)}")
+    reporter.note(f"{name}: points are {seen.words}{_assumed(seen.time, motion, pattern)}")
+    turning = seen.time is None and motion != "compensated" and pattern == "spinning"
+    if turning and motion == "auto":
+        turning = told_motion(name, clouds, SweptClouds(clouds), reporter) == "distorted"
     use = poses if odometry != "lidar" else None
     condition, cameras = _described(folder, name) if (folder / CAMERA_FILE).exists() else (dated(None, folder), {})
     return DriveFiles(
@@ -144,10 +147,10 @@ def _look(files: Sequence[Path], times: Times, columns: tuple[str, ...]) -> Foun
     return look_at(files[places[-1]], int(times[places[-1]]), columns)
 
 
-def _assumed(time: str | None, turning: bool, pattern: str) -> str:
-    if time is not None:
+def _assumed(time: str | None, motion: str, pattern: str) -> str:
+    if time is not None or (motion == "auto" and pattern == "spinning"):
         return ""
-    if turning:
+    if motion == "distorted" and pattern == "spinning":
         return "; taken from a lidar that turns ten times a second and points along x at a cloud's time (--motion)"
     return f"; taken to be motion-compensated, from a {pattern} lidar (--motion distorted if they are not)"
 
