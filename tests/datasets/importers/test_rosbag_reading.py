@@ -11,10 +11,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from command_line import relocbench
 from made_bags import SECOND, Bag
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.schema import Transform
+from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending, later
 from relocbench.datasets.importers.rosbag.bag import parts_of
 from relocbench.datasets.importers.rosbag.extrinsics import read_extrinsics
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin, east_north_up, latitude_longitude
@@ -24,6 +26,7 @@ from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert, make_transform, se3_exp, transform_from_tq, transform_to_tq
+from relocbench.progress import Silent
 
 Array = NDArray[np.float64]
 START = 1_700_000_000 * SECOND
@@ -522,6 +525,14 @@ def test_fixes_become_poses_in_a_map_that_drives_share(tmp_path: Path) -> None:
     how = BagSettings()
     recording, start = read_bag(open_bag(path, how.wanted), "drive", how, origin=origin, reporter=notes)
     assert start == origin
+    how_later = BagSettings(wanted=Wanted(odometry="lidar"))
+    pending, _ = read_bag(open_bag(path, how_later.wanted), "drive", how_later, origin=origin, from_lidar=later)
+    assert is_pending(pending)
+    assert pending.prior is None
+    whole = computed(pending, lambda lidar, reporter=None, /, *, max_gap_ns=0: recording.odometry, Silent())
+    assert whole.prior is not None
+    assert recording.prior is not None
+    np.testing.assert_array_equal(whole.prior.T_odom_rig, recording.prior.T_odom_rig)
     prior = recording.prior
     assert isinstance(prior, Trajectory)
     assert len(prior.times_ns) == 59
@@ -711,3 +722,21 @@ def test_odometry_is_computed_from_a_spinning_lidar_where_there_is_none(tmp_path
     recording, _ = read_bag(open_bag(path, how.wanted), "drive", how, from_lidar=made)
     assert [lidar.name for lidar in asked] == ["points"]
     assert len(recording.odometry.times_ns) == SCANS
+
+
+def test_the_faults_of_all_bags_are_told_before_odometry_is_computed(tmp_path: Path) -> None:
+    paths = []
+    for name in ("summer", "winter"):
+        bag = drive(odometry=False)
+        clouds = [message for _, topic, message in bag.rows if topic == "/points"]
+        clouds[-1].width = 9000
+        paths.append(bag.write(tmp_path / f"{name}.bag"))
+    out = tmp_path / "out"
+    outcome = relocbench(
+        "build-dataset", "rosbag", *paths, "--cameras", "none", "--motion", "compensated", "--out", out
+    )
+    assert outcome.status == 2
+    for name in ("summer", "winter"):
+        assert f"{name}.bag: /points, message received at" in outcome.err
+    assert "odometry from" not in outcome.err
+    assert not (out / "groundtruth" / "odometry").exists()

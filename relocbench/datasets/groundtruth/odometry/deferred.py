@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,14 @@ from relocbench.progress import Reporter
 @dataclass(frozen=True, eq=False)
 class Pending(Trajectory):
     """Stands in for odometry that is not computed yet: the times of the scans, without motion."""
+
+    prior_of: Callable[[Trajectory], Trajectory | None] | None = None
+    """the prior, if it is fitted to the odometry; None: the recording has the one that there is"""
+
+
+def with_prior(motion: Trajectory, prior_of: Callable[[Trajectory], Trajectory | None]) -> Trajectory:
+    """Odometry, and the way to the prior along with it if it is computed later."""
+    return replace(motion, prior_of=prior_of) if isinstance(motion, Pending) else motion
 
 
 def later(lidar: LidarStream, reporter: Reporter | None = None, /, *, max_gap_ns: int = 1_000_000_000) -> Trajectory:
@@ -30,11 +39,15 @@ def is_pending(recording: FieldRecording) -> bool:
 def computed(recording: FieldRecording, from_lidar: FromLidar, reporter: Reporter) -> FieldRecording:
     """The recording with its odometry, computed from the lidar ``odometry_lidar``; itself if it has odometry.
 
+    A prior that is fitted to the odometry is computed along with it.
+
     Raises:
         ConfigError, DatasetError: the odometry cannot be computed.
     """
-    if not is_pending(recording):
+    pending = recording.odometry
+    if not isinstance(pending, Pending):
         return recording
     lidar = next(one for one in recording.lidars if one.name == recording.odometry_lidar)
-    motion = from_lidar(lidar, reporter, max_gap_ns=recording.odometry.max_gap_ns)
-    return replace(recording, odometry=motion)
+    motion = from_lidar(lidar, reporter, max_gap_ns=pending.max_gap_ns)
+    prior = recording.prior if pending.prior_of is None else pending.prior_of(motion)
+    return replace(recording, odometry=motion, prior=prior)

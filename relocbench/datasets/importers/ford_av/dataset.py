@@ -10,7 +10,7 @@ from pydantic import Field
 from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.importers.assembly import open_writer
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, DatasetError, raise_all
 from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.progress import Reporter
@@ -66,7 +66,13 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     how = ReadingOptions(options.lidars, options.odometry, options.lidar_axes, options.lidar_intrinsics)
     writer = open_writer("ford-av", sources, options, out, fitting_name(f"ford_av_{logs[0].name}"))
     index = out / "groundtruth" / "index"
-    drives = [read_ford(log, how, reporter, kept=index / f"{log.name}.npz") for log in logs]
+    drives, faults = [], []
+    for log in logs:
+        try:
+            drives.append(read_ford(log, how, reporter, kept=index / f"{log.name}.npz"))
+        except DatasetError as bad:
+            faults.append(bad)
+    raise_all(faults)
     check_recordings([drive.with_times_only() for drive in drives], options)
     # Odometry that is missing is computed by the build, after it has checked all drives.
     recordings = [drive.recording(later, reporter) for drive in on_one_map(drives, reporter)]

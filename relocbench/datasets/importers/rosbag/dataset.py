@@ -12,7 +12,7 @@ from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.importers.rosbag.point_times import parse_point_times
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, raise_all
 from relocbench.execution import Run
 from relocbench.files import check_distinct, plain_name
 from relocbench.progress import Reporter
@@ -75,7 +75,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
-    from relocbench.datasets.groundtruth.odometry.files import kept_in
+    from relocbench.datasets.groundtruth.odometry.deferred import later
     from relocbench.datasets.importers.rosbag.recording import camera_names, open_bag, read_bag
 
     assert isinstance(options, Options)
@@ -86,18 +86,19 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     settings = settings_of(options)
     opened = [open_bag(source, settings.wanted, reporter) for source in sources]
     writer = open_writer("rosbag", sources, options, out, "rosbag_" + names[0])
-    recordings, origin = [], None
+    recordings, faults, origin = [], [], None
     for one, name in zip(opened, names, strict=True):
-        recording, origin = read_bag(
-            one,
-            name,
-            settings,
-            origin=origin,
-            kept=out / "groundtruth" / "index" / f"{name}.npz",
-            reporter=reporter,
-            from_lidar=kept_in(out / "groundtruth" / "odometry" / f"{name}.csv"),
-        )
+        kept = out / "groundtruth" / "index" / f"{name}.npz"
+        try:
+            # Odometry that is missing is computed by the build, after it has checked all drives.
+            recording, origin = read_bag(
+                one, name, settings, origin=origin, kept=kept, reporter=reporter, from_lidar=later
+            )
+        except DatasetError as bad:
+            faults.append(bad)
+            continue
         recordings.append(recording)
+    raise_all(faults)
     chosen = options.model_copy(update={"cameras": camera_names(opened[0], options.cameras)})
     check_recordings(recordings, chosen)
     return build_ground_truth(recordings, Build(writer, chosen, reporter, run))
@@ -112,7 +113,9 @@ def settings_of(options: Options) -> BagSettings:
     if options.min_range >= options.max_range:
         raise ConfigError(f"--min-range {options.min_range:g} is not below --max-range {options.max_range:g}")
     return BagSettings(
-        wanted=Wanted(options.lidars, options.cameras, options.odometry, options.gnss),
+        wanted=Wanted(
+            options.lidars, () if options.without_images else options.cameras, options.odometry, options.gnss
+        ),
         base_frame=options.base_frame,
         extrinsics=read_extrinsics(options.extrinsics),
         extrinsics_file=options.extrinsics,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.odometry.deferred import Pending, with_prior
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.importers.rosbag.bag import parts_of
 from relocbench.datasets.importers.rosbag.cameras import camera_stream
@@ -85,7 +86,8 @@ def read_bag(
             raise DatasetError(told, reading.source)
         reading.note(f"odometry is computed from the scans of {spinning.messages.topic}")
         motion, source = from_lidar(spinning, report, max_gap_ns=settings.max_gap_ns), spinning.name
-    trajectory, sigma, start = prior(reading, motion, origin, fixes)
+    prior_of, sigma, start = prior(reading, origin, fixes)
+    motion = with_prior(motion, prior_of)
     recording = FieldRecording(
         name=name,
         folder=reading.source,
@@ -93,7 +95,7 @@ def read_bag(
         odometry=motion,
         lidars=lidars,
         cameras=cameras,
-        prior=trajectory,
+        prior=None if isinstance(motion, Pending) else prior_of(motion),
         prior_sigma_m=sigma,
         odometry_lidar=source,
     )

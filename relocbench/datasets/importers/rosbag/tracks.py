@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from relocbench.arrays import Array, Times
@@ -78,42 +80,55 @@ def fix_times(reading: Reading) -> tuple[Times, Times] | None:
     return reading.times(chosen, found.times_ns, found.received_ns)
 
 
+PriorOf = Callable[[Trajectory], Trajectory | None]
+"""called with the odometry, which tells how the rig is turned: the prior ``T_map_rig``, None without positions"""
+
+
 def prior(
-    reading: Reading, measured: Trajectory, origin: GeodeticOrigin | None, times: tuple[Times, Times] | None
-) -> tuple[Trajectory | None, float, GeodeticOrigin | None]:
-    """The prior ``T_map_rig`` with its sigma in metres, and the origin of its map; None without positions.
+    reading: Reading, origin: GeodeticOrigin | None, times: tuple[Times, Times] | None
+) -> tuple[PriorOf, float, GeodeticOrigin | None]:
+    """What makes the prior of the odometry, its sigma in metres, and the origin of its map.
 
     Args:
-        measured: the odometry, which tells how the rig is turned.
         origin: that of the drives before; None: this drive's own.
         times: what :func:`fix_times` returned.
     """
     chosen = reading.roles.gnss
     if times is None:
-        return None, _PRIOR_SIGMA_M, origin
+        return _without, _PRIOR_SIGMA_M, origin
     at, kept = times
     if chosen in reading.index.poses:
         found = reading.index.poses[chosen]
         T_map_rig = motion.poses(found.values[kept]) @ _T_body_rig(
             reading, found, reading.settings.extrinsics.T_rig_gnss
         )
-        return (Trajectory(at, T_map_rig) if len(at) else None), _PRIOR_SIGMA_M, origin
+        known = Trajectory(at, T_map_rig) if len(at) else None
+        return (lambda _: known), _PRIOR_SIGMA_M, origin
     fixes = reading.index.fixes[chosen]
     if fixes.left_out:
         reading.note(f"{chosen}: {fixes.left_out} messages without a fix are left out")
     if not len(at):
         reading.note(f"{chosen} has no fix; drives are registered without GNSS")
-        return None, _PRIOR_SIGMA_M, origin
+        return _without, _PRIOR_SIGMA_M, origin
     start = origin or GeodeticOrigin.of(fixes)
     if origin is None:
         reading.note(f"GNSS positions are relative to {start}")
     enu = motion.east_north_up(fixes.values[kept, :3], start)
-    found_prior = motion.map_of_fixes(at, enu, measured, _antenna(reading, fixes.frame))
-    if found_prior is None:
-        reading.note(f"{chosen}: the drive is too short to tell its heading; it is registered without GNSS")
-    known = fixes.values[kept, 3]
-    sigma = float(np.median(known[known > 0])) if (known > 0).any() else 0.0
-    return found_prior, max(_PRIOR_SIGMA_M, sigma), start
+    antenna = _antenna(reading, fixes.frame)
+
+    def fitted(measured: Trajectory) -> Trajectory | None:
+        found = motion.map_of_fixes(at, enu, measured, antenna)
+        if found is None:
+            reading.note(f"{chosen}: the drive is too short to tell its heading; it is registered without GNSS")
+        return found
+
+    sigmas = fixes.values[kept, 3]
+    sigma = float(np.median(sigmas[sigmas > 0])) if (sigmas > 0).any() else 0.0
+    return fitted, max(_PRIOR_SIGMA_M, sigma), start
+
+
+def _without(measured: Trajectory) -> None:
+    """No positions, no prior."""
 
 
 def _antenna(reading: Reading, frame: str) -> Array:
