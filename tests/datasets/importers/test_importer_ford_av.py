@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from ford_layout import URDF, Made, calibration_file, stamped, urdf_pose, write_ford, write_yaml
+from made_bags import Bag
 from projected_depth import agrees
 from recorded_street import (
     SMALL,
@@ -183,6 +184,7 @@ def test_small_images_of_the_bag_stand_in_for_missing_ones(
 ) -> None:
     bag = tmp_path / logs[0].bag.name
     shutil.copy(logs[0].bag, bag)
+    (tmp_path / f"{bag.stem}-FL").mkdir()  # without images
     whole = read(logs[0].folder)[0].cameras["front_left"].camera
     drive, spoken = read(bag, calibration=logs[0].calibration)
     small = drive.cameras["front_left"].camera
@@ -309,6 +311,28 @@ def test_wrong_use_is_told_in_one_line(logs: list[Made], tmp_path: Path, argumen
     outcome = relocbench("build-dataset", "ford-av", *(a.format(*places) for a in arguments), "--out", tmp_path / "d")
     assert outcome.status == 2
     assert words in outcome.err
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_converted_clouds_are_read_if_their_points_have_times(logs: list[Made], tmp_path: Path, timed: bool) -> None:
+    columns = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *([("time", "<f4")] if timed else [])]
+    cloud = np.zeros(400, np.dtype(columns))
+    cloud["x"], cloud["y"], cloud["z"] = 8.0, np.linspace(-5, 5, 400), np.tile([0.0, 1.0], 200)
+    if timed:
+        cloud["time"] = np.linspace(-0.1, 0.0, 400)
+    bag = Bag()
+    for k in range(12):
+        time = 1_501_822_800_000_000_000 + k * 100_000_000
+        bag.cloud("/lidar_red_pointcloud", time, cloud, "lidar_red")
+        bag.pose_stamped("/pose_ground_truth", time, (k, 0, 0, 0, 0, 0, 1))
+    path, how = bag.write(tmp_path / "2017-08-04-V2-Log9.bag"), ReadingOptions(axes="ros")
+    if timed:
+        drive, _ = read(path, how, logs[0].calibration)
+        scan = drive.lidars[0].read(3)
+        assert np.ptp(scan.times_ns) == pytest.approx(1e8, abs=10)
+        return
+    with pytest.raises(DatasetError, match=r"/lidar_red_pointcloud holds clouds without times .* \(/lidar_red_scan\)"):
+        read(path, how, logs[0].calibration)
 
 
 def test_axes_that_nothing_tells_have_to_be_named(logs: list[Made], tmp_path: Path) -> None:

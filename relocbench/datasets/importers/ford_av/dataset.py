@@ -72,7 +72,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
             drives.append(read_ford(log, how, reporter, kept=index / f"{log.name}.npz"))
         except DatasetError as bad:
             faults.append(bad)
-    raise_all(faults)
+    raise_all(list({str(fault): fault for fault in faults}.values()))
     check_recordings([drive.with_times_only() for drive in drives], options)
     # Odometry that is missing is computed by the build, after it has checked all drives.
     recordings = [drive.recording(later, reporter) for drive in on_one_map(drives, reporter)]

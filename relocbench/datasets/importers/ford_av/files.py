@@ -109,8 +109,8 @@ def _bag_of(source: Path) -> Path:
 
 
 def _images_of(bag: Path) -> dict[str, Path]:
-    """Folders beside a bag, by its name; if it is the only bag there, by their endings alone."""
-    folders = sorted(p for p in bag.parent.iterdir() if p.is_dir())
+    """Folders with PNG beside a bag, by its name; if it is the only bag there, by their endings alone."""
+    folders = sorted(p for p in bag.parent.iterdir() if p.is_dir() and any(q.suffix == ".png" for q in p.iterdir()))
     alone = sum(p.suffix in SUFFIXES for p in bag.parent.iterdir()) == 1
     out = {}
     for camera, (ending, _) in CAMERAS.items():

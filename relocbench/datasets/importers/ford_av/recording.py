@@ -41,6 +41,7 @@ from relocbench.datasets.importers.rosbag.bag import parts_of
 from relocbench.datasets.importers.rosbag.extrinsics import Extrinsics, LidarEntry
 from relocbench.datasets.importers.rosbag.lidars import lidar_stream
 from relocbench.datasets.importers.rosbag.packets import PacketReading
+from relocbench.datasets.importers.rosbag.point_times import FIELDS
 from relocbench.datasets.importers.rosbag.reading import Opened, Reading
 from relocbench.datasets.importers.rosbag.recording import table_lines
 from relocbench.datasets.importers.rosbag.roles import CameraTopic, Roles
@@ -135,7 +136,12 @@ def _roles(found: Survey, log: Log, how: ReadingOptions) -> Roles:
         topics = [t for t in found.of_types((kinds.PACKETS, kinds.CLOUD)) if t.name in names]
         if not topics and colour in how.lidars:
             raise DatasetError(f"has no {' or '.join(names)} that can be read (--lidars {colour})", log.bag)
-        for topic in topics[-1:]:
+        for topic in topics[-1:]:  # packets, if there are both
+            if topic.type == kinds.CLOUD and not set(FIELDS) & set(topic.fields):
+                told = "holds clouds without times of points, which the motion of the car distorts"
+                raise DatasetError(
+                    f"{topic.name} {told}; expected packets ({names[0]}), or times in the clouds", log.bag
+                )
             roles.lidars[f"lidar_{colour}"] = topic.name
             roles.why[topic.name] = ("lidar", "a lidar of the dataset")
     if not roles.lidars:
@@ -194,9 +200,6 @@ def _cameras(reading: Reading, log: Log) -> dict[str, CameraStream]:
     out: dict[str, CameraStream] = {}
     for name, folder in log.images.items():
         images = files_by_time(folder, (".png",), image_time)
-        if not len(images[1]):
-            reading.note(f"{folder.name} holds no images")
-            continue
         calibrated = _calibration(reading, log, name)
         if calibrated is not None:
             path, intrinsics, size, T_rig_cam = calibrated
