@@ -20,7 +20,7 @@ from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.layouts.robotcar import mosaic
 from relocbench.datasets.synthetic.lidar.lidar import Lidar, LidarScene
 from relocbench.datasets.synthetic.lidar.lidar import scan as simulate
-from relocbench.geometry import Camera, apply, make_transform, transform_to_tq
+from relocbench.geometry import Camera, apply, invert, make_transform, transform_to_tq
 
 Array = NDArray[np.float64]
 TURN_NS = 100_000_000
@@ -48,6 +48,17 @@ def scans_of(drive: StreetDrive) -> list[RawScan]:
         column = np.floor((offsets + TURN_NS / 2) / TURN_NS * drive.options.azimuths).astype(np.int64)
         found.append(RawScan(int(path.stem) * 1000, table[:, :3], offsets, table[:, 4].astype(np.int64), column))
     return found
+
+
+def compensated(drive: StreetDrive, found: RawScan) -> Array:
+    """(N, 3) points of a scan as seen from the lidar's pose at the scan's time, without the drive's motion."""
+    at = found.middle_ns
+    T_lidar_fired = (
+        invert(drive.T_world_car(np.array([at]))[0] @ drive.T_car_lidar)
+        @ drive.T_world_car(at + found.offsets_ns)
+        @ drive.T_car_lidar
+    )
+    return np.asarray(apply(T_lidar_fired, found.points[:, None, :])[:, 0])
 
 
 def pose_times(drive: StreetDrive, period_ns: int = 10_000_000) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from command_line import relocbench
-from lidar_layouts import matrix_rows, pose_times, quaternion_rows, scans_of, write
+from lidar_layouts import compensated, matrix_rows, pose_times, quaternion_rows, scans_of, write
 from numpy.typing import NDArray
 from projected_depth import agrees
 from recorded_street import (
@@ -29,7 +29,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.clouds.recording import SweptClouds, read_clouds
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import DatasetError
-from relocbench.geometry import apply, invert, transform_to_tq
+from relocbench.geometry import invert, transform_to_tq
 
 pytestmark = pytest.mark.slow
 
@@ -202,15 +202,9 @@ def test_whether_motion_distorts_clouds_is_told_from_them(drives: list[StreetDri
     drive = drives[0]
     write_clouds(drive, tmp_path / "distorted", by_time("bin"), floats(4))
     for found in scans_of(drive):
-        at = found.middle_ns
-        T_lidar_fired = (
-            invert(drive.T_world_car(np.array([at]))[0] @ drive.T_car_lidar)
-            @ drive.T_world_car(at + found.offsets_ns)
-            @ drive.T_car_lidar
-        )
-        points = apply(T_lidar_fired, found.points[:, None, :])[:, 0]
+        points = compensated(drive, found)
         table = np.column_stack([points, np.ones(len(points))]).astype("<f4")
-        write(tmp_path / "compensated" / f"{at}.bin", table.tobytes())
+        write(tmp_path / "compensated" / f"{found.middle_ns}.bin", table.tobytes())
     for motion, turning in (("distorted", True), ("compensated", False)):
         spoken = Spoken()
         lidar = read_clouds(tmp_path / motion, "a", spoken, motion="auto").lidars[0]

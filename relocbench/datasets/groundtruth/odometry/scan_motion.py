@@ -111,7 +111,9 @@ def detect_motion(compensated: LidarStream, distorted: LidarStream) -> Detected:
             fits.append((plain, corrected))
             speeds.append(moved)
     if not fits:
-        return Detected("compensated", f"cannot be told, since the lidar hardly moves in any {_SCANS} scans looked at")
+        return Detected(
+            "compensated", f"cannot be told: of the scans looked at, no {_SCANS} in a row move and have enough points"
+        )
     plain, corrected = np.median(np.array(fits), axis=0).tolist()
     told = (
         f"scans {np.median(speeds):.1f} m apart fit to {100 * plain:.1f} cm as they are and to "
@@ -147,9 +149,9 @@ def _fit(part: _Part) -> tuple[float, float] | None:
     try:
         motion = lidar_odometry(part)
     except DatasetError:
-        if any(len(part.read(i).points) == 0 for i in range(part.count)):
-            return None  # too few points to register
-        raise
+        for i in range(part.count):
+            part.read(i)  # raises if a scan is damaged
+        return None  # too few points to register
     poses, times = motion.T_odom_rig, motion.times_ns
     if len(times) < 3:
         return None

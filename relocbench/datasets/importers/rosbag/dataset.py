@@ -46,7 +46,9 @@ class Options(FieldOptions):
         "auto", description="times of points: auto, none, or FIELD:UNIT:BASE with s|ms|us|ns and scan|epoch|first"
     )
     motion: Literal["auto", "compensated", "distorted"] = Field(
-        "auto", description="'compensated' ignores times of points, 'distorted' takes them from the azimuth if need be"
+        "auto",
+        description="'compensated' ignores times of points, 'distorted' takes them from the azimuth if need be; "
+        "auto: without times, told from the scans",
     )
     pattern: Literal["auto", "spinning", "push-broom"] = Field(
         "auto", description="push-broom if the points of a scan lie in one plane; default: by the scans"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from relocbench.datasets.groundtruth.odometry.scan_motion import told_motion
 from relocbench.datasets.importers.rosbag import kinds
 from relocbench.datasets.importers.rosbag.clouds import cloud_fields
 from relocbench.datasets.importers.rosbag.point_times import FIELDS, PointTimes, detect
@@ -48,8 +49,19 @@ def lidar_stream(reading: Reading, name: str, topic: str) -> BagLidar:
     if pattern == "auto":
         pattern = "push-broom" if _flat(plain, samples) else "spinning"
     spread = _point_times(reading, plain, samples, pattern)
-    reading.note(f"{topic}: {pattern} lidar, times of points: {spread}")
-    return BagLidar(name, messages, pose, times, pattern, spread, settings.min_range_m, farthest, settings.sigma_m)
+    lidar = replace(plain, pattern=pattern, times=spread)
+    if settings.motion == "auto" and settings.point_times is None and pattern == "spinning" and not spread.field:
+        swept = replace(lidar, times=PointTimes(turn_ns=_turn_ns(plain)))
+        title = f"{reading.name}: {topic}: points have no times"
+        if told_motion(title, lidar, swept, reading.reporter) == "distorted":
+            lidar = swept
+    reading.note(f"{topic}: {pattern} lidar, times of points: {lidar.times}")
+    return lidar
+
+
+def _turn_ns(lidar: BagLidar) -> int:
+    """The time of a turn: from one scan to the next."""
+    return round(float(np.median(np.diff(lidar.times_ns))))
 
 
 def _of_packets(reading: Reading, plain: BagLidar) -> BagLidar:
@@ -72,12 +84,12 @@ def _flat(lidar: BagLidar, samples: Sequence[int]) -> bool:
 
 def _point_times(reading: Reading, lidar: BagLidar, samples: Sequence[int], pattern: str) -> PointTimes:
     settings, topic = reading.settings, lidar.messages.topic
-    period = float(np.median(np.diff(lidar.times_ns)))
+    period = float(_turn_ns(lidar))
     if settings.motion == "distorted" and settings.point_times is None:
         found = _detected(reading, lidar, samples, period)
         if not found.field and pattern != "spinning":
             raise ConfigError(f"--motion distorted: {topic} is no spinning lidar, and its points have no times")
-        return found if found.field else PointTimes(turn_ns=round(period))
+        return found if found.field else PointTimes(turn_ns=_turn_ns(lidar))
     if settings.motion == "compensated":
         return PointTimes()
     if settings.point_times is None:
