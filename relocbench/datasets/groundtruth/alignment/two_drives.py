@@ -9,6 +9,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions
+from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, refine_locally
@@ -95,12 +96,18 @@ def map_prior(reference: Drive, query: Drive) -> MapPrior | None:
 
 
 def at_nodes(reference: Drive, query: Drive, first: FirstPose) -> tuple[int, int, Array]:
-    """A pose between two times, transferred by both odometries to the nodes nearest in time."""
+    """A pose between two times, transferred by both odometries to the nodes nearest in time.
+
+    A time without a node on its piece of the odometry gets the nearest node of all, whose pose is as uncertain as the
+    one that was given.
+    """
     out, moved = [], []
     for drive, time in ((reference, first[0]), (query, first[1])):
-        node = int(np.argmin(np.abs(drive.nodes.times_ns - time)))
-        at = np.clip(time, *drive.recording.odometry.times_ns[[0, -1]])
-        T_odom_then = drive.recording.odometry.at(np.array([at], dtype=np.int64))[0]
+        odometry = drive.recording.odometry
+        at = np.array([np.clip(time, *odometry.times_ns[[0, -1]])], dtype=np.int64)
+        nearest = int(nearest_nodes(drive.nodes, odometry, at)[0])
+        node = nearest if nearest >= 0 else int(np.argmin(np.abs(drive.nodes.times_ns - time)))
+        T_odom_then = odometry.at(at)[0]
         moved.append(invert(drive.nodes.T_odom_node[node]) @ T_odom_then)
         out.append(node)
     T_ref_query = moved[0] @ first[2] @ invert(moved[1])

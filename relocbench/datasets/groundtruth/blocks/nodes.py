@@ -76,6 +76,21 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
     )
 
 
+def nearest_nodes(nodes: Nodes, odometry: Trajectory, times_ns: Times) -> Indices:
+    """(M,) the node nearest to each time (M,), among those of its piece of the odometry; -1 if it has none.
+
+    Across a gap or a break the odometry says nothing, however near a node is in time.
+    """
+    piece, own = odometry.pieces(times_ns), odometry.pieces(nodes.times_ns)
+    out = np.full(len(times_ns), -1, dtype=np.int64)
+    for number in np.unique(piece).tolist():
+        members, there = np.flatnonzero(own == number), piece == number
+        if len(members):
+            apart = np.abs(nodes.times_ns[members][None, :] - times_ns[there][:, None])
+            out[there] = members[np.argmin(apart, axis=1)]
+    return out
+
+
 def arc_length_along(recording: FieldRecording) -> ArcLength:
     """Arc length driven while a lidar measured. Raises DatasetError if odometry and lidars have no time in common."""
     spans = [(int(lidar.times_ns[0]), int(lidar.times_ns[-1])) for lidar in recording.lidars if len(lidar.times_ns)]

@@ -118,9 +118,14 @@ def _of_value(adjustment: Adjustment, calibration: Array) -> Reduced:
 
 
 def node_twists(odometry: Trajectory, nodes: Nodes) -> Array:
-    """(K, 6) the rig's twist a second at each node, in its frame."""
+    """(K, 6) the rig's twist a second at each node, in its frame; what is across a gap or a break is no motion."""
     before = np.maximum(nodes.times_ns - _TWIST_NS, odometry.times_ns[0])
     after = np.minimum(nodes.times_ns + _TWIST_NS, odometry.times_ns[-1])
+    piece = odometry.pieces(nodes.times_ns)
+    before = np.where(odometry.pieces(before) == piece, before, nodes.times_ns)
+    after = np.where(odometry.pieces(after) == piece, after, nodes.times_ns)
+    # Between two breaks that are close together there is no motion to measure.
+    after = np.where(after == before, before + 1, after)
     motion = se3_log(invert(odometry.at(before)) @ odometry.at(after))
     return np.asarray(motion / ((after - before) / 1e9)[:, None])
 

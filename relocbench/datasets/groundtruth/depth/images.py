@@ -12,6 +12,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
+from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.groundtruth.depth.depth import (
     DepthImage,
     DepthOptions,
@@ -63,10 +64,16 @@ class DepthView:
         return self.by_stereo(time_ns) if self.source == "stereo" else self.by_lidar(time_ns)
 
     def by_lidar(self, time_ns: int) -> DepthImage:
-        """Depth drawn from the submap of the node nearest in time."""
-        drive = self.drive
-        node = int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
-        T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
+        """Depth drawn from the submap of the node nearest in time on the same piece of the odometry.
+
+        Raises:
+            ValueError: there is no such node.
+        """
+        drive, at = self.drive, np.array([time_ns], dtype=np.int64)
+        node = int(nearest_nodes(drive.nodes, drive.recording.odometry, at)[0])
+        if node < 0:
+            raise ValueError(f"no node of {drive.name} is on the piece of odometry of {time_ns}")
+        T_odom_rig = drive.recording.odometry.at(at)[0]
         T_cam_node = invert(T_odom_rig @ self.T_rig_cam) @ drive.nodes.T_odom_node[node]
         scene = _scene(_WindowKey(drive.blocks, self.length_m, self.options, drive), node)
         return scene_depth(scene, self.camera, T_cam_node, self.options)

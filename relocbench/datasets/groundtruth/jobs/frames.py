@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, RigStream
 
 
@@ -19,7 +20,7 @@ def select_images(
     """
     times = stream.times_ns
     inside = (times >= nodes.times_ns[0]) & (times <= nodes.times_ns[-1])
-    known = recording.odometry.covers(times)
+    known = recording.odometry.covers(times) & (nearest_nodes(nodes, recording.odometry, times) >= 0)
     rows = np.flatnonzero(inside if in_gaps else inside & known)
     if not len(rows):
         return []

@@ -128,7 +128,9 @@ class SolvedDrive:
     """(K, 4, 4) poses of the nodes, by the graph"""
 
     def place(self, time_ns: int) -> RigPose | None:
-        """The pose of the rig at a time, by odometry from the nodes around it; None if the odometry has no pose then.
+        """The pose of the rig at a time, by odometry from the nodes around it.
+
+        None if the odometry has no pose then, or if no node around it is on the same piece of the odometry.
 
         Between two nodes the poses by either are interpolated, so that the result is continuous.
         """
@@ -138,8 +140,10 @@ class SolvedDrive:
         times = self.nodes.times_ns
         after = int(np.searchsorted(times, time_ns, side="right"))
         around = [n for n in (after - 1, after) if 0 <= n < len(times)]
-        if len(around) == 2:
-            around = self._same_segment(around, time_ns)
+        pieces = self.odometry.pieces(np.array([time_ns, *times[around]]))
+        around = [n for n, piece in zip(around, pieces[1:], strict=True) if piece == pieces[0]]
+        if not around:
+            return None
         steps = [invert(self.nodes.T_odom_node[n]) @ T_odom_rig for n in around]
         distances = [float(np.linalg.norm(T[:3, 3])) for T in steps]
         said = [self.T_world_node[n] @ T for n, T in zip(around, steps, strict=True)]
@@ -148,17 +152,6 @@ class SolvedDrive:
             return RigPose(around[nearest], said[nearest], distances[nearest])
         T_world_rig = interpolate(said[0], said[1], distances[0] / (distances[0] + distances[1]))
         return RigPose(around[nearest], T_world_rig, distances[nearest])
-
-    def _same_segment(self, around: list[int], time_ns: int) -> list[int]:
-        """Those of the two nodes around a time that are in its segment of the odometry."""
-        segment = self.nodes.segments()
-        if segment[around[0]] == segment[around[1]]:
-            return around
-        # The gap is on one side of the time, so that the node on the other side is in the same segment.
-        poses = self.odometry.times_ns
-        inner = poses[(poses >= self.nodes.times_ns[around[0]]) & (poses <= time_ns)]
-        whole = len(inner) < 2 or int(np.diff(np.append(inner, time_ns)).max()) <= self.odometry.max_gap_ns
-        return [around[0] if whole else around[1]]
 
 
 class Outcomes:

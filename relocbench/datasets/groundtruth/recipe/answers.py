@@ -8,6 +8,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome, axis_sigmas
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
@@ -41,7 +42,7 @@ def between_nodes(unit: ChainUnit, pairs: Sequence[Registration], reference: Dri
     out: dict[int, Registration] = {}
     for pair in pairs:
         times = unit.keyframes.times_ns[pair.ref], unit.queries.times_ns[pair.query]
-        i, j = (int(np.argmin(np.abs(d.nodes.times_ns - t))) for d, t in zip((reference, query), times, strict=True))
+        i, j = (_nearest(drive, int(time)) for drive, time in zip((reference, query), times, strict=True))
         T, information = pair.T_ref_query, pair.information
         if np.isfinite(T).all():
             T_refnode_ref, T_querynode_query = _from_node(reference, i, times[0]), _from_node(query, j, times[1])
@@ -77,6 +78,12 @@ def placed(registrations: Sequence[Registration], reference: Drive, query: Drive
 def _world_of(pair: Registration, reference: Nodes, query: Nodes) -> Array:
     """(4, 4) the query's odometry frame in the reference's, by one pair."""
     return np.asarray(reference.T_odom_node[pair.ref] @ pair.T_ref_query @ invert(query.T_odom_node[pair.query]))
+
+
+def _nearest(drive: Drive, time_ns: int) -> int:
+    """The nearest node on the same piece of the odometry, or the nearest of all for a time that has none."""
+    node = int(nearest_nodes(drive.nodes, drive.recording.odometry, np.array([time_ns], dtype=np.int64))[0])
+    return node if node >= 0 else int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
 
 
 def _from_node(drive: Drive, node: int, time_ns: int) -> Array:
