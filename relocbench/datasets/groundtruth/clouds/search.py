@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.groundtruth.clouds.distinct import Distinct, distinct_evidence
 from relocbench.datasets.groundtruth.clouds.judging import WITH_FREE_SPACE, FreeSpaceKnown, Verdict, judge
 from relocbench.datasets.groundtruth.clouds.preparing import PreparedCloud
 from relocbench.datasets.groundtruth.clouds.uncertainty import FinalFit, FinePlanes, final_fit
@@ -213,10 +214,13 @@ class _Judge:
             T,
             information,
             evidence,
-            judge(evidence, self._scale, self._known, self._outdoors),
+            judge(evidence, self._scale, self._known, None if self._outdoors else lambda: self._distinct(T)),
             unexplained(evidence),
             fitted,
         )
+
+    def _distinct(self, T: Array) -> Distinct:
+        return distinct_evidence(self._a, self._b, T)
 
     def _with_drift(self, fitted: Array, by_icp: Array) -> Array:
         """The information of the final fit; of clouds put together by odometry, that of ICP, which allows for drift."""
