@@ -34,6 +34,8 @@ simulated streets and real scans): with free space, for single scans in which al
 for clouds that reach further than their points are dense. Rooms are not judged by them, since walls and floors of
 different rooms have details that agree."""
 
+_SLACK = 0.08
+"""by how much the limits on shares are wider for a pose that another one is compared with"""
 _INDOORS, _CLUTTERED = Distinct(0.2, 0.6), Distinct(0.4, 0.45)
 """Least evidence besides three planes, for either limits indoors."""
 
@@ -83,6 +85,29 @@ def judge(
     if known == "both" and not _reason(evidence, scale, known, CLUTTERED) and not _too_plain(distinct(), _CLUTTERED):
         return Verdict("", f"{rests_on}; many surfaces besides walls and a floor, though noise hides some of them")
     return Verdict(reason, rests_on)
+
+
+def holds_nearly(evidence: Evidence, scale: SceneScale, known: FreeSpaceKnown, outdoors: bool) -> bool:
+    """Whether a pose would be trusted by limits that are a little wider: it may be as good as one that is trusted.
+
+    Of a cube's 24 poses, one may lie just inside a limit and the others just outside.
+    """
+    inside = (WITH_FREE_SPACE, *OUTDOORS[:1]) if outdoors else (INDOORS, CLUTTERED)
+    without = (WITHOUT_FREE_SPACE, *OUTDOORS[1:]) if outdoors else (WITHOUT_FREE_SPACE,)
+    limits = inside if known == "both" else without
+    return any(not _reason(evidence, scale, known, _wider(t)) for t in limits)
+
+
+def _wider(t: Thresholds) -> Thresholds:
+    return Thresholds(
+        least_seen=0.8 * t.least_seen,
+        least_overlap=t.least_overlap - _SLACK,
+        most_violations=t.most_violations + _SLACK / 2,
+        least_detail=t.least_detail - _SLACK,
+        most_residual_m=1.2 * t.most_residual_m,
+        most_sigma_m=2 * t.most_sigma_m,
+        most_sigma_deg=2 * t.most_sigma_deg,
+    )
 
 
 def _too_plain(found: Distinct, least: Distinct) -> str:
