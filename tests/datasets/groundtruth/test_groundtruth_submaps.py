@@ -125,7 +125,7 @@ def test_break_of_the_odometry_parts_the_drive(street: FieldRecording) -> None:
 
 
 def test_submap_stays_within_its_segment(tmp_path: Path) -> None:
-    recording = drive_street(Street(gap_s=1.0))
+    recording = drive_street(Street(gap_s=1.0, period_ns=60_000_000))
     nodes = make_nodes(recording)
     window = SubmapWindow(nodes, build_blocks(recording, nodes, tmp_path))
     first = int(np.flatnonzero(nodes.segments() == 1)[0])
