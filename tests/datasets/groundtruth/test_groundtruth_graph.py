@@ -145,12 +145,12 @@ def test_where_nothing_holds_the_way_the_error_of_the_scale_adds_up() -> None:
 
 
 def test_gross_errors_are_left_out_and_named_and_covariances_are_calibrated() -> None:
-    reference, query, found = two_drives(500.0, 3)
+    reference, query, found = two_drives(300.0, 3)
     rng = np.random.default_rng(30)
     wrong = rng.random(len(found)) < 0.05
     found = [grossly_wrong(r, rng) if w else r for r, w in zip(found, wrong, strict=True)]
     solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
-    assert wrong.sum() > 20
+    assert wrong.sum() > 12
     assert not used(solution)[wrong].any()
     assert used(solution)[~wrong].mean() > 0.98
     assert all("off" in solution.verdicts[e] for e in np.flatnonzero(wrong))
@@ -287,7 +287,7 @@ def test_blocks_meet_where_registrations_say_so_and_not_where_drift_puts_them() 
 
 
 def test_noise_of_odometry_is_found_again_whatever_was_assumed() -> None:
-    reference, query, found = two_drives(600.0, 12, WHITE)
+    reference, query, found = two_drives(400.0, 12, WHITE)
     solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
     true = np.array([0.002] * 3 + [2e-4] * 3) / np.sqrt(0.6)
     np.testing.assert_allclose(solution.noise.sigma[1:], true[1:], rtol=0.25)
@@ -310,7 +310,7 @@ def test_local_edges_are_calibrated_and_beat_rigid_submaps_that_drift(known: boo
     squares, rigid, local = [], [], []
     errors = WHITE if known else OdometryErrors()
     noise = OdometryNoise(*(np.array([0.002] * 3 + [2e-4] * 3) / np.sqrt(0.6))) if known else None
-    for seed in range(5 if known else 3):
+    for seed in range(3 if known else 1):
         rng = np.random.default_rng(seed)
         reference, query = drive(120.0, rng, errors), drive(120.0, rng, errors, 0.7)
         planes = Planes(reference, query, rng)
@@ -322,7 +322,7 @@ def test_local_edges_are_calibrated_and_beat_rigid_submaps_that_drift(known: boo
         rigid.append(np.median(translation_errors(start, reference, query)))
         local.append(np.median(translation_errors(fine, reference, query)))
     if known:
-        assert 0.8 < np.mean(squares) < 1.2
+        assert 0.75 < np.mean(squares) < 1.3
     else:
         assert 0.5 < np.mean(squares) < 2.0
         assert np.mean(local) < 0.5 * np.mean(rigid)

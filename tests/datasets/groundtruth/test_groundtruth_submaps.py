@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from relocbench.datasets.groundtruth.blocks.store import BlockStore, build_block
 from relocbench.datasets.groundtruth.blocks.surfaces import smallest_eigenvector
 from relocbench.datasets.groundtruth.submaps.submaps import Submap, SubmapWindow
 from relocbench.datasets.groundtruth.voxels.claims import VoxelClaims
-from relocbench.datasets.groundtruth.voxels.thinning import thin
+from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels, thin
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 from relocbench.errors import ConfigError, DatasetError
@@ -124,7 +125,7 @@ def test_break_of_the_odometry_parts_the_drive(street: FieldRecording) -> None:
 
 
 def test_submap_stays_within_its_segment(tmp_path: Path) -> None:
-    recording = drive_street(Street(gap_s=1.0))
+    recording = drive_street(Street(gap_s=1.0, period_ns=60_000_000))
     nodes = make_nodes(recording)
     window = SubmapWindow(nodes, build_blocks(recording, nodes, tmp_path))
     first = int(np.flatnonzero(nodes.segments() == 1)[0])
@@ -198,6 +199,28 @@ def test_thinning_does_not_depend_on_the_order_of_points() -> None:
     for _ in range(5):
         mixed = points[rng.permutation(len(points))]
         np.testing.assert_array_equal(mixed[thin(mixed, 0.3)], first)
+
+
+def test_thinned_drives_in_opposite_directions_do_not_lie_apart() -> None:
+    """A wall across the road, 6 mm of noise, two points a voxel. Which of the two is met first depends on the way that
+    one drives, and so does on which side of the wall it lies; a draw does not."""
+    rng = np.random.default_rng(3)
+    cells = np.stack(np.meshgrid(np.arange(60), np.arange(60), indexing="ij"), -1).reshape(-1, 2)
+    yz = np.repeat(cells, 2, axis=0) + rng.uniform(0.1, 0.9, size=(2 * len(cells), 2))
+    wall = np.column_stack([10.05 + 0.006 * rng.normal(size=len(yz)), 0.1 * yz])
+    T_back = make_transform(so3_exp([0.0, 0.0, np.pi]), [20.1, 0.0, 0.0])
+
+    def apart(thinned: Callable[[Array, float], NDArray[np.integer]]) -> float:
+        """By how much the walls of both drives differ along the road, in the frame of the first."""
+        walls = []
+        for T in (np.eye(4), T_back):
+            points = apply(T, wall)
+            points = points[np.argsort(points[:, 0])]
+            walls.append(float(apply(invert(T), points[thinned(points, 0.1)])[:, 0].mean()))
+        return abs(walls[0] - walls[1])
+
+    assert apart(first_in_voxels) > 0.004
+    assert apart(thin) < 0.0005
 
 
 def test_thinning_nothing_gives_nothing() -> None:

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from repository import TRUTH
 
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
+from relocbench.datasets.groundtruth.clouds.distinct import Distinct, distinct_evidence, outside_largest_planes
+from relocbench.datasets.groundtruth.clouds.field_of_view import field_of_view
 from relocbench.datasets.groundtruth.clouds.folders import with_one_origin
-from relocbench.datasets.groundtruth.clouds.judging import judge
+from relocbench.datasets.groundtruth.clouds.judging import holds_nearly, judge
 from relocbench.datasets.groundtruth.clouds.preparing import prepare
 from relocbench.datasets.groundtruth.clouds.register import (
     CloudRegistration,
@@ -23,14 +25,18 @@ from relocbench.datasets.groundtruth.clouds.register import (
 )
 from relocbench.datasets.groundtruth.registration.global_registration import pose_difference
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale, SceneSize, scale_of, scene_size
+from relocbench.datasets.groundtruth.submaps.free_space import make_patches
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, se3_exp, se3_log, so3_exp
 
 sys.path.insert(0, str(TRUTH))
-from register_scenes import Pair, room_pair, unrelated_rooms
+from register_scenes import Pair, depth_pair, room_pair, unrelated_depth
 
 Array = NDArray[np.float64]
+
+NAN = float("nan")
+GOOD = Evidence(0.95, 0.95, 0.01, 0.01, NAN, NAN, 0.01, (1.0, 0.0, 0.0), 0.01, 0.9, 0.9, 0.9, 0.9)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +62,8 @@ def test_two_scans_of_a_room_are_registered_and_trusted(pair: Pair, found: Cloud
 def test_a_cloud_and_its_moved_copy_give_the_motion(pair: Pair) -> None:
     T = make_transform(so3_exp([0.2, -0.1, 2.0]), [3.0, -1.0, 0.5])
     copy = Cloud("copy", apply(T, pair.a.points))
-    back = register_clouds(copy, Cloud("cloud", pair.a.points))
+    near = T @ se3_exp(np.full(6, 0.01))
+    back = register_clouds(copy, Cloud("cloud", pair.a.points), CloudRegistrationOptions(initial=near))
     assert back.trusted, back.reason
     metres, degrees = pose_difference(T, back.T_a_b)
     assert metres < 0.005
@@ -65,7 +72,8 @@ def test_a_cloud_and_its_moved_copy_give_the_motion(pair: Pair) -> None:
 
 
 def test_swapped_clouds_give_the_inverse(pair: Pair, found: CloudRegistration) -> None:
-    swapped = register_clouds(pair.b, pair.a)
+    near = invert(found.T_a_b) @ se3_exp(np.full(6, -0.01))
+    swapped = register_clouds(pair.b, pair.a, CloudRegistrationOptions(initial=near))
     metres, degrees = pose_difference(invert(found.T_a_b), swapped.T_a_b)
     assert swapped.trusted == found.trusted
     assert metres < 0.002
@@ -84,15 +92,34 @@ def test_the_size_of_the_scene_does_not_matter(pair: Pair, found: CloudRegistrat
     np.testing.assert_allclose(40 * small.sigma_m, found.sigma_m, rtol=0.3)
 
 
-def test_different_rooms_are_refused() -> None:
-    apart = unrelated_rooms(2)
-    assert register_clouds(apart.a, apart.b).reason
+def test_corners_of_different_rooms_fit_each_other_and_are_refused() -> None:
+    apart = unrelated_depth(9002)
+    found = register_clouds(apart.a, apart.b)
+    assert found.evidence.overlap_ref > 0.9
+    assert found.evidence.overlap_query > 0.9
+    assert found.reason
+    # Even where all else is good, what lies outside of three planes decides.
+    a, b = (side.prepared for side in found.sides)
+    assert distinct_evidence(a, b, best_of(found)).share < 0.05
 
 
-def test_a_wrong_initial_pose_is_refused_and_a_right_one_kept(pair: Pair) -> None:
+def test_views_of_a_depth_camera_are_not_held_to_what_lies_beside_its_image() -> None:
+    """Before its field of view was looked at, 42 % of what it \"could see\" overlapped."""
+    view = depth_pair(9003)
+    found = register_clouds(view.a, view.b, CloudRegistrationOptions(initial=view.T_a_b))
+    assert found.evidence.overlap_ref > 0.9
+    assert found.evidence.overlap_query > 0.9
+    assert found.reason, "a bare corner, which fits any other"
+
+
+def best_of(found: CloudRegistration) -> Array:
+    """``T_A_B`` of the nodes, enlarged."""
+    a, b = (side.prepared.T_cloud_node for side in found.sides)
+    return np.asarray(invert(a) @ found.scale.enlarged(found.T_a_b) @ b)
+
+
+def test_a_wrong_initial_pose_is_refused(pair: Pair) -> None:
     wrong = pair.T_a_b @ make_transform(so3_exp([0, 0, 0.9]), [0.6, 0.4, 0.0])
-    kept = register_clouds(pair.a, pair.b, CloudRegistrationOptions(initial=pair.T_a_b @ se3_exp(np.full(6, 0.01))))
-    assert kept.trusted, kept.reason
     refused = register_clouds(pair.a, pair.b, CloudRegistrationOptions(initial=wrong))
     assert not refused.trusted or pose_difference(pair.T_a_b, refused.T_a_b)[0] < 0.01
 
@@ -104,8 +131,9 @@ def test_a_cube_looks_alike_from_all_sides_and_is_refused() -> None:
     points[np.arange(len(points)), axis] = rng.choice([-1.0, 1.0], len(points))
     points += 0.002 * rng.normal(size=points.shape)
     half = len(points) // 2
-    alike = register_clouds(Cloud("a", points[:half]), Cloud("b", points[half:]))
-    assert "ambiguous" in alike.reason or "weak" in alike.reason
+    a, b = Cloud("a", points[:half]), Cloud("b", points[half:])
+    alike = register_clouds(a, b, CloudRegistrationOptions(initial=np.eye(4)))
+    assert "ambiguous" in alike.reason
 
 
 def test_a_sensor_whose_beams_would_cross_the_cloud_is_refuted(pair: Pair) -> None:
@@ -142,14 +170,87 @@ def test_noise_and_spacing_of_an_enlarged_scene_stay_within_tolerance(
 
 
 def test_missing_evidence_counts_against_a_pose_unless_no_beam_can_tell() -> None:
-    nan = float("nan")
-    good = Evidence(0.95, 0.95, 0.01, 0.01, nan, nan, 0.01, (1.0, 0.0, 0.0), 0.01, 0.9, 0.9, 0.9, 0.9)
     scale = SceneScale(1.0, "")
-    assert judge(good, scale, "both").reason.startswith("free space: nothing")
-    assert not judge(good, scale, "none").reason
-    assert judge(replace(good, violations_query=0.5), scale, "A").reason.startswith("free space")
-    assert not judge(replace(good, violations_query=0.5), scale, "B").reason.startswith("free space: 50 %")
-    assert judge(replace(good, overlap_ref=nan), scale, "none").reason.startswith("overlap")
+    assert judge(GOOD, scale, "both").reason.startswith("free space: nothing")
+    assert not judge(GOOD, scale, "none").reason
+    assert judge(replace(GOOD, violations_query=0.5), scale, "A").reason.startswith("free space")
+    assert not judge(replace(GOOD, violations_query=0.5), scale, "B").reason.startswith("free space: 50 %")
+    assert judge(replace(GOOD, overlap_ref=NAN), scale, "none").reason.startswith("overlap")
+
+
+def test_a_pose_just_outside_of_a_limit_still_makes_another_one_ambiguous() -> None:
+    evidence = replace(GOOD, violations_ref=0.0, violations_query=0.0)
+    scale = SceneScale(1.0, "")
+    for known in ("both", "none"):
+        for outdoors in (False, True):
+            assert holds_nearly(replace(evidence, overlap_ref=0.79), scale, known, outdoors)
+            assert not holds_nearly(replace(evidence, overlap_ref=0.2), scale, known, outdoors)
+            assert not holds_nearly(replace(evidence, detail_ref=NAN), scale, known, outdoors)
+
+
+@pytest.mark.parametrize(
+    ("share", "overlap_there", "overlap", "said"),
+    [
+        (0.5, 0.9, 0.9, ""),
+        (0.1, 0.9, 0.9, "plain"),
+        (0.0, float("nan"), 0.9, "plain"),
+        (0.5, 0.3, 0.9, "overlap: outside"),
+        (0.5, float("nan"), 0.9, "overlap: outside of three planes the other cloud measured nothing"),
+        (0.5, 0.5, 0.65, ""),
+        (0.3, 0.9, 0.65, "overlap: B"),
+        (0.5, 0.9, 0.5, "overlap: B"),
+    ],
+)
+def test_indoors_three_planes_are_no_evidence_and_much_besides_them_is(
+    share: float, overlap_there: float, overlap: float, said: str
+) -> None:
+    evidence = replace(GOOD, violations_ref=0.0, violations_query=0.0, overlap_ref=overlap)
+    verdict = judge(evidence, SceneScale(1.0, ""), "both", lambda: Distinct(share, overlap_there))
+    assert verdict.reason.startswith(said)
+    assert bool(verdict.reason) == bool(said)
+
+
+def test_the_largest_planes_are_left_out_and_what_stands_beside_them_stays() -> None:
+    rng = np.random.default_rng(0)
+    points, normals, of_plane = [], [], []
+    for axis in range(3):
+        wall = rng.uniform(0, 10, size=(4000, 3))
+        wall[:, axis] = 0.02 * rng.normal(size=len(wall))
+        points.append(wall)
+        normals.append(np.tile(np.eye(3)[axis], (len(wall), 1)))
+        of_plane += [True] * len(wall)
+    tilted = so3_exp([0.5, 0.6, 0.0])
+    box = np.column_stack([rng.uniform(0, 3, size=(1500, 2)), np.zeros(1500)]) @ tilted.T + 4.0
+    points.append(box)
+    normals.append(np.tile(tilted[:, 2], (len(box), 1)))
+    patches = make_patches(np.concatenate(points), np.concatenate(normals), np.zeros((13_500, 3)), 0.5)
+    outside = outside_largest_planes(patches)
+    on_box = np.abs(patches.normals @ tilted[:, 2]) > 0.99
+    assert on_box.sum() > 20
+    np.testing.assert_array_equal(outside, on_box)
+
+
+@given(seed=st.integers(0, 1000), across=st.floats(0.1, 1.5), up=st.floats(0.1, 1.5), turn=st.floats(-3, 3))
+@settings(max_examples=30)
+def test_the_field_of_view_of_a_camera_is_its_pyramid(seed: int, across: float, up: float, turn: float) -> None:
+    rng = np.random.default_rng(seed)
+    T = make_transform(so3_exp([turn, 0.3, -turn]), rng.normal(size=3))
+
+    def rays(width: float, height: float) -> Array:
+        sides = rng.uniform(-1, 1, size=(4000, 2)) * [width, height]
+        return apply(T, np.column_stack([sides, np.ones(4000)]) * rng.uniform(0.5, 9, size=(4000, 1)))
+
+    view = field_of_view(T[:3, 3], rays(across, up))
+    assert view.holds(rays(0.9 * across, 0.9 * up)).mean() > 0.99
+    assert not view.holds(apply(T, np.array([[1.05 * across, 0, 1], [0, -1.05 * up, 1], [0, 0, -1]]))).any()
+
+
+def test_a_scanner_that_turns_or_has_one_line_has_everything_in_view() -> None:
+    rng = np.random.default_rng(0)
+    around = rng.normal(size=(2000, 3))
+    line = np.column_stack([rng.uniform(-1, 1, 500), np.zeros(500), np.ones(500)])
+    for points in (around, line, around[:10], np.zeros((100, 3))):
+        assert field_of_view(np.zeros(3), points).holds(-around).all()
 
 
 def test_large_coordinates_of_one_region_get_one_origin() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from relocbench.datasets.groundtruth.clouds.distinct import Distinct
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.datasets.groundtruth.verification.verification import Thresholds, first_fault, percent
@@ -15,9 +17,12 @@ FreeSpaceKnown = Literal["both", "A", "B", "none"]
 """whose beams free space is judged by"""
 
 WITH_FREE_SPACE = Thresholds()
-INDOORS = Thresholds(most_violations=0.06, least_overlap=0.8)
+INDOORS = Thresholds(least_seen=0.3, most_violations=0.06, least_overlap=0.8)
 """Limits for scenes without ground and with free space: rooms resemble each other more than streets do, and change
 less. Right poses of simulated rooms had no violations and an overlap of 0.99, wrong ones violations from 0.08 on."""
+CLUTTERED = Thresholds(least_seen=0.5, most_violations=0.04, least_overlap=0.6, least_detail=0.65)
+"""Further limits for scenes without ground and with free space of which :data:`_CLUTTERED` agrees: of a depth camera,
+much of what is far away is too noisy to be found again in the other view."""
 WITHOUT_FREE_SPACE = Thresholds(least_seen=0.4, least_overlap=0.8, least_detail=0.6)
 """Limits where no beam tells what is empty: surfaces must agree better instead, and over more of both clouds."""
 OUTDOORS = (
@@ -28,6 +33,11 @@ OUTDOORS = (
 simulated streets and real scans): with free space, for single scans in which all parked cars are others; without it,
 for clouds that reach further than their points are dense. Rooms are not judged by them, since walls and floors of
 different rooms have details that agree."""
+
+_SLACK = 0.08
+"""by how much the limits on shares are wider for a pose that another one is compared with"""
+_INDOORS, _CLUTTERED = Distinct(0.2, 0.6), Distinct(0.4, 0.45)
+"""Least evidence besides three planes, for either limits indoors."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +57,16 @@ def free_space_known(a_sees: bool, b_sees: bool) -> FreeSpaceKnown:
     return "A" if a_sees else ("B" if b_sees else "none")
 
 
-def judge(evidence: Evidence, scale: SceneScale, known: FreeSpaceKnown, outdoors: bool = False) -> Verdict:
+def judge(
+    evidence: Evidence, scale: SceneScale, known: FreeSpaceKnown, distinct: Callable[[], Distinct] | None = None
+) -> Verdict:
     """The verdict on enlarged evidence, with A as the reference and B as the query.
 
     Missing evidence counts against a pose, but for free space that no beam can tell of.
 
     Args:
-        outdoors: whether both clouds have ground, which is no part of the evidence.
+        distinct: tells the evidence besides three planes, and is only called for poses that are not refused anyway;
+            None outdoors, where both clouds have ground, which is no part of the evidence.
     """
     rests_on = {
         "both": "surfaces and free space of both clouds",
@@ -61,11 +74,50 @@ def judge(evidence: Evidence, scale: SceneScale, known: FreeSpaceKnown, outdoors
         "B": "surfaces of both clouds and free space seen by B; A's sensor is unknown",
         "none": "surfaces of both clouds alone: free space could not be judged, since no sensor is known",
     }[known]
-    both = WITH_FREE_SPACE if outdoors else INDOORS
-    reason = _reason(evidence, scale, known, both if known == "both" else WITHOUT_FREE_SPACE)
-    if reason and outdoors and not _reason(evidence, scale, known, OUTDOORS[0 if known == "both" else 1]):
-        return Verdict("", f"{rests_on}; details that agree, though much else changed or was not measured twice")
+    if distinct is None:
+        reason = _reason(evidence, scale, known, WITH_FREE_SPACE if known == "both" else WITHOUT_FREE_SPACE)
+        if reason and not _reason(evidence, scale, known, OUTDOORS[0 if known == "both" else 1]):
+            return Verdict("", f"{rests_on}; details that agree, though much else changed or was not measured twice")
+        return Verdict(reason, rests_on)
+    reason = _reason(evidence, scale, known, INDOORS if known == "both" else WITHOUT_FREE_SPACE)
+    if not reason:
+        return Verdict(_too_plain(distinct(), _INDOORS), rests_on)
+    if known == "both" and not _reason(evidence, scale, known, CLUTTERED) and not _too_plain(distinct(), _CLUTTERED):
+        return Verdict("", f"{rests_on}; many surfaces besides walls and a floor, though noise hides some of them")
     return Verdict(reason, rests_on)
+
+
+def holds_nearly(evidence: Evidence, scale: SceneScale, known: FreeSpaceKnown, outdoors: bool) -> bool:
+    """Whether a pose would be trusted by limits that are a little wider: it may be as good as one that is trusted.
+
+    Of a cube's 24 poses, one may lie just inside a limit and the others just outside.
+    """
+    inside = (WITH_FREE_SPACE, *OUTDOORS[:1]) if outdoors else (INDOORS, CLUTTERED)
+    without = (WITHOUT_FREE_SPACE, *OUTDOORS[1:]) if outdoors else (WITHOUT_FREE_SPACE,)
+    limits = inside if known == "both" else without
+    return any(not _reason(evidence, scale, known, _wider(t)) for t in limits)
+
+
+def _wider(t: Thresholds) -> Thresholds:
+    return Thresholds(
+        least_seen=0.8 * t.least_seen,
+        least_overlap=t.least_overlap - _SLACK,
+        most_violations=t.most_violations + _SLACK / 2,
+        least_detail=t.least_detail - _SLACK,
+        most_residual_m=1.2 * t.most_residual_m,
+        most_sigma_m=2 * t.most_sigma_m,
+        most_sigma_deg=2 * t.most_sigma_deg,
+    )
+
+
+def _too_plain(found: Distinct, least: Distinct) -> str:
+    if not found.share >= least.share:
+        return f"plain: {percent(found.share)} of what agrees lies outside of three planes, which fit any corner"
+    if not found.overlap >= least.overlap:
+        return (
+            f"overlap: outside of three planes the other cloud measured {percent(found.overlap)} of what it could see"
+        )
+    return ""
 
 
 def _reason(e: Evidence, scale: SceneScale, known: FreeSpaceKnown, t: Thresholds) -> str:

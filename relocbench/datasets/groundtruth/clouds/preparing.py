@@ -16,13 +16,14 @@ from scipy.spatial import cKDTree
 from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
+from relocbench.datasets.groundtruth.clouds.field_of_view import FieldOfView, field_of_view
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
 from relocbench.datasets.groundtruth.submaps.free_space import FreeSpace, Patches
 from relocbench.datasets.groundtruth.submaps.planes import direction_bins
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels, thin
-from relocbench.geometry import make_transform
+from relocbench.geometry import apply, invert, make_transform
 
 _VOXEL_M, _MOST_POINTS = 0.1, 150_000
 """size of the voxels in which one point is kept; larger if more points than this are left"""
@@ -48,6 +49,8 @@ _LOW = 1 / 3
 the sensor are a large part"""
 _NEAR_POINTS_M = 1.0
 """where a sensor is unknown, a cloud could see what is so near to its points"""
+_MOST_SENSORS = 64
+"""positions of sensors whose fields of view are looked at; more belong to a moving sensor"""
 _THROUGH_ITSELF = 0.05
 """a cloud was not measured from where its own beams go through more than this share of its surfaces"""
 
@@ -115,6 +118,30 @@ class _Space(FreeSpace):
             return super().sensor_positions
         points = self.submap.points.astype(np.float64)
         return np.asarray(points[first_in_voxels(points, _NEAR_POINTS_M / 3)])
+
+    @cached_property
+    def fields_of_view(self) -> list[FieldOfView]:
+        """Those of the sensors; none where all sensors have everything in view, or where they are not known."""
+        if not self._sees:
+            return []
+        origins = self.submap.origins.astype(np.float64)
+        positions, which = np.unique(origins, axis=0, return_inverse=True)
+        if len(positions) > _MOST_SENSORS:
+            return []
+        points, which = self.submap.points.astype(np.float64), which.reshape(-1)
+        fields = [field_of_view(position, points[which == k]) for k, position in enumerate(positions)]
+        return fields if any(len(field.sides) for field in fields) else []
+
+    def could_see(self, patches: Patches, T_patches_this: Array) -> Mask:
+        if self._by_points or not self.fields_of_view:
+            return super().could_see(patches, T_patches_this)
+        T_this_patches = invert(T_patches_this)
+        middle, origins = apply(T_this_patches, patches.middle), apply(T_this_patches, patches.origins)
+        seen = np.zeros(len(patches), dtype=bool)
+        for field in self.fields_of_view:
+            near = np.linalg.norm(origins - field.position, axis=1) < self.same_place_m
+            seen |= near & field.holds(middle)
+        return seen
 
     @cached_property
     def beams(self) -> tuple[Array, Array]:

@@ -61,7 +61,7 @@ class CloudRegistration:
     unexplained: float = float("nan")
     """what speaks against the pose, see :func:`relocbench.datasets.groundtruth.clouds.search.unexplained`"""
     rival: tuple[Array, float] | None = None
-    """the most plausible other trusted pose ``T_a_b`` (4, 4), and what speaks against it"""
+    """the most plausible other pose ``T_a_b`` (4, 4) that is trusted, or nearly, and what speaks against it"""
 
     @property
     def trusted(self) -> bool:

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.groundtruth.clouds.judging import WITH_FREE_SPACE, FreeSpaceKnown, Verdict, judge
+from relocbench.datasets.groundtruth.clouds.distinct import Distinct, distinct_evidence
+from relocbench.datasets.groundtruth.clouds.judging import WITH_FREE_SPACE, FreeSpaceKnown, Verdict, holds_nearly, judge
 from relocbench.datasets.groundtruth.clouds.preparing import PreparedCloud
 from relocbench.datasets.groundtruth.clouds.uncertainty import FinalFit, FinePlanes, final_fit
 from relocbench.datasets.groundtruth.icp.backends import Backend, icp_by_backend
@@ -41,7 +42,7 @@ _FITS = 0.5
 _SAME_M, _SAME_DEG = 1.0, 4.0
 """refined poses that differ by no more than this are one"""
 _TIMES, _MORE = 2.5, 0.03
-"""a second trusted pose must leave more unexplained than the best one: by this factor, and by this much in addition"""
+"""a second pose that holds, or nearly, must leave more unexplained than the best: by this factor and this much more"""
 _SHIFT = ShiftOptions(step_m=0.7, apart_m=1.5, most=4, points=300)
 _FOLLOWED = 2
 """shifts along one axis from which shifts along the other are tried"""
@@ -72,6 +73,8 @@ class Candidate:
     verdict: Verdict
     unexplained: float
     """see :func:`unexplained`"""
+    nearly: bool
+    """whether the pose is trusted by limits that are a little wider, see :func:`holds_nearly`"""
     fit: FinalFit | None = None
 
     @property
@@ -90,7 +93,7 @@ class Found:
     guesses: int
     """number of distinct guesses that were refined"""
     rival: Candidate | None = None
-    """a different pose that is trusted as well, if there is one"""
+    """a different pose that is trusted as well, or nearly, if there is one"""
 
 
 def search(
@@ -129,7 +132,7 @@ def search(
     count = len(everything)
     if not best.trusted:
         return Found(best, best.verdict.reason, count)
-    rivals = [c for c in everything if c.trusted and not _same(c.T_a_b, best.T_a_b)]
+    rivals = [c for c in everything if (c.trusted or c.nearly) and not _same(c.T_a_b, best.T_a_b)]
     rival = min(rivals, key=lambda c: c.unexplained, default=None)
     if rival is not None and rival.unexplained < _TIMES * best.unexplained + _MORE:
         metres, degrees = pose_difference(best.T_a_b, rival.T_a_b)
@@ -213,10 +216,14 @@ class _Judge:
             T,
             information,
             evidence,
-            judge(evidence, self._scale, self._known, self._outdoors),
+            judge(evidence, self._scale, self._known, None if self._outdoors else lambda: self._distinct(T)),
             unexplained(evidence),
+            holds_nearly(evidence, self._scale, self._known, self._outdoors),
             fitted,
         )
+
+    def _distinct(self, T: Array) -> Distinct:
+        return distinct_evidence(self._a, self._b, T)
 
     def _with_drift(self, fitted: Array, by_icp: Array) -> Array:
         """The information of the final fit; of clouds put together by odometry, that of ICP, which allows for drift."""

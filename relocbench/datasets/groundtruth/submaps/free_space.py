@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
@@ -145,6 +146,16 @@ class FreeSpace:
         if len(keep) > _BEAMS:
             keep = keep[np.arange(_BEAMS) * len(keep) // _BEAMS]
         return self.submap.origins[keep].astype(np.float64), points[keep]
+
+    def could_see(self, patches: Patches, T_patches_this: Array) -> Mask:
+        """(V,) patches of another submap that were measured from near a sensor of this one, which could see them.
+
+        Args:
+            T_patches_this: (4, 4) from this submap's frame to that of the patches.
+        """
+        positions = apply(T_patches_this, self.sensor_positions)
+        reach = self.same_place_m
+        return np.asarray(cKDTree(positions).query(patches.origins, distance_upper_bound=reach)[0] < reach)
 
     def votes_of(self, beams: tuple[Array, Array], T_this_other: Array) -> BeamVotes:
         """The votes of another submap's beams (origins and ends, in its frame) on this one's patches."""

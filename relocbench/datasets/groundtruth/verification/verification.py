@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.submaps.free_space import BeamVotes
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
@@ -91,10 +90,23 @@ def gather_evidence(ref: PreparedSubmap, query: PreparedSubmap, T_ref_query: Arr
     )
 
 
-def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -> _OneWay:
-    """Evidence from this submap's surface patches with the beams and planes of the other."""
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """What became of this submap's V surface patches when they were looked for in another."""
+
+    found: Mask
+    """(V,) the other measured a surface there"""
+    met: Mask
+    """(V,) found, or reached or passed by the other's beams"""
+    expected: Mask
+    """(V,) met, or measured from where the other could see them too"""
+    votes: BeamVotes
+
+
+def compare_patches(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -> Compared:
+    """Look for this submap's surface patches among the planes and beams of another."""
     patches = this.space.patches
-    votes: BeamVotes = this.space.votes_of(other.space.beams, invert(T_other_this))
+    votes = this.space.votes_of(other.space.beams, invert(T_other_this))
     planes = other.planes.level(_LEVEL)
     there, facing = apply(T_other_this, patches.middle), patches.normals @ T_other_this[:3, :3].T
     match = planes.nearest(there, facing, _REACH_M, _COSINE)
@@ -103,14 +115,18 @@ def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -
     spread = np.hypot(_SIGMA_M, _DRIFT_PER_M * planes.lever_lengths_m[match])
     found &= np.abs(residual) <= 2 * _AGREES * spread
     met = found | (votes.through + votes.reached > 0)
-    sensor_positions = apply(invert(T_other_this), other.space.sensor_positions)
-    reach = other.space.same_place_m
-    same_place = cKDTree(sensor_positions).query(patches.origins, distance_upper_bound=reach)[0] < reach
-    could_see, everything = float(patches.weights[met | same_place].sum()), float(patches.weights.sum())
+    return Compared(found, met, met | other.space.could_see(patches, invert(T_other_this)), votes)
+
+
+def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -> _OneWay:
+    """Evidence from this submap's surface patches with the beams and planes of the other."""
+    compared = compare_patches(this, other, T_other_this)
+    weights = this.space.patches.weights
+    expected, everything = float(weights[compared.expected].sum()), float(weights.sum())
     return _OneWay(
-        overlap=float(patches.weights[found].sum()) / could_see if could_see > 0 else float("nan"),
-        seen=float(patches.weights[met].sum()) / everything if everything > 0 else 0.0,
-        violations=votes.violations(found),
+        overlap=float(weights[compared.found].sum()) / expected if expected > 0 else float("nan"),
+        seen=float(weights[compared.met].sum()) / everything if everything > 0 else 0.0,
+        violations=compared.votes.violations(compared.found),
     )
 
 
