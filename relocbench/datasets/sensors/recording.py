@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -15,7 +16,12 @@ import numpy as np
 
 from relocbench.arrays import Array, Image, Mask, Times
 from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.sensors.pose_spline import PoseSpline
 from relocbench.geometry import Camera, interpolate_trajectory
+
+_FINER = 5
+"""parts of the time between two poses of a smooth trajectory that are straight enough"""
+_FEWEST_OF_SPLINE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +37,8 @@ class Trajectory:
     breaks: tuple[int, ...] = ()
     """indices of poses whose motion from the previous pose was not measured but guessed; nothing is interpolated
     there, however short the gap"""
+    smooth: bool = False
+    """whether the motion between poses follows cubic splines, as a car's does between scans, and not straight lines"""
 
     def covers(self, times_ns: Times) -> Mask:
         """Whether the trajectory has a pose at each time (M,): within the drive and not in a gap."""
@@ -54,12 +62,35 @@ class Trajectory:
         return np.searchsorted(starts, times_ns, side="right").astype(np.int64)
 
     def at(self, times_ns: Times) -> Array:
-        """Poses (M, 4, 4) at times that the trajectory covers, interpolated linearly and by slerp.
+        """Poses (M, 4, 4) at times that the trajectory covers, interpolated linearly and by slerp, or by splines.
 
         Raises:
             ValueError: a time is outside the drive.
         """
-        return interpolate_trajectory(self.times_ns, self.T_odom_rig, times_ns)
+        out = interpolate_trajectory(self.times_ns, self.T_odom_rig, times_ns)
+        for first, spline in self._splines:
+            there = (times_ns >= self.times_ns[first]) & (times_ns <= spline.last_ns)
+            out[there] = spline.at(times_ns[there])
+        return out
+
+    def finer(self) -> Trajectory:
+        """A trajectory that is interpolated linearly and has poses so close together that this is the same."""
+        if not self.smooth:
+            return self
+        gaps = np.diff(self.times_ns)
+        whole = self.covers(self.times_ns[:-1] + gaps // 2)
+        between = [self.times_ns[:-1][whole] + k * gaps[whole] // _FINER for k in range(1, _FINER)]
+        times = np.unique(np.concatenate([self.times_ns, *between]))
+        breaks = tuple(np.searchsorted(times, self.times_ns[list(self.breaks)]).tolist())
+        return Trajectory(times, self.at(times), self.max_gap_ns, breaks)
+
+    @cached_property
+    def _splines(self) -> list[tuple[int, PoseSpline]]:
+        """The splines of the pieces, and the number of the first pose of each."""
+        piece = self.pieces(self.times_ns) if self.smooth else np.zeros(0, np.int64)
+        members = [np.flatnonzero(piece == number) for number in np.unique(piece)]
+        members = [rows for rows in members if len(rows) >= _FEWEST_OF_SPLINE]
+        return [(int(rows[0]), PoseSpline(self.times_ns[rows], self.T_odom_rig[rows])) for rows in members]
 
 
 @dataclass(frozen=True, eq=False)

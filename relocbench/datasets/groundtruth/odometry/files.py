@@ -32,7 +32,7 @@ def kept_in(path: Path) -> FromLidar:
         times = np.array(list(poses), dtype=np.int64)
         if len(times) < 2 or not np.isin(times, lidar.times_ns).all():
             raise DatasetError(f"is not the odometry of the scans of {lidar.name}; remove it and build again", path)
-        return Trajectory(times, np.array(list(poses.values())), max_gap_ns)
+        return Trajectory(times, np.array(list(poses.values())), max_gap_ns, smooth=True)
 
     return odometry
 

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from relocbench.arrays import Array, Times
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.odometry.local_map import LocalMap
 from relocbench.datasets.sensors.recording import LidarStream, Scan, Trajectory
 from relocbench.errors import ConfigError, DatasetError
@@ -20,6 +20,8 @@ _FEWEST_POINTS = 100
 """a scan with fewer points is skipped"""
 _START_SCANS = 4
 """the speed at the start is estimated from so many scans"""
+_PASSES = 2
+"""scans that motion distorts are registered so many times more; each is deskewed by what the one before left over"""
 _SLICES = 64
 """the motion during a scan is computed at the borders of so many slices; points are interpolated between them"""
 
@@ -42,7 +44,8 @@ def lidar_odometry(
     """The poses of the rig at the times of the scans, in the frame of the first pose.
 
     Scans are deskewed with the velocity of the previous step, as in KISS-ICP; scans need not be equally spaced in time.
-    Scans that the motion distorts are then registered once more, deskewed by the motion before and after each of them.
+    Scans that the motion distorts are then registered anew, deskewed by the motion before and after each of them.
+    Between scans the motion is smooth.
     The computation uses one thread, so that the same scans give the same bytes.
 
     Args:
@@ -73,23 +76,27 @@ def lidar_odometry(
         raise DatasetError(f"{lidar.name} has {len(run.times)} scans with enough points; odometry needs at least 2")
     T_first_lidar = np.array(run.poses)
     if skewed:
-        with (reporter or Silent()).stage(f"odometry from {lidar.name}, once more", len(run.times)) as advance:
-            T_first_lidar = _once_more(lidar, nearest_m, run.times, T_first_lidar, advance)
+        title = f"odometry from {lidar.name}, once more"
+        with (reporter or Silent()).stage(title, _PASSES * len(run.times)) as advance:
+            for _ in range(_PASSES):
+                T_first_lidar = _once_more(lidar, nearest_m, run.times, T_first_lidar, max_gap_ns, advance)
     T_first_lidar = make_transform(project_to_rotation(T_first_lidar[:, :3, :3]), T_first_lidar[:, :3, 3])
     T_odom_rig = lidar.T_rig_lidar @ invert(T_first_lidar[0]) @ T_first_lidar @ invert(lidar.T_rig_lidar)
-    return Trajectory(np.array(run.times, dtype=np.int64), T_odom_rig, max_gap_ns)
+    return Trajectory(np.array(run.times, dtype=np.int64), T_odom_rig, max_gap_ns, smooth=True)
 
 
-def _once_more(lidar: LidarStream, nearest_m: float, times: list[int], T_first_lidar: Array, advance: Advance) -> Array:
+def _once_more(
+    lidar: LidarStream, nearest_m: float, times: list[int], T_first_lidar: Array, max_gap_ns: int, advance: Advance
+) -> Array:
     """Poses (N, 4, 4) of scans, registered again from known poses (N, 4, 4), by which they are deskewed.
 
     A velocity from before a scan knows nothing of how the car brakes, turns and sways during the scan.
     """
     index = {int(time): i for i, time in enumerate(lidar.times_ns.tolist())}
-    known = np.array(times, dtype=np.int64)
+    known = Trajectory(np.array(times, dtype=np.int64), T_first_lidar, max_gap_ns, smooth=True)
     planes, poses = LocalMap(), [T_first_lidar[0]]
     for k, time in enumerate(times):
-        points = _deskewed_by(lidar.read(index[time]), known, T_first_lidar, k)
+        points = _deskewed_by(lidar.read(index[time]), known, k)
         outside = points[np.sum(points**2, axis=1) >= nearest_m**2]
         if k:
             poses.append(planes.fit(outside, poses[-1] @ invert(T_first_lidar[k - 1]) @ T_first_lidar[k]))
@@ -98,22 +105,25 @@ def _once_more(lidar: LidarStream, nearest_m: float, times: list[int], T_first_l
     return np.array(poses)
 
 
-def _deskewed_by(scan: Scan, times_ns: Times, T_first_lidar: Array, k: int) -> Array:
-    """(N, 3) points of scan k as seen from its pose, moved along the poses (M, 4, 4) of all scans.
+def _deskewed_by(scan: Scan, known: Trajectory, k: int) -> Array:
+    """(N, 3) points of scan k as seen from its pose, moved along the poses of all scans.
 
-    Before the first and after the last pose the motion goes on as it was.
+    Before the first and after the last pose, and across gaps, the motion goes on as it was.
     """
     if not _is_skewed(scan):
         return scan.points
-    offsets = (scan.times_ns - times_ns[k]).astype(np.float64)
+    times, poses = known.times_ns, known.T_odom_rig
+    offsets = (scan.times_ns - times[k]).astype(np.float64)
     knots = np.linspace(offsets.min(), offsets.max(), _SLICES + 1)
-    at = times_ns[k] + knots
-    right = np.clip(np.searchsorted(times_ns, at, side="right"), 1, len(times_ns) - 1)
+    at = times[k] + np.rint(knots).astype(np.int64)
+    right = np.clip(np.searchsorted(times, at, side="right"), 1, len(times) - 1)
     left = right - 1
-    share = (at - times_ns[left]) / (times_ns[right] - times_ns[left])
-    steps = se3_log(invert(T_first_lidar[left]) @ T_first_lidar[right])
-    moves = invert(T_first_lidar[k]) @ T_first_lidar[left] @ se3_exp(share[:, None] * steps)
-    return _placed(scan.points, offsets, knots, moves)
+    share = (at - times[left]) / (times[right] - times[left])
+    steps = se3_log(invert(poses[left]) @ poses[right])
+    moves = poses[left] @ se3_exp(share[:, None] * steps)
+    inside = known.covers(at)
+    moves[inside] = known.at(at[inside])
+    return _placed(scan.points, offsets, knots, invert(poses[k]) @ moves)
 
 
 class _Registration:

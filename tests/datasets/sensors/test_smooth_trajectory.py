@@ -1,0 +1,82 @@
+"""Between scans a car sways smoothly: splines follow it where straight lines cut its curves."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relocbench.datasets.sensors.recording import Trajectory
+from relocbench.geometry import invert, is_rotation, make_transform, rotation_angle, se3_exp
+
+Array = NDArray[np.float64]
+TENTH = 100_000_000
+START = 1_700_000_000_000_000_000
+
+
+def swaying(times_ns: NDArray[np.int64]) -> Array:
+    """A bend at 10 m/s, whose radius is 30 m, with a roll of 0.4 degrees at 1.5 Hz and heave of 2 cm."""
+    t = (times_ns - START) / 1e9
+    yaw = t / 3.0
+    position = np.stack([30 * np.sin(yaw), 30 * (1 - np.cos(yaw)), 0.02 * np.sin(8 * t)], axis=-1)
+    turn = se3_exp(np.stack([0 * t, 0 * t, 0 * t, 0 * t, 0 * t, yaw], axis=-1))
+    roll = se3_exp(np.stack([0 * t, 0 * t, 0 * t, np.radians(0.4) * np.sin(3 * np.pi * t), 0 * t, 0 * t], axis=-1))
+    return np.asarray(make_transform((turn @ roll)[:, :3, :3], position))
+
+
+def worst(found: Array, true: Array) -> tuple[float, float]:
+    apart = invert(true) @ found
+    return float(np.linalg.norm(apart[:, :3, 3], axis=1).max()), float(
+        np.degrees(rotation_angle(apart[:, :3, :3]).max())
+    )
+
+
+def test_splines_follow_what_lines_cut() -> None:
+    times = START + TENTH * np.arange(60)
+    smooth = Trajectory(times, swaying(times), smooth=True)
+    between = START + np.arange(5 * TENTH, 54 * TENTH, 7_000_001)
+    straight = worst(replace(smooth, smooth=False).at(between), swaying(between))
+    curved = worst(smooth.at(between), swaying(between))
+    assert straight[1] > 0.03
+    assert curved[0] < 0.1 * straight[0]
+    assert curved[1] < 0.1 * straight[1]
+    assert all(is_rotation(T[:3, :3]) for T in smooth.at(between[:20]))
+
+
+def test_the_poses_themselves_stay() -> None:
+    times = START + TENTH * np.arange(12)
+    smooth = Trajectory(times, swaying(times), smooth=True)
+    np.testing.assert_array_equal(smooth.at(times), smooth.T_odom_rig)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(smooth)).at(times + 0), smooth.T_odom_rig)
+
+
+def test_a_finer_trajectory_is_the_same_in_straight_lines() -> None:
+    times = START + TENTH * np.array([*range(20), *range(40, 60)])
+    smooth = Trajectory(times, swaying(times), breaks=(10,), smooth=True)
+    finer = smooth.finer()
+    assert not finer.smooth
+    between = START + np.arange(0, 59 * TENTH, 3_333_333)
+    np.testing.assert_array_equal(finer.covers(between), smooth.covers(between))
+    np.testing.assert_array_equal(finer.pieces(between), smooth.pieces(between))
+    known = between[smooth.covers(between)]
+    metres, degrees = worst(finer.at(known), smooth.at(known))
+    assert metres < 5e-4
+    assert degrees < 3e-3
+    assert replace(smooth, smooth=False).finer().times_ns is times
+
+
+def test_nothing_is_smoothed_across_a_break_and_short_pieces_are_straight() -> None:
+    times = START + TENTH * np.arange(30)
+    poses = swaying(times)
+    poses[15:, 0, 3] += 5.0
+    broken = Trajectory(times, poses, breaks=(15,), smooth=True)
+    alone = Trajectory(times[:15], poses[:15], smooth=True)
+    between = START + np.arange(0, 14 * TENTH, 9_999_999)
+    np.testing.assert_array_equal(broken.at(between), alone.at(between))
+    three = Trajectory(times[:3], poses[:3], smooth=True)
+    np.testing.assert_array_equal(three.at(between[:20]), replace(three, smooth=False).at(between[:20]))
+    with pytest.raises(ValueError, match="outside"):
+        broken.at(times[-1:] + 1)
