@@ -254,7 +254,8 @@ def main() -> None:
         for case in chosen:
             found: list[PairOutcome] = []
             off: list[tuple[float, float, float]] = []
-            factors, wrong = [], 0
+            factors: list[float] = []
+            wrong = 0
             for seed in map(int, a.seeds.split(",")):
                 walks = [record(seed, walk, case) for walk in range(2)]
                 folder = (a.work or Path(temporary)) / case / str(seed)

@@ -18,7 +18,6 @@ from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.deferred import is_pending
 from relocbench.datasets.groundtruth.registration.scale_file import FILE, read_scale, write_scale
 from relocbench.datasets.groundtruth.registration.scene_scale import (
-    STREET_RADIUS_M,
     SceneScale,
     SceneSize,
     scale_of,
@@ -45,10 +44,15 @@ _FEW_SCANS = 5
 """scans that the range is measured on, at each place"""
 _CELLS = 50
 _WITHIN = 0.8
-_STREET = 3.0
-"""a scene of at least a street's radius divided by this is left as it is: reaches have that much room"""
+_WANTED_M = 10.0
+"""radius of an enlarged scene, that of a narrow street: larger ones cost more and are found less often where a sensor
+sees a part of the room at a time"""
+_STREET_M = 5.5
+"""a scene of at least this radius is left as it is"""
 _NOISE_M = 0.05
 """largest noise of an enlarged scene; blocks take the mean of many points, so that it is more than a cloud may have"""
+_SPACING_M = 0.75
+"""largest spacing: that of the rings of a spinning lidar in a street; without odometry, single scans are measured"""
 
 
 def scale_of_build(
@@ -101,9 +105,9 @@ def scale_of_drives(
     if not known:
         return SceneScale(1.0, "too few points to measure it: taken to be as large as a street")
     radius = min(size.radius_m for size in known)
-    if STREET_RADIUS_M / radius <= _STREET:
+    if radius >= _STREET_M:
         return SceneScale(1.0, f"a scene of {radius:.3g} m radius: as large as a street", radius)
-    return scale_of(known, noise_m=_NOISE_M)
+    return scale_of(known, noise_m=_NOISE_M, spacing_m=_SPACING_M, wanted_m=_WANTED_M)
 
 
 def _size(recording: FieldRecording) -> SceneSize | None:
