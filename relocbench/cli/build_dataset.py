@@ -239,12 +239,14 @@ def _words(value: Any) -> str:
 
 def _metavar(annotation: Any) -> str:
     arguments = [a for a in typing.get_args(annotation) if a is not type(None)]
+    if typing.get_origin(annotation) is Annotated:
+        return _metavar(arguments[0])
     if typing.get_origin(annotation) is tuple:
         return f"{_metavar(arguments[0])},..." if arguments else "LIST"
     if typing.get_origin(annotation) is typing.Literal:
         return "|".join(map(str, arguments))
     if arguments:
-        return _metavar(arguments[0])
+        return "|".join(map(_metavar, arguments))
     return {int: "INT", float: "FLOAT", Path: "PATH"}.get(annotation, "TEXT")
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.calibration.adjustment import Reduced
-from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Cause, Sensors
+from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Cause, Sensors, unknowns_reduced
 
 _LEAST_GAIN = 12.0
 """a cause is in error if it makes the measurements more likely by a factor of exp(this)"""
@@ -30,6 +30,11 @@ class Calibration:
         """(K, K) second moment of the errors that are left after some (K,) were corrected: uncertainty and rest."""
         rest = self.errors - corrected
         return self.covariance + np.outer(rest, rest)
+
+    def reduced(self) -> Calibration:
+        """The same in metres, if the drives' metres are enlarged."""
+        D = unknowns_reduced(len(self.sensors), self.sensors.enlarged)
+        return replace(self, errors=D * self.errors, covariance=D[:, None] * self.covariance * D)
 
     @property
     def sigmas(self) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from relocbench.datasets.groundtruth.calibration.adjustment import Reduced
 from relocbench.datasets.groundtruth.calibration.faults import Calibration
 from relocbench.datasets.groundtruth.calibration.files import CalibrationFile, LidarErrors
-from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Sensors
+from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Sensors, unknowns_reduced
 
 _OBSERVED = {
     "time": (slice(6, 7), 0.015),
@@ -22,7 +22,8 @@ _OBSERVED = {
 def open_kinds(reduced: Reduced, sensors: Sensors) -> dict[str, tuple[str, ...]]:
     """By ``DRIVE/LIDAR``, the kinds of errors that the drives could hide, if all lidars might be in error at once."""
     covariance = reduced.estimate(sensors.prior(sensors.causes()))[1]
-    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).reshape(-1, SIZE)
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) * unknowns_reduced(len(sensors), sensors.enlarged)
+    sigmas = sigmas.reshape(-1, SIZE)
     out = {}
     for k, (drive, lidar) in enumerate(sensors.names):
         if k not in sensors.fixed:

@@ -32,9 +32,9 @@ class Sigmas:
     rotation_rad: float
     time_s: float
 
-    def variances(self, kind: str) -> Array:
-        """(6,) of extrinsics, or (1,) of a time offset."""
-        extrinsics = np.repeat([self.position_m, self.rotation_rad], 3) ** 2
+    def variances(self, kind: str, enlarged: float = 1.0) -> Array:
+        """(6,) of extrinsics, or (1,) of a time offset, in metres that are enlarged so many times."""
+        extrinsics = np.repeat([self.position_m * enlarged, self.rotation_rad], 3) ** 2
         return extrinsics if kind == "extrinsics" else np.array([self.time_s**2])
 
 
@@ -83,6 +83,9 @@ class Sensors:
     """The lidars of several drives in one numbering, drive after drive."""
 
     drives: tuple[DriveLidars, ...]
+    enlarged: float = 1.0
+    """how many times the drives' metres are enlarged; errors of mounting do not shrink with the scene, so that what is
+    known of them before is enlarged as well"""
 
     @cached_property
     def names(self) -> tuple[tuple[str, str], ...]:
@@ -145,7 +148,7 @@ class Sensors:
         out = np.zeros((self.unknowns, self.unknowns))
         for cause in self.causes():
             spread = self.spread(cause)
-            variances = (FAULTY if cause in bad else cause.nominal).variances(cause.kind)
+            variances = (FAULTY if cause in bad else cause.nominal).variances(cause.kind, self.enlarged)
             out += spread @ (variances[:, None] * spread.T)
         return out
 
@@ -155,3 +158,8 @@ def moves(twist_per_s: Array) -> Array:
     twist = np.asarray(twist_per_s)
     eye = np.broadcast_to(np.eye(6), (*twist.shape[:-1], 6, 6))
     return np.concatenate([eye, -twist[..., None]], axis=-1)
+
+
+def unknowns_reduced(count: int, factor: float) -> Array:
+    """(7 S,) by what the unknowns of S lidars in metres enlarged by ``factor`` are multiplied to be in metres."""
+    return np.tile(np.repeat([1 / factor, 1.0], [3, 4]), count)

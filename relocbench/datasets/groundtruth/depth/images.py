@@ -58,6 +58,8 @@ class DepthView:
     length_m: float
     """length of road of the submap that depth is drawn from"""
     options: DepthOptions
+    enlarged: float = 1.0
+    """how many times the metres of the drive, of ``T_rig_cam`` and of ``length_m`` are enlarged; depth is in metres"""
 
     def at(self, time_ns: int) -> DepthImage:
         """Depth of the image at a time."""
@@ -76,7 +78,11 @@ class DepthView:
         T_odom_rig = drive.recording.odometry.at(at)[0]
         T_cam_node = invert(T_odom_rig @ self.T_rig_cam) @ drive.nodes.T_odom_node[node]
         scene = _scene(_WindowKey(drive.blocks, self.length_m, self.options, drive), node)
-        return scene_depth(scene, self.camera, T_cam_node, self.options)
+        found = scene_depth(scene, self.camera, T_cam_node, self.options)
+        if self.enlarged == 1.0:
+            return found
+        factor = np.float32(self.enlarged)
+        return DepthImage(found.depth / factor, found.sigma / factor)
 
     def by_stereo(self, time_ns: int) -> DepthImage:
         """Depth by matching the two images of the stereo pair."""

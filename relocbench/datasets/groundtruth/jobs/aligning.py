@@ -25,7 +25,15 @@ from relocbench.datasets.groundtruth.calibration.files import (
     write_evidence,
 )
 from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
-from relocbench.datasets.groundtruth.calibration.unknowns import EVERY, RIG, SIZE, DriveLidars, Sensors
+from relocbench.datasets.groundtruth.calibration.unknowns import (
+    EVERY,
+    RIG,
+    SIZE,
+    DriveLidars,
+    Sensors,
+    unknowns_reduced,
+)
+from relocbench.datasets.groundtruth.jobs.reducing import ReducedReporter
 from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, optimise
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -72,6 +80,7 @@ def align(
     estimate: bool,
     reporter: Reporter,
     run: Run,
+    enlarged: float = 1.0,
 ) -> Aligned:
     """Cut recordings into blocks, register them, and estimate their calibration.
 
@@ -80,17 +89,19 @@ def align(
         folder: of all intermediate results; those of an earlier run are used.
         first: a pose given by hand.
         estimate: whether to estimate the calibration, or to take it as it is given.
+        enlarged: how many times the recordings' metres are enlarged; notes and ``calibration.yaml`` are in metres.
 
     Raises:
         DatasetError: a recording or an intermediate file is damaged.
     """
-    sensors = Sensors(tuple(DriveLidars.of(r) for r in recordings))
+    sensors = Sensors(tuple(DriveLidars.of(r) for r in recordings), enlarged)
+    said = ReducedReporter(reporter, enlarged)
     total, wrong, corrections = np.zeros(sensors.unknowns), set[str](), 0
     while True:
         now = [corrected(r, sensors, total) if r.name in wrong else r for r in recordings]
         at = _places(recordings, wrong, folder, corrections)
-        drives = [make_drive(r, at.blocks[r.name], options.block_m, options.blocks, reporter, run) for r in now]
-        registrations = _register(drives, at, options, first, reporter, run)
+        drives = [make_drive(r, at.blocks[r.name], options.block_m, options.blocks, said, run) for r in now]
+        registrations = _register(drives, at, options, first, said, run)
         if not estimate or not sensors.causes():
             return Aligned(drives, registrations, {})
         evidence = _evidence(drives, registrations, sensors, at, options, reporter, run)
@@ -103,8 +114,9 @@ def align(
             told = "; ".join(map(str, found.causes)) or "nothing"
             reporter.note(f"calibration: {told} in error; corrected, and registered again")
             continue
-        file = write_calibration(folder, found, total, open_to, corrections, at)
-        for line in tell(file, found, sum(e.count for e in evidence)):
+        in_metres, removed = found.reduced(), total * unknowns_reduced(len(sensors), enlarged)
+        file = write_calibration(folder, in_metres, removed, open_to, corrections, at)
+        for line in tell(file, in_metres, sum(e.count for e in evidence)):
             reporter.note(line)
         if corrections and (np.abs(found.errors - total) > _REMAINS * found.sigmas.ravel()).any():
             reporter.note(

@@ -21,11 +21,13 @@ from relocbench.datasets.groundtruth.jobs.aligning import Aligned, align
 from relocbench.datasets.groundtruth.jobs.inputs import ready
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.recipe import pair_by_recipe
+from relocbench.datasets.groundtruth.jobs.reducing import reduced_paired
 from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, rig_poses, write_traversal
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired, PairingUnit, pair_up
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind
 from relocbench.datasets.groundtruth.pose_graph.files import write_graph
+from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.recording import FieldRecording
@@ -55,31 +57,39 @@ def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOpt
         reporter.note(
             "poses of the rig at scans of lidar are paired, without images: no tracker can run on this dataset"
         )
-    recordings = ready(recordings, cameras, job)
+    checked = ready(recordings, cameras, job)
+    recordings, large, scale = checked.recordings, checked.enlarged, checked.scale
     folder = job.writer.layout.root / "groundtruth"
     if not options.use_prior:
-        recordings = [replace(recording, prior=None) for recording in recordings]
+        large = [replace(recording, prior=None) for recording in large]
+    first = _enlarged_pose(first, scale)
     aligned = (
         None
         if options.recipe == "open3d"
-        else align(recordings, folder, options.alignment, first, options.calibration == "estimate", reporter, run)
+        else align(
+            large, folder, options.alignment, first, options.calibration == "estimate", reporter, run, scale.factor
+        )
     )
-    drives = aligned.drives if aligned is not None else _cut(recordings, folder, options, reporter, run)
+    drives = aligned.drives if aligned is not None else _cut(large, folder, options, reporter, run)
     frames = [
-        {name: choose_frames(r, drive, name, options, is_reference=r is recordings[0]) for name in cameras}
+        {
+            name: choose_frames(r, drive, name, options, is_reference=r is recordings[0], enlarged=scale.factor)
+            for name in cameras
+        }
         for r, drive in zip(recordings, drives, strict=True)
     ]
     reference, queries = drives[0], drives[1:]
     if aligned is None:
-        paired = pair_by_recipe(drives, frames, folder, options, first, reporter, run)
+        paired = pair_by_recipe(drives, frames, folder, options, first, reporter, run, scale.factor)
     else:
         asked = zip(queries, frames[1:], strict=True)
-        units = [_unit(aligned, query, (frames[0], asking), options) for query, asking in asked]
+        units = [_unit(aligned, query, (frames[0], asking), options, scale) for query, asking in asked]
         paired = _pair(units, folder / "graph", reporter, run)
+    paired = [reduced_paired(one, scale.factor) for one in paired]
     _require_accepted(paired, [q.name for q in queries], folder / "registrations")
     poses = rig_poses(recordings, frames, paired)
     for recording, drive, chosen, known in zip(recordings, drives, frames, poses, strict=True):
-        write_traversal(job, recording, drive, chosen, known)
+        write_traversal(job, recording, drive, chosen, known, scale.factor)
     for query, answer in zip(queries, paired, strict=True):
         for camera, outcomes in answer.outcomes.items():
             write_pair_set(job, reference.name, query.name, camera, [outcome.pair() for outcome in outcomes])
@@ -137,6 +147,11 @@ def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> 
     return ref_ns, query_ns, pose
 
 
+def _enlarged_pose(first: FirstPose | None, scale: SceneScale) -> FirstPose | None:
+    """The pose given by hand, in enlarged metres."""
+    return None if first is None else (first[0], first[1], scale.enlarged(first[2]))
+
+
 def _cut(
     recordings: Sequence[FieldRecording], folder: Path, options: FieldOptions, reporter: Reporter, run: Run
 ) -> list[Drive]:
@@ -150,12 +165,19 @@ def _unit(
     query: Drive,
     frames: tuple[Mapping[str, Frames], Mapping[str, Frames]],
     options: FieldOptions,
+    scale: SceneScale,
 ) -> PairingUnit:
     cameras = tuple(
-        CameraFrames(name, there.stream.T_rig_cam, frames[1][name].stream.T_rig_cam, there.times, frames[1][name].times)
+        CameraFrames(
+            name,
+            scale.enlarged(there.stream.T_rig_cam),
+            scale.enlarged(frames[1][name].stream.T_rig_cam),
+            there.times,
+            frames[1][name].times,
+        )
         for name, there in frames[0].items()
     )
-    limits = (options.limits, options.max_angle)
+    limits = (options.limits_at(scale.factor), options.max_angle)
     registrations, shared = tuple(aligned.registrations[query.name]), aligned.shared.get(query.name)
     return PairingUnit(aligned.drives[0], query, registrations, cameras, options.alignment, *limits, shared)
 
@@ -191,6 +213,7 @@ def _summary(query: str, camera: str, outcomes: Sequence[PairOutcome]) -> str:
     if accepted:
         metres = np.median([o.sigma_translation_m for o in accepted if o.sigma_translation_m is not None])
         degrees = np.median([o.sigma_rotation_deg for o in accepted if o.sigma_rotation_deg is not None])
-        text += f", median sigma {100 * metres:.1f} cm and {degrees:.3f} deg"
+        length = f"{100 * metres:.1f} cm" if metres >= 0.002 else f"{1000 * metres:.2f} mm"
+        text += f", median sigma {length} and {degrees:.3f} deg"
     kinds = by_kind(o.reason for o in outcomes if not o.accepted)
     return "; ".join([text, *(f"{len(reasons)}: {reasons[0]}" for reasons in list(kinds.values())[:3])])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,11 +16,15 @@ import numpy as np
 from relocbench.arrays import Times
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
+from relocbench.datasets.groundtruth.jobs.enlarging import enlarged, in_metres
+from relocbench.datasets.groundtruth.jobs.measuring import scale_of_build
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending
 from relocbench.datasets.groundtruth.odometry.files import kept_in
 from relocbench.datasets.groundtruth.odometry.jumps import interrupted
 from relocbench.datasets.groundtruth.odometry.length import length_ratio
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
+from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream
 from relocbench.errors import DatasetError, raise_all
 from relocbench.progress import Reporter
@@ -35,10 +40,19 @@ _CHANGING = 0.1
 """share of the standard deviation of GNSS that changes within a hundred metres of road"""
 
 
-def ready(
-    recordings: Sequence[FieldRecording], cameras: Sequence[str], job: Build[FieldOptions]
-) -> list[FieldRecording]:
-    """Check all recordings, then compute the odometry that is missing, and check the lengths that were driven.
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """Recordings that were checked, the reference first."""
+
+    recordings: list[FieldRecording]
+    """in metres"""
+    enlarged: list[FieldRecording]
+    """in metres that are enlarged to the size of a street"""
+    scale: SceneScale
+
+
+def ready(recordings: Sequence[FieldRecording], cameras: Sequence[str], job: Build[FieldOptions]) -> Ready:
+    """Check all recordings, measure their scale, compute the odometry that is missing, and check the way driven.
 
     Odometry is interrupted where it jumps.
 
@@ -50,20 +64,31 @@ def ready(
     """
     options, reporter, root = job.options, job.reporter, job.writer.layout.root
     faults = [fault for recording in recordings for fault in faults_of(recording, cameras)]
+    folder, scale = root / "groundtruth", SceneScale(1.0, "")
     if not faults:
+        # Steps that no vehicle can have driven are judged in metres as they are.
         recordings = [r if is_pending(r) else interrupted(r, reporter) for r in recordings]
+        scale = scale_of_build(recordings, options, folder, reporter)
         known = [recording for recording in recordings if not is_pending(recording)]
-        faults = [fault for recording in known for fault in motion_faults(recording, options, reporter)]
+        faults = [fault for one in known for fault in motion_faults(one, options, reporter, scale.factor)]
     raise_all(faults)
     out = []
     for recording in recordings:
-        kept = kept_in(root / "groundtruth" / "odometry" / f"{recording.name}.csv")
-        motion = computed(recording, kept, reporter)
-        out.append(interrupted(motion, reporter) if is_pending(recording) else motion)
+        kept = kept_in(folder / "odometry" / f"{recording.name}.csv")
+        out.append(_moved(recording, kept, scale.factor, reporter))
     pending = [after for before, after in zip(recordings, out, strict=True) if is_pending(before)]
-    raise_all([fault for recording in pending for fault in motion_faults(recording, options, reporter)])
-    check_space(root, sum(driven_m(recording) for recording in out))
-    return out
+    raise_all([fault for one in pending for fault in motion_faults(one, options, reporter, scale.factor)])
+    large = [enlarged(recording, scale.factor) for recording in out]
+    check_space(root, sum(driven_m(recording) for recording in large))
+    return Ready(out, large, scale)
+
+
+def _moved(recording: FieldRecording, kept: FromLidar, factor: float, reporter: Reporter) -> FieldRecording:
+    """The recording with its odometry, which is computed in enlarged metres if there is none."""
+    if not is_pending(recording):
+        return recording
+    large = computed(enlarged(recording, factor), kept, reporter)
+    return interrupted(in_metres(recording, large, factor), reporter)
 
 
 def faults_of(recording: FieldRecording, cameras: Sequence[str]) -> list[DatasetError]:
@@ -127,9 +152,11 @@ def _looked_at(look: Callable[[int], None], count: int) -> list[DatasetError]:
     return list(faults.values())
 
 
-def motion_faults(recording: FieldRecording, options: FieldOptions, reporter: Reporter) -> list[DatasetError]:
-    """What is wrong with the odometry of a recording; what only shortens the result is noted."""
-    faults = _span_faults(recording, options, reporter)
+def motion_faults(
+    recording: FieldRecording, options: FieldOptions, reporter: Reporter, factor: float = 1.0
+) -> list[DatasetError]:
+    """What is wrong with the odometry of a recording that will be enlarged; what only shortens the result is noted."""
+    faults = _clock_faults(recording, reporter) or _length_faults(recording, options, reporter, factor)
     return faults or (stretch_faults(recording) if options.use_prior else [])
 
 
@@ -150,7 +177,7 @@ def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
     return [DatasetError(told, recording.folder)]
 
 
-def _span_faults(recording: FieldRecording, options: FieldOptions, reporter: Reporter) -> list[DatasetError]:
+def _clock_faults(recording: FieldRecording, reporter: Reporter) -> list[DatasetError]:
     odometry, folder = recording.odometry, recording.folder
     for lidar in recording.lidars:
         share = float(np.mean(odometry.covers(lidar.times_ns)))
@@ -162,7 +189,23 @@ def _span_faults(recording: FieldRecording, options: FieldOptions, reporter: Rep
             return [DatasetError(told, folder)]
         if share < 0.5:
             reporter.note(f"{recording.name}: the odometry covers {100 * share:.0f} % of the scans of {lidar.name}")
-    driven = driven_m(recording)
+    return []
+
+
+def _length_faults(
+    recording: FieldRecording, options: FieldOptions, reporter: Reporter, factor: float
+) -> list[DatasetError]:
+    folder, driven = recording.folder, driven_m(enlarged(recording, factor))
+    if factor != 1.0 and driven < options.submap - 1:
+        driven, submap, least = driven / factor, options.submap / factor, LEAST_ROAD_M / factor
+        if driven < least:
+            told = f"moved {driven:.2g} m while a lidar recorded; at least {least:.2g} m are needed at this --scale"
+            return [DatasetError(told, folder)]
+        reporter.note(
+            f"{recording.name} moved {driven:.2g} m, less than a submap has ({submap:.2g} m, enlarged --submap "
+            f"{options.submap:g}): its submaps hold {driven:.2g} m at most, and poses are less certain"
+        )
+        return []
     if driven < LEAST_ROAD_M:
         told = f"drove {driven:.1f} m of road while a lidar recorded; at least {LEAST_ROAD_M:g} m are needed"
         return [DatasetError(f"{told}, and {options.submap:g} m to fill a submap (--submap)", folder)]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from dataclasses import replace
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -26,8 +27,10 @@ class FieldOptions(ImportOptions):
     )
     keyframe_distance: float = Field(1.0, gt=0, description="metres of road between keyframes of the reference")
     query_distance: float = Field(1.0, gt=0, description="metres of road between images (or poses) of a query drive")
-    submap: float = Field(60.0, ge=10, le=300, description="metres of road in a submap")
-    depth_submap: float = Field(60.0, ge=10, le=300, description="metres of road in a submap that depth is drawn from")
+    submap: float = Field(60.0, ge=10, le=300, description="metres of road in a submap, enlarged (--scale)")
+    depth_submap: float = Field(
+        60.0, ge=10, le=300, description="metres of road in a submap that depth is drawn from, enlarged"
+    )
     depth: Literal["lidar", "stereo"] = Field(
         "lidar", description="source of depth; stereo needs a second camera, rectified with the first"
     )
@@ -50,9 +53,17 @@ class FieldOptions(ImportOptions):
         "estimate",
         description="estimate the time offsets and extrinsics of the lidars and correct errors, or take what is given",
     )
+    scale: Literal["auto"] | Annotated[float, Field(ge=1e-4, le=1e4)] = Field(
+        "auto",
+        description="enlarge the scene so many times to the size of a street; auto: by its size and noise, and streets "
+        "stay as they are",
+    )
     use_prior: bool = Field(True, description="limit place recognition by GNSS")
     max_sigma: float = Field(
-        0.05, gt=0, description="largest sigma of an accepted pair's position on each axis, metres"
+        0.05,
+        gt=0,
+        description="largest sigma of an accepted pair's position on each axis, metres; if it is not given, it is "
+        "divided by the factor of a scene that is enlarged",
     )
     max_sigma_rotation: float = Field(0.15, gt=0, description="largest sigma of its rotation, degrees")
 
@@ -64,8 +75,10 @@ class FieldOptions(ImportOptions):
         return self
 
     def recorded(self) -> dict[str, Any]:
-        """The options, without those that the recipe does not use: as versions without recipes had it."""
+        """The options as versions had it that did not know all of them: without those that the recipe does not use, and
+        without a scale that is measured."""
         unused = {"recipe"} if self.recipe == "own" else set(_OF_OWN_RECIPE)
+        unused |= {"scale"} if self.scale == "auto" else set()
         return self.model_dump(mode="json", exclude=unused)
 
     @property
@@ -91,4 +104,23 @@ class FieldOptions(ImportOptions):
             sigma_across_m=self.max_sigma,
             sigma_height_m=self.max_sigma,
             sigma_rotation_deg=self.max_sigma_rotation,
+        )
+
+    def max_sigma_at(self, factor: float) -> float:
+        """Largest sigma of a position in a scene that is enlarged, in metres that are not.
+
+        Five centimetres are a share of a street, and a smaller scene is asked for the same share; what is given by hand
+        is meant as it is. A larger scene is asked for no less.
+        """
+        return self.max_sigma if "max_sigma" in self.model_fields_set else self.max_sigma / max(factor, 1.0)
+
+    def limits_at(self, factor: float) -> OutcomeLimits:
+        """The limits within which pairs are accepted, in enlarged metres."""
+        sigma = self.max_sigma_at(factor) * factor
+        return replace(
+            self.limits,
+            distance_m=self.max_distance * factor,
+            sigma_along_m=sigma,
+            sigma_across_m=sigma,
+            sigma_height_m=sigma,
         )

@@ -14,6 +14,7 @@ import numpy as np
 
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.jobs.enlarging import scaled
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.writing import Frames
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
@@ -46,6 +47,7 @@ def pair_by_recipe(
     first: FirstPose | None,
     reporter: Reporter,
     run: Run,
+    enlarged: float = 1.0,
 ) -> list[Paired]:
     """Pair every query drive with the reference; pairs of an earlier run are read from disk.
 
@@ -53,6 +55,8 @@ def pair_by_recipe(
         drives: the reference first.
         frames: the images of each drive, by camera.
         folder: of all intermediate results.
+        enlarged: how many times the metres of the drives and of the pose given by hand are enlarged, and those of the
+            pairs that are returned.
 
     Raises:
         DatasetError: a scan or an intermediate file is damaged.
@@ -60,7 +64,7 @@ def pair_by_recipe(
     folder = folder.resolve()  # workers of a cluster run in other working directories
     reference, queries = drives[0], drives[1:]
     units = [
-        _unit(reference, query, camera, (frames[0][camera], asking[camera]), folder, options, first)
+        _unit(reference, query, camera, (frames[0][camera], asking[camera]), folder, options, first, enlarged)
         for query, asking in zip(queries, frames[1:], strict=True)
         for camera in asking
     ]
@@ -87,16 +91,17 @@ def _unit(
     folder: Path,
     options: FieldOptions,
     first: FirstPose | None,
+    enlarged: float,
 ) -> _Unit:
     times = query.recording.odometry.times_ns
     chain = ChainUnit(
         reference.recording,
         query.recording,
         camera,
-        ImageTimes(frames[0].stream.T_rig_cam, frames[0].times),
-        ImageTimes(frames[1].stream.T_rig_cam, frames[1].times),
+        ImageTimes(scaled(frames[0].stream.T_rig_cam, enlarged), frames[0].times),
+        ImageTimes(scaled(frames[1].stream.T_rig_cam, enlarged), frames[1].times),
         options.submap,
-        options.max_distance,
+        options.max_distance * enlarged,
         options.max_angle,
         first if first is not None and times[0] <= first[1] <= times[-1] else None,
         Open3dOptions(seed=options.seed),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from relocbench.datasets.core.schema import CameraEntry, Transform, TraversalFil
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
+from relocbench.datasets.groundtruth.jobs.enlarging import scaled
 from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
@@ -42,20 +43,30 @@ class Frames:
 
 
 def choose_frames(
-    recording: FieldRecording, drive: Drive, camera: str, options: FieldOptions, *, is_reference: bool
+    recording: FieldRecording,
+    drive: Drive,
+    camera: str,
+    options: FieldOptions,
+    *,
+    is_reference: bool,
+    enlarged: float = 1.0,
 ) -> Frames:
     """Select the images of a camera, or poses of the rig where the recording has no such camera.
+
+    Args:
+        recording: in metres.
+        drive: in metres that are enlarged so many times.
 
     Raises:
         ConfigError: depth by stereo is wanted and the camera has no stereo pair.
         DatasetError: no image can be selected.
     """
+    apart = (options.keyframe_distance if is_reference else options.query_distance) * enlarged
     if camera not in recording.cameras:
-        return _choose_poses(recording, drive, camera, options, is_reference=is_reference)
+        return _choose_poses(recording, drive, camera, apart, is_reference=is_reference)
     stream, pair = recording.cameras[camera], stereo_pair(recording.cameras, camera)
     if options.depth == "stereo" and pair is None:
         raise ConfigError(f"--depth stereo: {recording.name} has no camera to the right of {camera}, rectified with it")
-    apart = options.keyframe_distance if is_reference else options.query_distance
     # A keyframe needs a pose; for a query without one the rejection is recorded.
     indices = select_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
     if options.depth == "stereo" and pair is not None:
@@ -66,12 +77,9 @@ def choose_frames(
     return Frames(stream, pair, tuple(indices))
 
 
-def _choose_poses(
-    recording: FieldRecording, drive: Drive, frame: str, options: FieldOptions, *, is_reference: bool
-) -> Frames:
+def _choose_poses(recording: FieldRecording, drive: Drive, frame: str, apart_m: float, *, is_reference: bool) -> Frames:
     stream = recording.rig_stream(frame)
-    apart = options.keyframe_distance if is_reference else options.query_distance
-    indices = select_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
+    indices = select_images(recording, stream, drive.nodes, apart_m, in_gaps=not is_reference)
     if not indices:
         raise DatasetError(f"no scan of {stream.lidar} was taken while odometry was recorded", recording.folder)
     return Frames(stream, None, tuple(indices))
@@ -106,12 +114,20 @@ def write_traversal(
     drive: Drive,
     frames: Mapping[str, Frames],
     poses: Mapping[int, Array],
+    enlarged: float = 1.0,
 ) -> None:
-    """Write the description, poses, images and depth of one drive; only images with a pose have depth."""
+    """Write the description, poses, images and depth of one drive; only images with a pose have depth.
+
+    Args:
+        recording, poses: in metres.
+        drive: in metres that are enlarged so many times.
+    """
     writer, options = job.writer, job.options
     name, length, entries = recording.name, options.depth_submap, {}
     bare: dict[str, Transform] = {}
-    origin = f"depth from lidar submaps of {length:g} m" if options.depth == "lidar" else "depth from stereo"
+    origin = (
+        f"depth from lidar submaps of {length / enlarged:.3g} m" if options.depth == "lidar" else "depth from stereo"
+    )
     for camera, chosen in frames.items():
         stream = chosen.stream
         if isinstance(stream, RigStream):
@@ -119,7 +135,8 @@ def write_traversal(
             origin = f"poses of the rig at scans of {stream.lidar}"
             continue
         _write_images(job, name, stream, chosen)
-        view = DepthView(drive, stream.camera, stream.T_rig_cam, options.depth, chosen.pair, length, DepthOptions())
+        T_rig_cam, how = scaled(stream.T_rig_cam, enlarged), _depth_options(recording, enlarged)
+        view = DepthView(drive, stream.camera, T_rig_cam, options.depth, chosen.pair, length, how, enlarged)
         path = writer.layout.traversal(name).depth
         wanted = [DepthFrame(time, path(camera, time)) for time in chosen.times if time in poses]
         missing = {frame.time_ns for frame in wanted if writer.needs_depth(name, camera, frame.time_ns)}
@@ -136,6 +153,15 @@ def write_traversal(
         source=f"recording {recording.folder.name}, {origin}",
     )
     writer.traversal(file, dict(poses))
+
+
+def _depth_options(recording: FieldRecording, enlarged: float) -> DepthOptions:
+    """Options of depth in a scene that is enlarged, as is the noise of the lidars."""
+    options = DepthOptions()
+    if enlarged <= 1.0:
+        return options
+    range_m = max(options.noise.range_m, *(lidar.sigma_m * enlarged for lidar in recording.lidars))
+    return replace(options, noise=replace(options.noise, range_m=range_m))
 
 
 @dataclass(frozen=True, eq=False)

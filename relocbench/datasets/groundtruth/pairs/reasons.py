@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable, Sequence
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
+_LENGTH = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?)(?= (?:m|cm|mm)\b)")
+"""a number before a unit of length"""
 
 
 def kind_of(reason: str) -> str:
@@ -30,3 +32,10 @@ def by_kind(reasons: Iterable[str]) -> dict[str, list[str]]:
     for reason in reasons:
         found.setdefault(kind_of(reason), []).append(reason)
     return dict(sorted(found.items(), key=lambda item: (-len(item[1]), item[0])))
+
+
+def reduced_words(words: str, factor: float) -> str:
+    """Words in which every length is divided by the factor, to two digits: with 8, ``12 m`` become ``1.5 m``."""
+    if factor == 1.0:
+        return words
+    return _LENGTH.sub(lambda found: f"{float(f'{float(found.group()) / factor:.2g}'):g}", words)

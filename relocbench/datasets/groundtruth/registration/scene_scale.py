@@ -121,17 +121,25 @@ def scene_size(points: Array) -> SceneSize:
     return SceneSize(radius, spacing, noise)
 
 
-def scale_of(sizes: Sequence[SceneSize], factor: float | None = None) -> SceneScale:
+def scale_of(
+    sizes: Sequence[SceneSize],
+    factor: float | None = None,
+    noise_m: float = _NOISE_M,
+    spacing_m: float = _SPACING_M,
+    wanted_m: float = STREET_RADIUS_M,
+) -> SceneScale:
     """The common scale of scenes that are registered to each other.
 
     Args:
         factor: given by hand; None: chosen by the sizes.
+        noise_m, spacing_m: largest noise and spacing of the enlarged scene.
+        wanted_m: its radius.
     """
     radius = min(size.radius_m for size in sizes)
     spacing, noise = (max(getattr(size, name) for size in sizes) for name in ("spacing_m", "noise_m"))
     if factor is not None:
         return SceneScale(factor, f"enlarged {factor:g} times, as given", radius)
-    by_size, by_noise, by_spacing = STREET_RADIUS_M / radius, _NOISE_M / max(noise, 1e-12), _SPACING_M / spacing
+    by_size, by_noise, by_spacing = wanted_m / radius, noise_m / max(noise, 1e-12), spacing_m / spacing
     wanted = by_size if by_size < 1 else max(min(by_size, by_noise, by_spacing), 1.0)
     if by_size < 1:
         # A large scene is measured as a street is where its points are dense enough, or reduced where they are not.

@@ -18,6 +18,7 @@ from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, kind_
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, read_graph
 from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
 from relocbench.datasets.groundtruth.registration.files import read_registrations
+from relocbench.datasets.groundtruth.registration.scale_file import read_scale
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.errors import DatasetError
@@ -50,6 +51,8 @@ class InspectedSet:
     stores: tuple[BlockStore, BlockStore]
     """blocks of the reference and the query"""
     limits: Limits
+    enlarged: float = 1.0
+    """how many times the metres of drives, registrations and blocks are enlarged; pairs and limits are in metres"""
 
     @property
     def name(self) -> str:
@@ -115,6 +118,8 @@ def _inspect(dataset: Dataset, folder: Path, pair_set: PairSet) -> InspectedSet:
     options = dataset.file.made_by.get("options", {})
     limits = [options.get(key) for key in ("max_sigma", "max_sigma_rotation")] if isinstance(options, dict) else []
     known = [float(v) if isinstance(v, int | float) else None for v in limits] or [None, None]
+    scale = read_scale(folder)
+    known[0] = known[0] if scale.max_sigma_m is None else scale.max_sigma_m
     return InspectedSet(
         pair_set,
         " → ".join(conditions),
@@ -122,6 +127,7 @@ def _inspect(dataset: Dataset, folder: Path, pair_set: PairSet) -> InspectedSet:
         read_registrations(registrations / f"{names[0]}__{names[1]}.csv"),
         (BlockStore(blocks[0]), BlockStore(blocks[1])),
         Limits(known[0], known[1]),
+        scale.factor,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.groundtruth.calibration.files import CalibrationFile
-from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
+from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, reduced_words
 from relocbench.datasets.groundtruth.report.calibration_table import calibration_rows
 from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot, reason_of
 from relocbench.datasets.groundtruth.report.residual_picture import Residuals
@@ -53,6 +53,7 @@ def write_page(
         calibration=calibration,
         lidars=calibration_rows(calibration),
         sets=[_pair_set(one) for one in drawn],
+        enlarged=drawn[0].found.enlarged if drawn else 1.0,
         pictured=any(spot.keyframe is not None for one in drawn for spot in one.spots),
         address=quote,
         stem=lambda file: Path(file).stem,
@@ -72,11 +73,11 @@ def _pair_set(one: DrawnSet) -> dict[str, object]:
         "rejected": len(pairs) - len(accepted),
         "sigmas_cm": [_median([p.axis_sigmas[k] for p in accepted], 100.0, 2) for k in range(3)],
         "sigma_deg": _median([p.sigma_rotation_deg for p in accepted], 1.0, 3),
-        "residuals_cm": [_number(100 * sigma, 2) for sigma in one.residuals.sigmas_m],
+        "residuals_cm": [_number(100 * sigma / one.found.enlarged, 2) for sigma in one.residuals.sigmas_m],
         "kept": sum(not v for v in verdicts),
         "registrations": len(verdicts),
         "pair_reasons": _reasons([reason_of(p) for p in pairs if not p.accepted]),
-        "graph_reasons": _reasons([v for v in verdicts if v]),
+        "graph_reasons": _reasons([reduced_words(v, one.found.enlarged) for v in verdicts if v]),
     }
 
 
