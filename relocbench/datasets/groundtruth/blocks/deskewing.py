@@ -102,7 +102,7 @@ def _moving(lidar: LidarStream, arc_length: ArcLength, min_step_m: float) -> Mas
 
 
 def _pose_intervals(odometry: Trajectory) -> tuple[Times, Array, Array]:
-    """Times (N,), poses (N, 4, 4) with straight motion between them, and the rotation vectors (N - 1, 3) of this motion."""
+    """Times (N,), poses (N, 4, 4) with straight motion between them, and its rotation vectors (N - 1, 3)."""
     odometry = odometry.finer()
     rotation = odometry.T_odom_rig[:, :3, :3]
     turns = so3_log(np.swapaxes(rotation[:-1], -1, -2) @ rotation[1:]) if len(rotation) > 1 else np.zeros((0, 3))
