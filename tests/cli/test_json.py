@@ -122,7 +122,10 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
     "view": (lambda d, t: [d.dataset, "--out", t / "v.rrd", "--limit", 1], {"pairs": 2, "pairs_left_out": 5}),
     "validate": (lambda d, t: [d.dataset, "--quick"], {"faults": 0}),
     "methods": (lambda d, t: [], {}),
-    "register": (lambda d, t: [_scan_of_a_room(t), _scan_of_a_room(t), "--sensor", "origin"], {"files_written": 0}),
+    "register": (
+        lambda d, t: [_scan_of_a_room(t), _scan_of_a_room(t), "--sensor", "origin", "--initial", "0 0 0 0 0 0 1"],
+        {"files_written": 0},
+    ),
     "check-method": (lambda d, t: ["identity"], {"failed": 0}),
     "fetch-weights": (lambda d, t: ["test_json:NeedsWeights"], {"files_written": 0, "skipped": 1}),
     "export": (
