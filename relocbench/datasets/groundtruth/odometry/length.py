@@ -17,6 +17,8 @@ _STEP_M = 5.0
 """distance along the drive between the chords' beginnings"""
 _CHORD_M = (60.0, 100.0, 150.0)
 """distances along the drive that the chords span"""
+_END_TO_END = 1.9
+"""so many chords must fit into the drive end to end: the noise of one is not known"""
 _LEAST_SHARE = 0.5
 """a chord is at least this share of the way: in tighter bends its length depends on the heading's drift"""
 
@@ -31,7 +33,7 @@ class LengthRatio:
 
 
 def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float = 1.0) -> LengthRatio | None:
-    """The ratio of the lengths; None if odometry and GNSS have fewer than 60 m in common.
+    """The ratio of the lengths; None if odometry and GNSS have fewer than 114 m in common.
 
     Args:
         odometry: whose pieces are measured each on its own.
@@ -58,7 +60,7 @@ def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float = 1.0) 
             ratios += (by_odometry / np.maximum(by_gnss, 1e-9))[straight].tolist()
             lengths += by_odometry[straight].tolist()
             covered += float(way[-1]) if straight.any() else 0.0
-        if len(ratios) >= 3 or (ratios and chord_m == _CHORD_M[0]):
+        if len(ratios) >= 3 and covered >= _END_TO_END * chord_m:
             # Chords that overlap share errors: only as many count as fit into the drive end to end.
             independent = max(1.0, covered / chord_m)
             spread = 1.4826 * float(np.median(np.abs(np.array(ratios) - np.median(ratios))))
