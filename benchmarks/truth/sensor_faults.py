@@ -29,8 +29,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from case_figures import case_figures, off_truth
 from ground_truth_drives import EXTENT_M, T_RIG_CAM, Leg, Spoken, Taken, read_legs, record_legs
-from ground_truth_judging import WRONG_DEG, WRONG_M, errors
+from ground_truth_judging import WRONG_DEG, WRONG_M
 from numpy.typing import NDArray
 from sensor_faults_spinning import record_spinning
 
@@ -41,7 +42,6 @@ from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.jumps import interrupted
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
-from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.execution import Run
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
@@ -177,32 +177,13 @@ class _Listening(Spoken):
 
 def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[str, Any]:
     """The figures of a case."""
-    metres, degrees, normalised = [], [], []
+    off = []
     for pair in found:
-        if pair.accepted and pair.T_query_ref is not None and pair.covariance is not None:
+        if pair.accepted:
             T_world_ref = a.truth.at(np.array([pair.ref_timestamp_ns]))[0] @ T_RIG_CAM
             T_world_query = b.truth.at(np.array([pair.query_timestamp_ns]))[0] @ T_rig_cam
-            off_m, off_deg, _, xi = errors(pair.T_query_ref, invert(T_world_query) @ T_world_ref)
-            metres.append(off_m)
-            degrees.append(off_deg)
-            normalised.append(float(xi @ np.linalg.solve(pair.covariance, xi) / 6))
-    kinds = by_kind(pair.reason for pair in found if not pair.accepted)
-    often = max(kinds.values(), key=len, default=[])
-    out: dict[str, Any] = {
-        "pairs": len(found),
-        "accepted": len(metres),
-        "wrong": int(sum(m > WRONG_M or d > WRONG_DEG for m, d in zip(metres, degrees, strict=True))),
-        "refused_because": common(often) if often else "",
-    }
-    if metres:
-        out |= {
-            "median_m": round(float(np.median(metres)), 4),
-            "max_m": round(max(metres), 4),
-            "median_deg": round(float(np.median(degrees)), 4),
-            "max_deg": round(max(degrees), 4),
-            "normalised": round(float(np.mean(normalised)), 2),
-        }
-    return out
+            off.append(off_truth(pair, invert(T_world_query) @ T_world_ref))
+    return case_figures(found, off, sum(m > WRONG_M or d > WRONG_DEG for m, d, _ in off))
 
 
 def line(title: str, f: dict[str, Any]) -> str:

@@ -32,7 +32,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from case_figures import Off, case_figures, off_truth
 from ground_truth_drives import Spoken
+from ground_truth_judging import WRONG_DEG, WRONG_M
 from numpy.typing import NDArray
 from register_scenes import Boxes, camera_directions, room, sphere_directions
 
@@ -45,10 +47,9 @@ from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.reducing import reduced_paired
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
-from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
 from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 from relocbench.execution import Run
-from relocbench.geometry import invert, make_transform, rotation_angle, se3_exp, se3_log, so3_exp
+from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -60,7 +61,6 @@ TITLES: dict[Device, str] = {
 }
 APART_M = 0.15
 """between keyframes, and between queries"""
-WRONG_M, WRONG_DEG = 0.3, 1.0
 _LIDAR_NOISE_M = 0.008
 _DEPTH_NOISE_M, _DEPTH_AT_M, _DEPTH_FARTHEST_M = 0.005, 1.5, 4.5
 _T_RIG_CAM = make_transform(
@@ -197,34 +197,11 @@ def outcomes(
     return reduced_paired(pair_up(unit), scale.factor).outcomes["rig"], scale.factor
 
 
-def errors(walks: Sequence[Walk], pair: PairOutcome) -> tuple[float, float, float]:
-    """Metres and degrees off the truth, and the normalised error squared, of a pair with a pose."""
-    assert pair.T_query_ref is not None
-    assert pair.covariance is not None
+def off(walks: Sequence[Walk], pair: PairOutcome) -> Off:
+    """How far a pair with a pose is off the truth."""
     T_world_ref = walks[0].truth.at(np.array([pair.ref_timestamp_ns]))[0]
     T_world_query = walks[1].truth.at(np.array([pair.query_timestamp_ns]))[0]
-    E = pair.T_query_ref @ invert(T_world_ref) @ T_world_query
-    xi = se3_log(E)
-    metres, degrees = float(np.linalg.norm(invert(E)[:3, 3])), float(np.degrees(rotation_angle(E[:3, :3])))
-    return metres, degrees, float(xi @ np.linalg.solve(pair.covariance, xi) / 6)
-
-
-def figures(found: Sequence[PairOutcome], off: Sequence[tuple[float, float, float]], wrong: int) -> dict[str, Any]:
-    """The figures of a case, of all its rooms."""
-    kinds = by_kind(pair.reason for pair in found if not pair.accepted)
-    often = max(kinds.values(), key=len, default=[])
-    out: dict[str, Any] = {"pairs": len(found), "accepted": len(off), "wrong": wrong}
-    out["refused_because"] = common(often) if often else ""
-    if off:
-        metres, degrees, normalised = np.array(off).T
-        out |= {
-            "median_m": round(float(np.median(metres)), 5),
-            "max_m": round(float(metres.max()), 5),
-            "median_deg": round(float(np.median(degrees)), 4),
-            "max_deg": round(float(degrees.max()), 4),
-            "normalised": round(float(normalised.mean()), 2),
-        }
-    return out
+    return off_truth(pair, invert(T_world_query) @ T_world_ref)
 
 
 def line(title: str, f: dict[str, Any]) -> str:
@@ -253,17 +230,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         for case in chosen:
             found: list[PairOutcome] = []
-            off: list[tuple[float, float, float]] = []
+            errors: list[Off] = []
             factors: list[float] = []
             wrong = 0
             for seed in map(int, a.seeds.split(",")):
                 walks = [record(seed, walk, case) for walk in range(2)]
                 folder = (a.work or Path(temporary)) / case / str(seed)
                 pairs, factor = outcomes(walks, folder, options, spoken, a.workers)
-                mine = [errors(walks, pair) for pair in pairs if pair.accepted]
+                mine = [off(walks, pair) for pair in pairs if pair.accepted]
                 wrong += sum(metres > WRONG_M / factor or degrees > WRONG_DEG for metres, degrees, _ in mine)
-                found, off, factors = found + pairs, off + mine, [*factors, round(factor, 2)]
-            result[case] = figures(found, off, wrong) | {"factors": factors}
+                found, errors, factors = found + pairs, errors + mine, [*factors, round(factor, 2)]
+            result[case] = case_figures(found, errors, wrong) | {"factors": factors}
             lines.append(line(TITLES[case], result[case]))
             spoken.note(lines[-1])
     head = "| situation | accepted | median | largest | normalised squared error |"

@@ -110,8 +110,9 @@ def from_poses(drive: DriveFiles) -> FieldRecording:
     return drive.recording(_no_lidar, Silent())
 
 
-def worst_pair(dataset: Dataset, pair_set: str, reference: StreetDrive, query: StreetDrive) -> tuple[int, float, float]:
-    """Number of pairs, and the largest errors of their poses in metres and degrees."""
+def assert_pairs_are_right(root: Path, pair_set: str, reference: StreetDrive, query: StreetDrive) -> None:
+    """Fail unless the dataset has at least four pairs, none of which is off by 10 cm or 0.15 degrees."""
+    dataset = Dataset(root)
     errors = []
     for pair in dataset.pair_set(pair_set).pairs:
         T_world_ref = reference.T_world_car(np.array([pair.ref_timestamp_ns]))[0] @ reference.T_car_cam
@@ -120,7 +121,9 @@ def worst_pair(dataset: Dataset, pair_set: str, reference: StreetDrive, query: S
         wrong = pair.T_query_ref @ invert(T_world_ref) @ T_world_query
         errors.append((np.linalg.norm(wrong[:3, 3]), np.degrees(rotation_angle(wrong[:3, :3]))))
     metres, degrees = np.array(errors).max(axis=0).tolist()
-    return len(errors), metres, degrees
+    assert len(errors) >= 4
+    assert metres < 0.10
+    assert degrees < 0.15
 
 
 def with_camera(drive: StreetDrive, recording: FieldRecording) -> FieldRecording:

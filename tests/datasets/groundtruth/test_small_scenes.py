@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +29,8 @@ from relocbench.datasets.groundtruth.jobs.reducing import ReducedReporter, reduc
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.reasons import kind_of, reduced_words
 from relocbench.datasets.groundtruth.registration.scale_file import read_scale
-from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Scan, Trajectory
+from relocbench.datasets.sensors.derived_lidar import DerivedLidar
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.execution import Run
 from relocbench.geometry import invert, make_transform, rotation_angle, se3_exp, se3_log, so3_exp, transform_to_tq
 from relocbench.progress import Silent
@@ -118,26 +119,12 @@ def test_what_is_known_of_mountings_does_not_shrink_with_the_scene() -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Small:
+class _Small(DerivedLidar):
     """A lidar in a scene of an eighth of the size, written without the code that enlarges it again."""
-
-    stream: LidarStream
-
-    @property
-    def name(self) -> str:
-        return self.stream.name
-
-    @property
-    def pattern(self) -> Literal["push-broom", "spinning"]:
-        return self.stream.pattern
 
     @property
     def T_rig_lidar(self) -> Array:
         return _eighth(self.stream.T_rig_lidar)
-
-    @property
-    def times_ns(self) -> NDArray[np.int64]:
-        return self.stream.times_ns
 
     @property
     def max_range_m(self) -> float:

@@ -18,14 +18,13 @@ from recorded_street import (
     SMALL,
     Spoken,
     StreetDrive,
+    assert_pairs_are_right,
     errors_of,
     from_poses,
     record_street,
     street_scene,
-    worst_pair,
 )
 
-from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.ford_av.calibration import read_camera_pose, read_lidar_pose
 from relocbench.datasets.importers.ford_av.files import find_logs
 from relocbench.datasets.importers.ford_av.recording import ReadingOptions, image_time, read_ford
@@ -284,10 +283,7 @@ def test_logs_are_brought_together_by_one_command(drives: list[StreetDrive], log
     assert outcome.status == 0, outcome.err
     assert "odometry is /pose_ground_truth" in outcome.err
     assert "/lidar_red_scan: spinning lidar, packets of a Velodyne" in outcome.err
-    count, metres, degrees = worst_pair(Dataset(out), f"{NAMES[0]}__{NAMES[1]}__front_left", *drives)
-    assert count >= 4
-    assert metres < 0.10
-    assert degrees < 0.15
+    assert_pairs_are_right(out, f"{NAMES[0]}__{NAMES[1]}__front_left", *drives)
     assert relocbench("validate", out).status == 0
 
 

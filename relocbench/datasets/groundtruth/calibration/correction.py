@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Sensors
-from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Scan
+from relocbench.datasets.sensors.derived_lidar import DerivedLidar
+from relocbench.datasets.sensors.recording import FieldRecording, Scan
 from relocbench.geometry import se3_exp
 
 
 @dataclass(frozen=True, eq=False)
-class CorrectedLidar:
+class CorrectedLidar(DerivedLidar):
     """A lidar whose clock or extrinsics were in error."""
 
-    stream: LidarStream
     late_ns: int
     """by how much its times are too large"""
     T_right_given: Array
     """(4, 4) correction of the extrinsics, in the rig's frame"""
-
-    @property
-    def name(self) -> str:
-        return self.stream.name
-
-    @property
-    def pattern(self) -> Literal["push-broom", "spinning"]:
-        return self.stream.pattern
 
     @property
     def T_rig_lidar(self) -> Array:
@@ -39,16 +30,7 @@ class CorrectedLidar:
     def times_ns(self) -> Times:
         return self.stream.times_ns - self.late_ns
 
-    @property
-    def max_range_m(self) -> float:
-        return self.stream.max_range_m
-
-    @property
-    def sigma_m(self) -> float:
-        return self.stream.sigma_m
-
     def read(self, index: int) -> Scan:
-        """Read a scan. Raises DatasetError with the file if it is missing or damaged."""
         scan = self.stream.read(index)
         return Scan(scan.points, scan.times_ns - self.late_ns)
 

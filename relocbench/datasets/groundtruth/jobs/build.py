@@ -18,8 +18,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
 from relocbench.datasets.groundtruth.jobs.aligning import Aligned, align
-from relocbench.datasets.groundtruth.jobs.inputs import ready
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.jobs.readying import ready
 from relocbench.datasets.groundtruth.jobs.recipe import pair_by_recipe
 from relocbench.datasets.groundtruth.jobs.reducing import reduced_paired
 from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, rig_poses, write_traversal

@@ -9,39 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
-import numpy as np
-
-from relocbench.arrays import Array, Times
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.odometry.deferred import Pending
-from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Scan, Trajectory
+from relocbench.datasets.groundtruth.registration.scene_scale import scaled
+from relocbench.datasets.sensors.derived_lidar import DerivedLidar
+from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 
 PriorOf = Callable[[Trajectory], Trajectory | None]
 
 
 @dataclass(frozen=True, eq=False)
-class EnlargedLidar:
+class EnlargedLidar(DerivedLidar):
     """A lidar whose metres are enlarged."""
 
-    stream: LidarStream
     factor: float
-
-    @property
-    def name(self) -> str:
-        return self.stream.name
-
-    @property
-    def pattern(self) -> Literal["push-broom", "spinning"]:
-        return self.stream.pattern
 
     @property
     def T_rig_lidar(self) -> Array:
         return scaled(self.stream.T_rig_lidar, self.factor)
-
-    @property
-    def times_ns(self) -> Times:
-        return self.stream.times_ns
 
     @property
     def max_range_m(self) -> float:
@@ -52,7 +38,6 @@ class EnlargedLidar:
         return self.stream.sigma_m * self.factor
 
     def read(self, index: int) -> Scan:
-        """Read a scan. Raises DatasetError with the file if it is missing or damaged."""
         scan = self.stream.read(index)
         return Scan(scan.points * self.factor, scan.times_ns)
 
@@ -95,10 +80,3 @@ def _of_enlarged(prior_of: PriorOf, factor: float) -> PriorOf:
 def scaled_trajectory(trajectory: Trajectory, factor: float) -> Trajectory:
     """A trajectory whose positions are multiplied by a factor; it stays of its class."""
     return replace(trajectory, T_odom_rig=scaled(trajectory.T_odom_rig, factor))
-
-
-def scaled(T: Array, factor: float) -> Array:
-    """Poses (..., 4, 4) whose translations are multiplied by a factor."""
-    out = np.array(T, dtype=np.float64)
-    out[..., :3, 3] *= factor
-    return out

@@ -14,7 +14,6 @@ import numpy as np
 
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
-from relocbench.datasets.groundtruth.jobs.enlarging import scaled
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.writing import Frames
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
@@ -24,6 +23,7 @@ from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, ImageTimes, 
 from relocbench.datasets.groundtruth.recipe.open3d_pair import Open3dOptions
 from relocbench.datasets.groundtruth.registration import files as track_files
 from relocbench.datasets.groundtruth.registration.journal import Journal, journal_progress
+from relocbench.datasets.groundtruth.registration.scene_scale import scaled
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.execution import Run, run_units

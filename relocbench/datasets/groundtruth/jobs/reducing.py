@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.groundtruth.jobs.enlarging import scaled
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.pairs.reasons import reduced_words
+from relocbench.datasets.groundtruth.registration.scene_scale import scaled
 from relocbench.progress import Advance, Reporter
 
 

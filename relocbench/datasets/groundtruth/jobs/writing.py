@@ -15,10 +15,10 @@ from relocbench.datasets.core.schema import CameraEntry, Transform, TraversalFil
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
-from relocbench.datasets.groundtruth.jobs.enlarging import scaled
 from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
+from relocbench.datasets.groundtruth.registration.scene_scale import scaled
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, RigStream
 from relocbench.errors import ConfigError, DatasetError

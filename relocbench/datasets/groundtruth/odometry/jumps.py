@@ -96,19 +96,20 @@ def _sizes(twists: Array) -> Array:
     return np.stack([np.linalg.norm(twists[:, :3], axis=1), np.linalg.norm(twists[:, 3:], axis=1)], axis=1)
 
 
-def _shifted(values: Array, by: int) -> Array:
-    """Values (N, ...) of the step ``by`` steps later; nan beyond the ends."""
-    out = np.full_like(values, np.nan)
-    if by > 0:
-        out[:-by] = values[by:]
-    else:
-        out[-by:] = values[:by]
+def _around(values: Array) -> Array:
+    """(2 _BESIDE, N, ...) of each of N steps, the values (N, ...) of those beside it; nan beyond the ends."""
+    out = np.full((2 * _BESIDE, *values.shape), np.nan)
+    for row, by in enumerate((*range(-_BESIDE, 0), *range(1, _BESIDE + 1))):
+        if by > 0:
+            out[row, :-by] = values[by:]
+        else:
+            out[row, -by:] = values[:by]
     return out
 
 
 def _beside(velocity: Array) -> Array:
     """(N, 6) median velocity of the steps beside each step; nan where fewer than three are measured."""
-    around = np.stack([_shifted(velocity, by) for by in (*range(-_BESIDE, 0), *range(1, _BESIDE + 1))])
+    around = _around(velocity)
     enough = np.isfinite(around).sum(axis=0) >= 3
     around[:, ~enough] = 0.0
     return np.where(enough, np.nanmedian(around, axis=0), np.nan)
@@ -116,6 +117,4 @@ def _beside(velocity: Array) -> Array:
 
 def _spacing(seconds: Array) -> Array:
     """(N,) mean duration of the steps beside each step."""
-    around = np.stack([_shifted(seconds, by) for by in (*range(-_BESIDE, 0), *range(1, _BESIDE + 1))])
-    count = np.isfinite(around).sum(axis=0)
-    return np.asarray(np.nansum(around, axis=0) / np.maximum(count, 1))
+    return np.asarray(np.nanmean(_around(seconds), axis=0))

@@ -19,6 +19,7 @@ from relocbench.arrays import Array, Times
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import deskewed, lidar_odometry
 from relocbench.datasets.groundtruth.odometry.local_map import plane_normals
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
+from relocbench.datasets.sensors.derived_lidar import DerivedLidar
 from relocbench.datasets.sensors.recording import LidarStream, Scan
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, se3_log
@@ -51,20 +52,11 @@ class Detected:
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """Some scans in a row of a lidar."""
+class _Part(DerivedLidar):
+    """Some scans in a row of a lidar, whose frame is the rig."""
 
-    whole: LidarStream
     first: int
     count: int
-
-    @property
-    def name(self) -> str:
-        return self.whole.name
-
-    @property
-    def pattern(self) -> Literal["push-broom", "spinning"]:
-        return self.whole.pattern
 
     @property
     def T_rig_lidar(self) -> Array:
@@ -72,18 +64,10 @@ class _Part:
 
     @property
     def times_ns(self) -> Times:
-        return self.whole.times_ns[self.first : self.first + self.count]
-
-    @property
-    def max_range_m(self) -> float:
-        return self.whole.max_range_m
-
-    @property
-    def sigma_m(self) -> float:
-        return self.whole.sigma_m
+        return self.stream.times_ns[self.first : self.first + self.count]
 
     def read(self, index: int) -> Scan:
-        return self.whole.read(self.first + index)
+        return self.stream.read(self.first + index)
 
 
 def detect_motion(compensated: LidarStream, distorted: LidarStream) -> Detected:

@@ -69,15 +69,11 @@ class SceneScale:
 
     def enlarged(self, T: Array) -> Array:
         """A pose (..., 4, 4) in enlarged metres."""
-        out = np.array(T, dtype=np.float64)
-        out[..., :3, 3] *= self.factor
-        return out
+        return scaled(T, self.factor)
 
     def reduced(self, T: Array) -> Array:
         """A pose (..., 4, 4) of enlarged clouds, in metres."""
-        out = np.array(T, dtype=np.float64)
-        out[..., :3, 3] /= self.factor
-        return out
+        return scaled(T, 1 / self.factor)
 
     def reduced_information(self, information: Array) -> Array:
         """Information (6, 6) of xi = (rho, phi) of an enlarged pose, in metres."""
@@ -92,6 +88,13 @@ class SceneScale:
             residual_query_m=evidence.residual_query_m / self.factor,
             weakest_sigma_m=evidence.weakest_sigma_m / self.factor,
         )
+
+
+def scaled(T: Array, factor: float) -> Array:
+    """Poses (..., 4, 4) whose translations are multiplied by a factor."""
+    out = np.array(T, dtype=np.float64)
+    out[..., :3, 3] *= factor
+    return out
 
 
 def scene_size(points: Array) -> SceneSize:

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from relocbench.arrays import Array, Times
+from relocbench.arrays import Times
 from relocbench.datasets.core.schema import Condition, Transform
 from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, told_motion
 from relocbench.datasets.importers.clouds.detection import Found, look_at
@@ -25,6 +25,7 @@ from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
 from relocbench.datasets.importers.lidar_drives.files import check_file
 from relocbench.datasets.importers.lidar_drives.texts import as_transform
+from relocbench.datasets.sensors.derived_lidar import DerivedLidar
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, Scan, Trajectory
 from relocbench.datasets.sensors.scan_files import swept
@@ -42,35 +43,12 @@ _IDENTITY = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 
 
 
 @dataclass(frozen=True, eq=False)
-class SweptClouds:
+class SweptClouds(DerivedLidar):
     """Clouds of a spinning lidar that have no times of points: these follow from the azimuths."""
-
-    clouds: GenericLidarStream
-    pattern: Literal["spinning"] = "spinning"
-
-    @property
-    def name(self) -> str:
-        return self.clouds.name
-
-    @property
-    def T_rig_lidar(self) -> Array:
-        return self.clouds.T_rig_lidar
-
-    @property
-    def times_ns(self) -> Times:
-        return self.clouds.times_ns
-
-    @property
-    def max_range_m(self) -> float:
-        return self.clouds.max_range_m
-
-    @property
-    def sigma_m(self) -> float:
-        return self.clouds.sigma_m
 
     def read(self, index: int) -> Scan:
         """Read a cloud. The lidar turns clockwise seen from above and points along x at the cloud's time."""
-        scan = self.clouds.read(index)
+        scan = self.stream.read(index)
         return Scan(scan.points, scan.times_ns + swept(scan.points, _TURN_NS, clockwise=True))
 
 
