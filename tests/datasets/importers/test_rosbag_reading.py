@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
+import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending, later
-from relocbench.datasets.importers.rosbag.bag import parts_of
+from relocbench.datasets.importers.rosbag.bag import Part, parts_of
 from relocbench.datasets.importers.rosbag.extrinsics import read_extrinsics
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin, east_north_up, latitude_longitude
 from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
@@ -598,6 +601,20 @@ def test_a_damaged_file_is_one_line_with_its_name(whole: dict[str, Path], tmp_pa
             assert name in told
             assert "\n" not in told
     assert refused >= 4
+
+
+def test_files_are_closed_when_nothing_refers_to_them(whole: dict[str, Path], tmp_path: Path) -> None:
+    paths = [*whole.values(), drive().write_mcap(tmp_path / "of ros 1.mcap", "ros1")]
+    for path in tuple(paths):
+        paths.append(tmp_path / f"damaged {path.name}")
+        paths[-1].write_bytes(path.read_bytes()[:-200])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for path in paths:
+            with suppress(DatasetError):
+                next(Part(path).messages(["/points"]))
+        gc.collect()
+    assert [str(one.message) for one in caught if one.category is ResourceWarning] == []
 
 
 def test_an_unclosed_bag_and_a_truncated_one_say_what_helps(whole: dict[str, Path], tmp_path: Path) -> None:

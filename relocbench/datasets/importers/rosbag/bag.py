@@ -7,8 +7,9 @@ A recording is a bag of ROS 1 (``.bag``), a bag of ROS 2 (a folder with ``metada
 from __future__ import annotations
 
 import struct
+import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -86,13 +87,14 @@ def _check_metadata(path: Path) -> None:
 
 
 class Part:
-    """One opened file, or one folder of ROS 2."""
+    """One opened file, or one folder of ROS 2; it is closed when nothing refers to it any more."""
 
     def __init__(self, path: Path) -> None:
         """Open it. Raises DatasetError with the file if it is damaged, ConfigError if rosbags is not installed."""
         self.path = path
         with _faults_of(path):
             self._reader: Any = _reader(path)
+            weakref.finalize(self, _close, self._reader)
             self._reader.open()
         with _faults_of(path):
             self._ros1: set[str] = set()
@@ -152,6 +154,11 @@ class Part:
             if connection.topic == topic and connection.digest not in ("", "*", expected):
                 name = kinds.short(self.types[topic])
                 raise DatasetError(f"{topic}: its {name} is not the standard message (checksum differs)", self.path)
+
+
+def _close(reader: Any) -> None:
+    with suppress(Exception):  # libraries complain where it was not opened, or only in part
+        reader.close()
 
 
 def open_parts(paths: Sequence[Path]) -> list[Part]:

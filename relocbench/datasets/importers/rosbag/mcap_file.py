@@ -81,6 +81,11 @@ class McapFile:
         self.start_time = summary.statistics.message_start_time
         self.end_time = summary.statistics.message_end_time + 1
 
+    def close(self) -> None:
+        """Close the file."""
+        if self._stream is not None:
+            self._stream.close()
+
     def messages(
         self, connections: Sequence[Channel], start: int | None = None
     ) -> Iterator[tuple[Channel, int, bytes]]:
