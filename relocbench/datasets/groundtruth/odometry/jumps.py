@@ -5,16 +5,20 @@ odometry are modelled as a random walk, which a jump is not: the registrations o
 other, and neither could be trusted. Where the odometry is interrupted, both sides are registered on their own.
 
 A step is compared with the steps beside it: the median of their velocities is what the vehicle did, up to accelerations
-that vehicles reach, and up to the noise that this odometry has everywhere.
+that vehicles reach, and up to the noise that this odometry has there. A bump or a shake moves the vehicle there and
+back within a few steps, so that the deviations of the steps beside make up for that of the step; a jump remains. One
+pose that is off, or has a wrong time, comes back too, and is told from a bump by its size only.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.geometry import invert, se3_log
 from relocbench.progress import Reporter
@@ -23,16 +27,30 @@ _BESIDE = 2
 """steps before and after a step that tell what the vehicle did"""
 _LEAST = (0.1, np.radians(0.5))
 """smallest jump, metres and radians"""
-_ACCELERATION = (15.0, 8.0)
-"""m/s^2 and rad/s^2 that vehicles do not exceed, bumps included"""
+_SHAKEN = (15.0, 8.0)
+"""m/s^2 and rad/s^2 that vehicles do not exceed on bumps"""
+_SWAY = (0.3, np.radians(5.0))
+"""metres and radians that bumps do not move a vehicle by"""
+_DRIVEN = (8.0, 2.0)
+"""m/s^2 and rad/s^2 of steering, braking and accelerating"""
 _JITTER_S = 0.01
 """error of times, which looks like a jump by as much as the vehicle moves in it"""
 _NOISE = 8.0
-"""a jump exceeds the median deviation of all steps so many times"""
+"""a jump exceeds the median deviation of the steps around it so many times"""
+_AROUND = 15
+"""steps before and after a step that tell the noise of the odometry there"""
+_SOON_S = 0.5
+"""time in which a vehicle comes back from a bump"""
+_COMES_BACK = 3.0
+"""where the steps soon before and after make up for half of a deviation, a jump exceeds the limit so many times"""
 _LARGEST_SHARE = 0.01
-"""where more of the steps jump, it is the noise of this odometry, and nothing is interrupted"""
+"""where more of the steps jump, only the large jumps are none of the noise of this odometry"""
 _ALWAYS = 3
 """so many jumps are never noise"""
+_LARGE = 5.0
+"""large jumps exceed the limit so many times"""
+_FAR = 4.0
+"""steps so many times as far away in time as steps are long tell nothing"""
 
 
 @dataclass(frozen=True)
@@ -45,33 +63,39 @@ class Jump:
     metres: float
     """deviation from what the steps beside it tell"""
     degrees: float
+    excess: float
+    """how many times the deviation is the largest that is none"""
 
 
 def find_jumps(odometry: Trajectory) -> tuple[Jump, ...]:
-    """The jumps of odometry, in order. Steps across gaps and breaks are none."""
-    count = len(odometry.times_ns)
-    if count < 2 * _BESIDE + 2:
+    """The jumps of odometry, in order.
+
+    Steps across gaps and breaks are none, and steps that fewer than two others are near to are not judged.
+    """
+    if len(odometry.times_ns) < 2:
         return ()
     seconds = np.diff(odometry.times_ns) / 1e9
-    step = invert(odometry.T_odom_rig[:-1]) @ odometry.T_odom_rig[1:]
     measured = seconds * 1e9 <= odometry.max_gap_ns
     measured[np.array(odometry.breaks, dtype=np.int64) - 1] = False
-    velocity = np.where(measured[:, None], se3_log(step) / seconds[:, None], np.nan)
-    usual = _beside(velocity)
-    deviation = (velocity - usual) * seconds[:, None]
-    off = _sizes(deviation)
-    known = np.isfinite(off).all(axis=1)
-    if not known.any():
-        return ()
-    # Neighbours further away in time tell less: the vehicle may have accelerated all the way.
-    span = np.maximum(seconds, _spacing(seconds))
-    limit = np.maximum(np.array(_LEAST), np.array(_ACCELERATION) * span[:, None] ** 2)
-    limit = np.maximum(limit, _NOISE * np.median(off[known], axis=0))
-    limit = np.maximum(limit, _JITTER_S * _sizes(usual))
-    found = np.flatnonzero(known & (off > limit).any(axis=1))
-    return tuple(
-        Jump(int(k) + 1, int(odometry.times_ns[k + 1]), float(off[k, 0]), float(np.degrees(off[k, 1]))) for k in found
-    )
+    steps = np.flatnonzero(measured)
+    twists = se3_log(invert(odometry.T_odom_rig[:-1]) @ odometry.T_odom_rig[1:])
+    middle = (odometry.times_ns[:-1] - odometry.times_ns[0]) / 1e9 + seconds / 2
+    found: list[Jump] = []
+    # The largest jumps are taken first: beside them, right steps look like jumps.
+    while len(steps):
+        deviation = _Deviations.of(twists[steps], seconds[steps], middle[steps])
+        at = np.flatnonzero(deviation.excess > 1.0)
+        if not len(at):
+            break
+        worst = at[deviation.excess[at] >= _largest_beside(deviation.excess)[at]]
+        for k in worst:
+            size, index = deviation.sizes[k], int(steps[k]) + 1
+            degrees = float(np.degrees(size[1]))
+            found.append(
+                Jump(index, int(odometry.times_ns[index]), float(size[0]), degrees, float(deviation.excess[k]))
+            )
+        steps = np.delete(steps, worst)
+    return tuple(sorted(found, key=lambda jump: jump.index))
 
 
 def interrupted(recording: FieldRecording, reporter: Reporter) -> FieldRecording:
@@ -82,13 +106,103 @@ def interrupted(recording: FieldRecording, reporter: Reporter) -> FieldRecording
         return recording
     worst = max(jumps, key=lambda jump: jump.metres)
     told = f"{recording.name}: the odometry jumps in {len(jumps)} of its {len(odometry.times_ns) - 1} steps"
-    if len(jumps) > max(_ALWAYS, _LARGEST_SHARE * len(odometry.times_ns)):
-        reporter.note(f"{told}, too many to interrupt it there; poses are as good as it is")
-        return recording
-    most = f"most by {worst.metres:.2f} m and {worst.degrees:.1f} deg at {worst.time_ns} ns"
-    reporter.note(f"{told}, {most}; it is interrupted there")
+    most = max(_ALWAYS, _LARGEST_SHARE * len(odometry.times_ns))
+    where = "there"
+    if len(jumps) > most:
+        count = len(jumps)
+        jumps = tuple(jump for jump in jumps if jump.excess > _LARGE)
+        if not jumps or len(jumps) > most:
+            reporter.note(f"{told}, too many to interrupt it there; poses are as good as it is")
+            return recording
+        where = f"at the {len(jumps)} largest, since the other {count - len(jumps)} are its noise"
+    size = f"most by {worst.metres:.2f} m and {worst.degrees:.1f} deg at {worst.time_ns} ns"
+    reporter.note(f"{told}, {size}; it is interrupted {where}")
     breaks = tuple(sorted({*odometry.breaks, *(jump.index for jump in jumps)}))
     return replace(recording, odometry=replace(odometry, breaks=breaks))
+
+
+@dataclass(frozen=True, eq=False)
+class _Deviations:
+    """How far each of N steps is from what those beside it tell."""
+
+    sizes: Array
+    """(N, 2) metres and radians; 0 where the step is not judged"""
+    excess: Array
+    """(N,) how many times the larger of them is the largest that is no jump"""
+
+    @staticmethod
+    def of(twists: Array, seconds: Array, middle: Array) -> _Deviations:
+        """
+        Args:
+            twists: (N, 6) of the steps.
+            seconds: (N,) durations of the steps.
+            middle: (N,) seconds, increasing.
+        """
+        velocity = twists / seconds[:, None]
+        around = _around(np.arange(len(twists)), _BESIDE, -1)
+        apart = middle[around] - middle
+        near = (around >= 0) & (np.abs(apart) <= _FAR * np.maximum(seconds, np.median(seconds)))
+        judged = near.sum(axis=0) >= 2
+        near[:, ~judged] = True  # their deviation is 0, whatever they are compared with
+        usual = np.nanmedian(np.where(near[:, :, None], velocity[around], np.nan), axis=0)
+        deviation = np.where(judged[:, None], velocity - usual, 0.0) * seconds[:, None]
+        sizes = _sizes(deviation)
+        limit = np.maximum(_reached(seconds, apart, near), np.array(_LEAST))
+        limit = np.maximum(limit, _NOISE * _noise(sizes))
+        limit = np.maximum(limit, _JITTER_S * _sizes(usual))
+        excess = sizes / limit
+        rows = np.flatnonzero((excess > 1.0).any(axis=1))
+        excess[rows] /= np.where(_come_back(rows, deviation[rows], twists, seconds, middle), _COMES_BACK, 1.0)
+        return _Deviations(sizes, excess.max(axis=1))
+
+
+def _reached(seconds: Array, apart: Array, near: Mask) -> Array:
+    """(N, 2) deviations of steps that vehicles reach.
+
+    Args:
+        seconds: (N,) durations of the steps.
+        apart: (2 _BESIDE, N) seconds from the steps to those beside them.
+        near: (2 _BESIDE, N) whether these tell anything.
+    """
+    count = near.sum(axis=0)
+    distance = np.where(near, np.abs(apart), 0.0).sum(axis=0) / count
+    # Where the steps beside are all later or all earlier, a constant acceleration deviates as well.
+    one_sided = np.abs(np.where(near, apart, 0.0).sum(axis=0)) / count
+    squared = (seconds * np.maximum.reduce([seconds, distance / 1.5, one_sided]))[:, None]
+    driven = np.maximum(np.array(_SWAY), np.array(_DRIVEN) * squared)
+    return np.asarray(np.minimum(np.array(_SHAKEN) * squared, driven))
+
+
+def _noise(sizes: Array) -> Array:
+    """(N, 2) median of the deviations (N, 2) of the steps around each step."""
+    around = _around(sizes, _AROUND, np.nan)
+    around[0] = np.where(np.isnan(around).all(axis=0), 0.0, around[0])  # a single step has none around
+    return np.asarray(np.nanmedian(around, axis=0))
+
+
+def _come_back(rows: NDArray[np.intp], deviation: Array, twists: Array, seconds: Array, middle: Array) -> Mask:
+    """(M, 2) whether less than half of a deviation remains after the steps soon before and after.
+
+    Args:
+        rows: (M,) numbers of steps.
+        deviation: (M, 6) of these.
+        twists: (N, 6) of all steps.
+        seconds: (N,) durations of all steps.
+        middle: (N,) seconds.
+    """
+    around = rows + np.arange(-_AROUND, _AROUND + 1)[:, None]
+    inside = (around >= 0) & (around < len(middle))
+    around = np.clip(around, 0, len(middle) - 1)
+    soon = (inside & (np.abs(middle[around] - middle[rows]) <= _SOON_S))[:, :, None]
+    # The steps right beside may be of the same bump: what the vehicle did is taken from more of them.
+    velocity = np.where(soon, twists[around] / seconds[around][:, :, None], np.nan)
+    usual = np.nanmedian(velocity, axis=0)
+    remaining = np.where(soon, (velocity - usual) * seconds[around][:, :, None], 0.0).sum(axis=0)
+    parts = (slice(0, 3), slice(3, 6))
+    kept = [np.sum(remaining[:, part] * deviation[:, part], axis=1) for part in parts]
+    whole = [np.sum(deviation[:, part] ** 2, axis=1) for part in parts]
+    known = soon.sum(axis=0) >= 3
+    return np.asarray(known & (np.stack(kept, axis=1) < 0.5 * np.stack(whole, axis=1)))
 
 
 def _sizes(twists: Array) -> Array:
@@ -96,10 +210,12 @@ def _sizes(twists: Array) -> Array:
     return np.stack([np.linalg.norm(twists[:, :3], axis=1), np.linalg.norm(twists[:, 3:], axis=1)], axis=1)
 
 
-def _around(values: Array) -> Array:
-    """(2 _BESIDE, N, ...) of each of N steps, the values (N, ...) of those beside it; nan beyond the ends."""
-    out = np.full((2 * _BESIDE, *values.shape), np.nan)
-    for row, by in enumerate((*range(-_BESIDE, 0), *range(1, _BESIDE + 1))):
+def _around(values: NDArray[Any], reach: int, beyond: float) -> NDArray[Any]:
+    """(2 reach, N, ...) of each of N steps, the values (N, ...) of those beside it; ``beyond`` beyond the ends."""
+    out = np.full((2 * reach, *values.shape), beyond, dtype=values.dtype)
+    for row, by in enumerate((*range(-reach, 0), *range(1, reach + 1))):
+        if abs(by) >= len(values):
+            continue
         if by > 0:
             out[row, :-by] = values[by:]
         else:
@@ -107,14 +223,6 @@ def _around(values: Array) -> Array:
     return out
 
 
-def _beside(velocity: Array) -> Array:
-    """(N, 6) median velocity of the steps beside each step; nan where fewer than three are measured."""
-    around = _around(velocity)
-    enough = np.isfinite(around).sum(axis=0) >= 3
-    around[:, ~enough] = 0.0
-    return np.where(enough, np.nanmedian(around, axis=0), np.nan)
-
-
-def _spacing(seconds: Array) -> Array:
-    """(N,) mean duration of the steps beside each step."""
-    return np.asarray(np.nanmean(_around(seconds), axis=0))
+def _largest_beside(excess: Array) -> Array:
+    """(N,) the largest excess of the steps beside each step."""
+    return np.asarray(_around(excess, _BESIDE, 0.0).max(axis=0))
