@@ -40,8 +40,15 @@ class Trajectory:
     smooth: bool = False
     """whether the motion between poses follows cubic splines, as a car's does between scans, and not straight lines"""
 
+    def __post_init__(self) -> None:
+        """Raise ValueError if a break is not between two poses."""
+        if any(not 0 < index < len(self.times_ns) for index in self.breaks):
+            raise ValueError(f"breaks must be indices of poses after the first, got {self.breaks}")
+
     def covers(self, times_ns: Times) -> Mask:
         """Whether the trajectory has a pose at each time (M,): within the drive and not in a gap."""
+        if not len(self.times_ns):
+            return np.zeros(len(times_ns), dtype=np.bool_)
         right = np.clip(np.searchsorted(self.times_ns, times_ns, side="left"), 1, max(len(self.times_ns) - 1, 1))
         inside: Mask = (times_ns >= self.times_ns[0]) & (times_ns <= self.times_ns[-1])
         if len(self.times_ns) == 1:

@@ -53,6 +53,28 @@ def test_the_poses_themselves_stay() -> None:
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(smooth)).at(times + 0), smooth.T_odom_rig)
 
 
+@pytest.mark.parametrize("apart_ns", [1, 100_000, 1_000_000, 5_000_000, 15_000_000])
+@pytest.mark.parametrize("row", [0, 30, 58])
+def test_noise_of_poses_that_are_close_in_time_makes_no_bulge(apart_ns: int, row: int) -> None:
+    times = START + TENTH * np.arange(60)
+    times = np.sort(np.append(times, times[row] + apart_ns))
+    for seed in range(5):
+        noise = np.random.default_rng(seed).normal(size=(61, 6)) * np.repeat([0.01, 0.002], 3)
+        noisy = swaying(times) @ se3_exp(noise)
+        between = np.arange(times[0], times[-1], 3_333_333)
+        metres, degrees = worst(Trajectory(times, noisy, smooth=True).at(between), swaying(between))
+        assert metres < 0.08
+        assert degrees < 0.9
+
+
+def test_breaks_are_between_poses() -> None:
+    times = START + TENTH * np.arange(6)
+    for wrong in (0, 6, -1):
+        with pytest.raises(ValueError, match="breaks must be indices of poses after the first"):
+            Trajectory(times, swaying(times), breaks=(wrong,))
+    assert not Trajectory(times[:0], np.zeros((0, 4, 4))).covers(times).any()
+
+
 def test_a_finer_trajectory_is_the_same_in_straight_lines() -> None:
     times = START + TENTH * np.array([*range(20), *range(40, 60)])
     smooth = Trajectory(times, swaying(times), breaks=(10,), smooth=True)
