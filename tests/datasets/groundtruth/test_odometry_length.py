@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.jobs.inputs import stretch_faults
@@ -35,29 +36,71 @@ def drive(metres: float, scale: float = 1.0, seed: int = 0, gnss_m: float = 0.5)
 
 
 @pytest.mark.parametrize("scale", [0.92, 1.0, 1.03, 1.08])
-@pytest.mark.parametrize("metres", [130, 160, 1000])
+@pytest.mark.parametrize("metres", [130, 300, 1000])
 def test_the_ratio_is_that_of_the_scales(scale: float, metres: float) -> None:
     for seed in range(10):
-        found = length_ratio(*drive(metres, scale, seed))
+        found = length_ratio(*drive(metres, scale, seed), 0.5)
         assert found is not None
-        assert abs(found.ratio - scale) < 4 * found.sigma
-        assert found.sigma < 0.02
+        assert abs(found.ratio - scale) < found.margin
+        assert found.margin >= 3 * 2**0.5 * 0.5 / (1.01 * metres)
 
 
 def test_a_jump_of_gnss_and_gaps_of_odometry_do_no_harm() -> None:
     odometry, prior = drive(800, 1.08)
     T = prior.T_odom_rig.copy()
     T[700:, 0, 3] += 30.0
-    found = length_ratio(replace(odometry, breaks=(400, 1000)), replace(prior, T_odom_rig=T))
+    found = length_ratio(replace(odometry, breaks=(400, 1000)), replace(prior, T_odom_rig=T), 0.5)
     assert found is not None
     assert found.ratio == pytest.approx(1.08, abs=0.01)
 
 
+def test_gnss_may_have_heights_or_not() -> None:
+    odometry, prior = drive(300)
+    T = odometry.T_odom_rig.copy()
+    way = np.arange(len(T)) * 0.5
+    T[:, 2, 3] += 0.3 * way
+    with_heights = prior.T_odom_rig.copy()
+    with_heights[:, 2, 3] += 0.3 * way
+    climbing = replace(odometry, T_odom_rig=T)
+    found = length_ratio(climbing, replace(prior, T_odom_rig=with_heights), 0.5)
+    assert found is not None
+    assert found.ratio == pytest.approx(1.0, abs=0.01)
+    flat = prior.T_odom_rig.copy()
+    flat[:, 2, 3] = 0.0
+    found = length_ratio(odometry, replace(prior, T_odom_rig=flat), 0.5)
+    assert found is not None
+    assert found.ratio == pytest.approx(1.0, abs=0.01)
+
+
 def test_too_short_a_way_says_nothing() -> None:
-    assert length_ratio(*drive(50)) is None
-    assert length_ratio(*drive(100)) is None
+    assert length_ratio(*drive(50), 0.5) is None
+    assert length_ratio(*drive(95), 0.5) is None
     odometry, prior = drive(200)
-    assert length_ratio(odometry, replace(prior, times_ns=prior.times_ns + 10**12)) is None
+    assert length_ratio(odometry, replace(prior, times_ns=prior.times_ns + 10**12), 0.5) is None
+    assert length_ratio(odometry, Trajectory(prior.times_ns[:0], prior.T_odom_rig[:0]), 0.5) is None
+
+
+@pytest.mark.parametrize("metres", [150, 300, 600])
+@pytest.mark.parametrize("kind", ["fast", "slow", "multipath"])
+def test_right_odometry_is_not_refused_where_gnss_wanders(metres: float, kind: str) -> None:
+    odometry, prior = drive(metres, 1.0, gnss_m=0.0)
+    seconds = prior.times_ns / 1e9
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        if kind == "fast":
+            keep = np.exp(-0.0625 / 10.0)
+            error = lfilter([1.0], [1.0, -keep], rng.normal(size=(len(seconds), 3)) * 10 * np.sqrt(1 - keep**2), axis=0)
+        elif kind == "slow":
+            error = 10.0 * np.sin(2 * np.pi * seconds / rng.uniform(20, 200) + rng.uniform(0, 6))[:, None]
+        else:
+            begin = rng.uniform(0, seconds[-1])
+            error = np.where((seconds >= begin) & (seconds < begin + 10.0), 9.0, 0.0)[:, None]
+        T = prior.T_odom_rig.copy()
+        T[:, :3, 3] += error
+        found = Path("summer"), Condition(weather="clear", season="summer", time_of_day="day"), odometry, ()
+        sigma_m = 3.0 if kind == "multipath" else 10.0
+        moved = replace(prior, T_odom_rig=T)
+        assert stretch_faults(FieldRecording("summer", *found, prior=moved, prior_sigma_m=sigma_m)) == []
 
 
 @pytest.mark.parametrize(
@@ -66,7 +109,7 @@ def test_too_short_a_way_says_nothing() -> None:
 def test_odometry_of_a_wrong_scale_is_refused_and_what_can_be_done_is_said(scale: float, words: str) -> None:
     odometry, prior = drive(300, scale)
     condition = Condition(weather="clear", season="summer", time_of_day="day")
-    recording = FieldRecording("summer", Path("summer"), condition, odometry, (), prior=prior)
+    recording = FieldRecording("summer", Path("summer"), condition, odometry, (), prior=prior, prior_sigma_m=0.5)
     faults = stretch_faults(recording)
     assert bool(words) == bool(faults)
     if words:

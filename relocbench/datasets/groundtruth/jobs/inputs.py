@@ -28,8 +28,6 @@ _BYTES_A_METRE = 100_000
 """blocks of a drive with two push-broom lidars, measured"""
 _LARGEST_STRETCH = 0.04
 """largest error of the odometry's scale: submaps that are stretched more do not fit those of other drives"""
-_CHANGING = 0.1
-"""share of the standard deviation of GNSS that changes within a hundred metres of road"""
 
 
 def faults_of(recording: FieldRecording, cameras: Sequence[str]) -> list[DatasetError]:
@@ -106,13 +104,13 @@ def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
     prior = recording.prior
     if prior is None:
         return []
-    found = length_ratio(recording.odometry, prior, _CHANGING * recording.prior_sigma_m)
-    if found is None or abs(found.ratio - 1) - 2 * found.sigma <= _LARGEST_STRETCH:
+    found = length_ratio(recording.odometry, prior, recording.prior_sigma_m)
+    if found is None or abs(found.ratio - 1) - found.margin <= _LARGEST_STRETCH:
         return []
     longer, percent = "longer" if found.ratio > 1 else "shorter", 100 * abs(found.ratio - 1)
     told = (
-        f"the way by odometry is {percent:.1f} % {longer} than by GNSS (sigma {100 * found.sigma:.1f} %), expected at "
-        f"most {100 * _LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the "
+        f"the way by odometry is {percent:.1f} % {longer} than by GNSS (known to {100 * found.margin:.1f} %), expected "
+        f"at most {100 * _LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the "
         "odometry, or give --no-use-prior if the GNSS is wrong"
     )
     return [DatasetError(told, recording.folder)]

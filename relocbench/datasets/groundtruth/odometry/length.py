@@ -1,8 +1,8 @@
 """The length of a drive by its odometry relative to that by GNSS: odometry whose scale is wrong fits no other drive's.
 
-GNSS is metres off, but hardly differently at the two ends of a hundred metres. Chords between poses a window apart are
-therefore compared: a chord does not depend on the direction in which the odometry drifts, and the median of many
-does not depend on jumps of GNSS.
+Chords between poses, end to end along the drive, are compared, since a chord does not depend on the direction in which
+the odometry drifts. How well their mean ratio is known is told by their spread. Where GNSS wanders slowly the spread
+shows too little: the lengths can never be known better than the positions at both ends of the drive.
 """
 
 from __future__ import annotations
@@ -10,17 +10,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.sensors.recording import Trajectory
 
-_STEP_M = 5.0
-"""distance along the drive between the chords' beginnings"""
-_CHORD_M = (60.0, 100.0, 150.0)
-"""distances along the drive that the chords span"""
-_END_TO_END = 1.9
-"""so many chords must fit into the drive end to end: the noise of one is not known"""
+_CHORD_M = 20.0
+"""distance along the drive that a chord spans"""
+_FEWEST = 5
+"""chords whose spread tells something"""
 _LEAST_SHARE = 0.5
 """a chord is at least this share of the way: in tighter bends its length depends on the heading's drift"""
+_TRIMMED = 0.2
+"""share of the chords with the smallest and with the largest ratios that is left out: GNSS may jump there"""
+_DOUBT = 0.002
+"""probability that the true ratio is outside the margin"""
+_ENDS = 3.0
+"""errors of GNSS at the ends of the drive, in standard deviations, that are reckoned with"""
 
 
 @dataclass(frozen=True)
@@ -28,42 +34,47 @@ class LengthRatio:
     """How many times as long a drive is by its odometry as by its GNSS."""
 
     ratio: float
-    sigma: float
-    """its standard deviation"""
+    margin: float
+    """largest error of the ratio that is reckoned with"""
 
 
-def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float = 1.0) -> LengthRatio | None:
-    """The ratio of the lengths; None if odometry and GNSS have fewer than 114 m in common.
+def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float) -> LengthRatio | None:
+    """The ratio of the lengths; None if odometry and GNSS have fewer than five chords of 20 m in common.
+
+    GNSS may have heights or not: of the ratios with and without them, that nearer to 1 is returned.
 
     Args:
         odometry: whose pieces are measured each on its own.
-        prior: ``T_map_rig`` by GNSS; heights are not used.
-        sigma_m: standard deviation of the change of GNSS's error over a chord.
+        prior: ``T_map_rig`` by GNSS.
+        sigma_m: standard deviation of the positions by GNSS.
     """
     times = odometry.times_ns[prior.covers(odometry.times_ns)]
     if len(times) < 2:
         return None
     piece = odometry.pieces(times)
-    positions = odometry.at(times)[:, :3, 3]
-    mapped = prior.at(times)[:, :2, 3]
-    for chord_m in reversed(_CHORD_M):
-        ratios, lengths, covered = [], [], 0.0
-        for number in np.unique(piece):
-            rows = np.flatnonzero(piece == number)
-            way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions[rows], axis=0), axis=1))])
-            starts = np.arange(0.0, way[-1] - chord_m, _STEP_M)
-            a, b = (rows[np.searchsorted(way, starts + d)] for d in (0.0, chord_m))
-            by_odometry = np.linalg.norm(positions[b] - positions[a], axis=1)
-            by_gnss = np.linalg.norm(mapped[b] - mapped[a], axis=1)
-            straight = by_odometry >= _LEAST_SHARE * chord_m
-            straight &= by_gnss > 0
-            ratios += (by_odometry / np.maximum(by_gnss, 1e-9))[straight].tolist()
-            lengths += by_odometry[straight].tolist()
-            covered += float(way[-1]) if straight.any() else 0.0
-        if len(ratios) >= 3 and covered >= _END_TO_END * chord_m:
-            # Chords that overlap share errors: only as many count as fit into the drive end to end.
-            independent = max(1.0, covered / chord_m)
-            spread = 1.4826 * float(np.median(np.abs(np.array(ratios) - np.median(ratios))))
-            sigma = max(spread, sigma_m / float(np.median(lengths))) / np.sqrt(independent)
-            return LengthRatio(float(np.median(ratios)), float(sigma))
-    return None
+    positions, mapped = odometry.at(times)[:, :3, 3], prior.at(times)[:, :3, 3]
+    ends = [_ends_of_chords(positions, np.flatnonzero(piece == number)) for number in np.unique(piece)]
+    first, last = (np.concatenate([pair[side] for pair in ends]) for side in (0, 1))
+    by_odometry = np.linalg.norm(positions[last] - positions[first], axis=1)
+    found = []
+    for axes in (2, 3):
+        by_gnss = np.linalg.norm((mapped[last] - mapped[first])[:, :axes], axis=1)
+        usable = (by_odometry >= _LEAST_SHARE * _CHORD_M) & (by_gnss > 0)
+        if usable.sum() >= _FEWEST:
+            margin = _ENDS * np.sqrt(2) * sigma_m / float(by_gnss[usable].sum())
+            found.append(_mean(by_odometry[usable] / by_gnss[usable], margin))
+    return min(found, key=lambda one: abs(one.ratio - 1), default=None)
+
+
+def _mean(ratios: Array, least: float) -> LengthRatio:
+    """The mean of ratios (N,), whose margin is at least the one given."""
+    limits = (_TRIMMED, _TRIMMED)
+    low, high = trimmed_mean_ci(ratios, limits, alpha=_DOUBT)
+    return LengthRatio(float(trimmed_mean(ratios, limits)), max(least, float(high - low) / 2))
+
+
+def _ends_of_chords(positions: Array, rows: Indices) -> tuple[Indices, Indices]:
+    """(K,), (K,) the rows of positions (N, 3) at which chords begin and end, of rows (M,) of a piece."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions[rows], axis=0), axis=1))])
+    places = np.searchsorted(way, np.arange(0.0, way[-1], _CHORD_M))
+    return rows[places[:-1]], rows[places[1:]]
