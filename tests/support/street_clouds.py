@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +112,7 @@ class Drive:
 
     def __init__(self, street: Street, seed: int, first: float, last: float, lateral: float = 0.0) -> None:
         rng = np.random.default_rng(seed)
-        self.street, self.seed = street, seed
+        self.street, self.seed, self.stretch = street, seed, 1.0
         self.T_street_node = np.array([pose(x, lateral, float(rng.normal())) for x in np.arange(first, last, 2.0)])
         steps = invert(self.T_street_node[:-1]) @ self.T_street_node[1:]
         steps[:, :3, 3] *= 1.01
@@ -122,4 +123,12 @@ class Drive:
         self.nodes = Nodes(np.arange(count) * 200_000_000, np.array(odometry), np.arange(count, dtype=float) * 2.0)
 
     def at(self, node: int) -> Submap:
-        return submap(self.street, 1000 * self.seed + node, self.T_street_node[node], node=node)
+        true = submap(self.street, 1000 * self.seed + node, self.T_street_node[node], node=node)
+        along = np.array([self.stretch, 1.0, 1.0], np.float32)
+        return replace(true, points=true.points * along, origins=true.origins * along)
+
+    def stretched(self, factor: float) -> Drive:
+        """The drive by odometry that is ``factor`` times as long, and submaps that are stretched with it."""
+        other = copy(self)
+        other.nodes, other.stretch = self.nodes.stretched(factor), self.stretch * factor
+        return other

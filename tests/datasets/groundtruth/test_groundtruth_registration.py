@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
 from typing import Any
@@ -421,6 +422,19 @@ def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch: p
     assert max(errors) < 0.05
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("stretch", [1.08, 0.9])
+def test_drives_whose_lengths_differ_are_told_so(stretch: float) -> None:
+    street = clouds.irregular(3)
+    ref, query = clouds.Drive(street, 1, 35.0, 110.0), clouds.Drive(street, 2, 40.0, 110.0, lateral=0.8)
+    found, errors, said = tracked(ref, query.stretched(stretch), prior=MapPrior(ref.T_street_node, query.T_street_node))
+    assert not errors
+    words = "[78] % longer" if stretch > 1 else r"1[01] % shorter"
+    told = rf"the odometry is about {words} than the reference's, so that the scale of one"
+    assert all(re.match(told, one.reason) for one in found)
+    assert said[-1] in found[0].reason
+
+
 def test_what_is_ambiguous_is_not_searched_on(monkeypatch: pytest.MonkeyPatch) -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 60.0, 80.0), clouds.Drive(street, 2, 62.0, 66.0)
@@ -435,7 +449,7 @@ def test_what_is_ambiguous_is_not_searched_on(monkeypatch: pytest.MonkeyPatch) -
         along_drive, "choose_hypothesis", lambda *a: SearchResult(None, "ambiguous: two poses", ambiguous=True)
     )
     found, errors, _ = tracked(ref, query)
-    assert asked == [0.7]
+    assert asked == [0.7, 0.7, 0.7]  # once to find the drives, twice to find a stretch that makes them fit
     assert not errors
     assert all("ambiguous" in r.reason for r in found)
 

@@ -5,7 +5,7 @@ Odometry is good to millimetres within a block; the poses of blocks relative to 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -44,6 +44,12 @@ class Nodes:
 
     def __len__(self) -> int:
         return len(self.times_ns)
+
+    def stretched(self, factor: float) -> Nodes:
+        """The nodes of odometry that is ``factor`` times as long."""
+        T = self.T_odom_node.copy()
+        T[:, :3, 3] *= factor
+        return replace(self, T_odom_node=T, travelled_m=self.travelled_m * factor)
 
     def segments(self) -> NDArray[np.int64]:
         """(K,) number of the segment that each node lies in."""

@@ -17,6 +17,7 @@ from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
 from relocbench.datasets.groundtruth.jobs.enlarging import enlarged
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.length import length_ratio
+from relocbench.datasets.groundtruth.registration.stretch import LARGEST_STRETCH
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream
 from relocbench.errors import DatasetError
 from relocbench.progress import Reporter
@@ -26,8 +27,6 @@ LEAST_ROAD_M = 5.0
 """a few blocks; registrations of fewer cannot confirm each other"""
 _BYTES_A_METRE = 100_000
 """blocks of a drive with two push-broom lidars, measured"""
-_LARGEST_STRETCH = 0.04
-"""largest error of the odometry's scale: submaps that are stretched more do not fit those of other drives"""
 
 
 def faults_of(recording: FieldRecording, cameras: Sequence[str]) -> list[DatasetError]:
@@ -105,12 +104,12 @@ def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
     if prior is None:
         return []
     found = length_ratio(recording.odometry, prior, recording.prior_sigma_m)
-    if found is None or abs(found.ratio - 1) - found.margin <= _LARGEST_STRETCH:
+    if found is None or abs(found.ratio - 1) - found.margin <= LARGEST_STRETCH:
         return []
     longer, percent = "longer" if found.ratio > 1 else "shorter", 100 * abs(found.ratio - 1)
     told = (
         f"the way by odometry is {percent:.1f} % {longer} than by GNSS (known to {100 * found.margin:.1f} %), expected "
-        f"at most {100 * _LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the "
+        f"at most {100 * LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the "
         "odometry, or give --no-use-prior if the GNSS is wrong"
     )
     return [DatasetError(told, recording.folder)]

@@ -28,6 +28,12 @@ from relocbench.datasets.groundtruth.registration.place_recognition import (
     guesses_by_features,
     guesses_by_prior,
 )
+from relocbench.datasets.groundtruth.registration.stretch import (
+    LARGEST_STRETCH,
+    ratio_of_lengths,
+    stretch_of_query,
+    told_of_stretch,
+)
 from relocbench.datasets.groundtruth.registration.submap_pair import (
     Guess,
     PreparedDrive,
@@ -41,6 +47,9 @@ from relocbench.datasets.groundtruth.registration.submap_pair import (
 )
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions
 from relocbench.datasets.groundtruth.verification.evidence import Registration
+
+_PLACES = (0.5, 0.25, 0.75)
+"""parts of the drive at which a stretch of its odometry is looked for"""
 
 Remember = Callable[[str, Callable[[], SearchResult]], SearchResult]
 """(key, work) -> the result of the work, done now or earlier"""
@@ -99,20 +108,27 @@ def register_along(
     """
     ref, query = PreparedDrive(window_ref, nodes_ref), PreparedDrive(window_query, nodes_query)
     options = options or DriveRegistrationOptions()
-    found = _DriveRegistration(ref, query, prior, options, say, remember).run(first)
-    if prior is None or any(registration.trusted for registration in found):
+    registration = _DriveRegistration(ref, query, prior, options, say, remember)
+    found = registration.run(first)
+    if prior is not None and not any(one.trusted for one in found):
+        say("nothing holds where GNSS puts the drives; they are searched for each other without GNSS")
+        alone = _DriveRegistration(ref, query, None, options, say, _renamed(remember, " without GNSS")).run(None)
+        if any(one.trusted for one in alone):
+            say("the drives were found without GNSS, which is wrong for one of them")
+            found = alone
+        else:
+            say("they were not found without GNSS either")
+    trusted = any(one.trusted for one in found)
+    ratio = ratio_of_lengths(found, nodes_ref, nodes_query) if trusted else registration.ratio_of_lengths()
+    if ratio is None or abs(ratio - 1) <= LARGEST_STRETCH:
         return found
+    told = told_of_stretch(ratio)
+    say(told)
+    return [replace(one, reason=told) for one in found]
 
-    def remember_anew(key: str, work: Callable[[], SearchResult]) -> SearchResult:
-        return remember(f"{key} without GNSS", work)
 
-    say("nothing holds where GNSS puts the drives; they are searched for each other without GNSS")
-    alone = _DriveRegistration(ref, query, None, options, say, remember_anew).run(None)
-    if any(registration.trusted for registration in alone):
-        say("the drives were found without GNSS, which is wrong for one of them")
-        return alone
-    say("they were not found without GNSS either")
-    return found
+def _renamed(remember: Remember, suffix: str) -> Remember:
+    return lambda key, work: remember(key + suffix, work)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,16 +257,29 @@ class _DriveRegistration:
         )
         return replace(found, reason=reason)
 
+    def ratio_of_lengths(self) -> float | None:
+        """How many times as long as the reference's the query's odometry is, if this is why nothing holds."""
+        o, search = self.options, self.options.search
+        for node in dict.fromkeys(int(k * len(self.query)) for k in _PLACES):
+            guesses = partial(self._guesses, node, search)
+            within = (o.shift, o.hypotheses, o.register)
+            ratio = stretch_of_query(self.ref, self.query, node, guesses, *within, self.remember)
+            if ratio is not None:
+                return ratio
+        return None
+
+    def _guesses(self, node: int, search: GlobalOptions) -> list[Guess]:
+        if self.prior is not None:
+            return guesses_by_prior(self.ref, self.query, self.prior, node, search)
+        return guesses_by_features(self.ref, self.query, node, search)
+
     def _search(self, node: int) -> SearchResult:
         """Place recognition, with further searches while no guess holds; the reason is that of the first search."""
         failed: SearchResult | None = None
         for search in self.options.search.attempts():
-            if self.prior is not None:
-                found = guesses_by_prior(self.ref, self.query, self.prior, node, search)
-                if not found:
-                    return SearchResult(None, "the reference did not come by, as far as the prior tells")
-            else:
-                found = guesses_by_features(self.ref, self.query, node, search)
+            found = self._guesses(node, search)
+            if not found and self.prior is not None:
+                return SearchResult(None, "the reference did not come by, as far as the prior tells")
             result = self._choose(found)
             if result.best is not None or result.ambiguous:
                 return result

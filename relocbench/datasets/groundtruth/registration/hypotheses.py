@@ -101,7 +101,7 @@ def choose_hypothesis(
     candidates = [trusted[row] for row in rows]
     if not candidates:
         return SearchResult(None, tried[0].reason if tried else "no guess of where it could be")
-    followed = [(_follow(ref, query, found, options, register_options), found) for found in candidates]
+    followed = [(follow(ref, query, found, options, register_options)[0], found) for found in candidates]
     surviving = sorted(((score, n) for n, (score, _) in enumerate(followed) if score is not None), key=lambda s: -s[0])
     if not surviving:
         return SearchResult(None, f"no hypothesis of {len(candidates)} holds over {options.follow_m:.0f} m of road")
@@ -120,18 +120,18 @@ def nearest_node(ref: PreparedDrive, T_odom_query: Array, among: Indices) -> tup
     return int(among[int(np.argmin(apart))]), float(apart.min())
 
 
-def _follow(
+def follow(
     ref: PreparedDrive,
     query: PreparedDrive,
     start: Registration,
     options: HypothesisOptions,
     register_options: RegisterOptions,
-) -> float | None:
-    """Mean plausibility of a hypothesis along the road, or None if it does not hold.
+) -> tuple[float | None, list[Registration]]:
+    """Mean plausibility of a hypothesis along the road, or None if it does not hold, and its registrations that do.
 
     It is followed forward, and what is missing to ``follow_m`` backward.
     """
-    scores, trusted = [plausibility(start.evidence)], 1
+    scores, trusted = [plausibility(start.evidence)], [start]
     missing, segment = options.follow_m, query.nodes.segments()
     beside = np.flatnonzero(ref.nodes.segments() == ref.nodes.segments()[start.ref])
     for sign in (1, -1):
@@ -151,8 +151,9 @@ def _follow(
             scores.append(plausibility(found.evidence))
             metres, degrees = pose_difference(predicted, found.T_ref_query)
             if found.trusted and metres <= 0.5 + 0.05 * driven and degrees <= 2 + 0.1 * driven:
-                trusted, known = trusted + 1, found
-    return float(np.mean(scores)) if trusted >= options.share * len(scores) else None
+                trusted.append(found)
+                known = found
+    return float(np.mean(scores)) if len(trusted) >= options.share * len(scores) else None, trusted
 
 
 def _query_poses(ref: PreparedDrive, found: Sequence[Registration]) -> list[Array]:

@@ -36,9 +36,11 @@ class RegisterOptions:
 
 
 class Window(Protocol):
-    """Returns the submap of any node, as :class:`relocbench.datasets.groundtruth.submaps.submaps.SubmapWindow` does."""
+    """The submaps of any node: :class:`relocbench.datasets.groundtruth.submaps.submaps.SubmapWindow`."""
 
     def at(self, node: int, /) -> Submap: ...
+
+    def stretched(self, factor: float, /) -> Window: ...
 
 
 class PreparedDrive:
@@ -46,6 +48,7 @@ class PreparedDrive:
 
     def __init__(self, window: Window, nodes: Nodes, kept: int = 12) -> None:
         self.nodes = nodes
+        self._window = window
         self._prepare = lru_cache(maxsize=kept)(lambda node: PreparedSubmap(window.at(node)))
 
     def __len__(self) -> int:
@@ -54,6 +57,10 @@ class PreparedDrive:
     def at(self, node: int) -> PreparedSubmap:
         """The prepared submap of a node."""
         return self._prepare(node)
+
+    def stretched(self, factor: float) -> PreparedDrive:
+        """The drive by odometry that is ``factor`` times as long."""
+        return PreparedDrive(self._window.stretched(factor), self.nodes.stretched(factor))
 
 
 def nodes_every(nodes: Nodes, step_m: float) -> list[int]:

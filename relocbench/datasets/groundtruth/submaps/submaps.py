@@ -53,6 +53,10 @@ class SubmapWindow:
         self._claims = VoxelClaims()
         self._inside: dict[int, Block] = {}
 
+    def stretched(self, factor: float) -> SubmapWindow:
+        """Submaps of the same blocks along odometry that is ``factor`` times as long."""
+        return SubmapWindow(self._nodes.stretched(factor), self._store, self._half_length_m, voxel_m=self._voxel_m)
+
     def blocks_around(self, node: int) -> range:
         """The numbers of the blocks of a node's submap. Raises IndexError if there is no such node."""
         if not 0 <= node < len(self._nodes):
