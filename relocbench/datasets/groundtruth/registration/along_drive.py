@@ -51,6 +51,9 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 _PLACES = (0.5, 0.25, 0.75)
 """parts of the drive at which a stretch of its odometry is looked for"""
 
+_FEW = 0.2
+"""share of trusted registrations below which a stretch is looked for: some may hold by chance in spite of it"""
+
 Remember = Callable[[str, Callable[[], SearchResult]], SearchResult]
 """(key, work) -> the result of the work, done now or earlier"""
 
@@ -118,8 +121,9 @@ def register_along(
             found = alone
         else:
             say("they were not found without GNSS either")
-    trusted = any(one.trusted for one in found)
-    ratio = ratio_of_lengths(found, nodes_ref, nodes_query) if trusted else registration.ratio_of_lengths()
+    ratio = ratio_of_lengths(found, nodes_ref, nodes_query)
+    if ratio is None and sum(one.trusted for one in found) < _FEW * len(found):
+        ratio = registration.ratio_of_lengths()
     if ratio is None or abs(ratio - 1) <= LARGEST_STRETCH:
         return found
     told = told_of_stretch(ratio)

@@ -77,7 +77,10 @@ def stretch_of_query(
         return None
     _, percent, best = max(fits, key=lambda fit: fit[:2])
     along = follow(ref, stretched(percent), best, few, register_options)[1]
-    return ratio_of_lengths(along, ref.nodes, query.nodes) or 1 + percent / 100
+    ratio = ratio_of_lengths(along, ref.nodes, query.nodes)
+    if ratio is None and abs(percent) > min(abs(p) for p in _PERCENT):
+        return 1 + percent / 100
+    return ratio
 
 
 def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> float | None:
