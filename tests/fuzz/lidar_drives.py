@@ -21,6 +21,7 @@ _TIMES = [_START_NS + i * 100_000_000 for i in range(3)]
 _ROWS = ("1 0 0", "0 1 0", "0 0 1")
 _POSE = "1 0 0 {} 0 1 0 0 0 0 1 0"
 _SIZE = (16, 12)
+_FORD = "2017-08-04-V2-Log1"
 
 
 def _points(count: int = 40) -> np.ndarray:
@@ -148,6 +149,27 @@ def write_velodynes(root: Path) -> None:
           f"{_TIMES[1] // 1000},{_TIMES[0] // 1000},0.5,0,0,0,0,0")  # fmt: skip
 
 
+def write_ford(root: Path) -> None:
+    from ford_layout import calibration_file, stamped, urdf_pose, write_yaml
+    from made_bags import Bag
+    from velodyne_packets import BLOCK_US, packet
+
+    calibration, bag = root / "Calibration-V2", Bag()
+    for i, time in enumerate(_TIMES):
+        bag.pose_stamped("/pose_ground_truth", time, (i, 0, 0, 0, 0, 0, 1))
+        azimuths = np.rint((90.0 + np.arange(12) * BLOCK_US * 1e-6 * 3600.0) * 100).astype(np.int64)
+        ranges = np.tile(np.linspace(4.0, 30.0, 32), (12, 1))
+        bag.packets("/lidar_red_scan", time, [(time, packet(azimuths, ranges, time // 1000))], "lidar_red")
+        bag.image("/image_front_left", time, np.full((12, 16, 3), 7, np.uint8), "bgr8", "camera_front_left")
+        _image(root / f"{_FORD}-FL" / f"{time // 1000}.png", colour=True)
+    for sensor in ("lidar_red", "camera_front_left"):
+        write_yaml(calibration / calibration_file(sensor), stamped(urdf_pose(sensor), sensor))
+    intrinsics = {"height": 12, "width": 16, "K": [20, 0, 8, 0, 20, 6, 0, 0, 1], "D": [0.0] * 5}
+    projection = {"P": [20, 0, 8, 0, 0, 20, 6, 0, 0, 0, 1, 0]}
+    write_yaml(calibration / "cameraFrontLeftIntrinsics.yaml", intrinsics | projection)
+    bag.write(root / f"{_FORD}.bag")
+
+
 def write_clouds(root: Path) -> None:
     for time in _TIMES:
         _floats(root / "summer" / "scans" / f"{time}.bin", 0.5)
@@ -171,10 +193,13 @@ def _reads(name: str) -> Read:
         from relocbench.datasets.importers.boreas.recording import read_boreas
         from relocbench.datasets.importers.clouds.recording import read_clouds
         from relocbench.datasets.importers.complex_urban.recording import read_complex_urban
+        from relocbench.datasets.importers.ford_av.files import find_logs
+        from relocbench.datasets.importers.ford_av.recording import ReadingOptions, read_ford
         from relocbench.datasets.importers.helipr.recording import LIDARS, read_helipr
         from relocbench.datasets.importers.kitti360.recording import read_kitti360
         from relocbench.datasets.importers.mulran.recording import read_mulran
         from relocbench.datasets.importers.nclt.recording import read_nclt
+        from relocbench.datasets.importers.rosbag import bag
         from relocbench.progress import Silent
 
         root = place.root
@@ -185,9 +210,15 @@ def _reads(name: str) -> Read:
             "nclt": lambda: read_nclt(root / "2012-01-08", "a", "poses"),
             "kitti-360": lambda: read_kitti360(root, "0000", "a", "poses"),
             "complex-urban": lambda: read_complex_urban(root / "urban28", "a", ["VLP_left", "SICK_back"], "poses"),
+            "ford-av": lambda: read_ford(
+                find_logs([root / f"{_FORD}.bag"], None)[0], ReadingOptions(axes="ros"), Silent()
+            ),
             "folder-of-clouds": lambda: read_clouds(root / "summer", "a", Silent()),
         }
-        _all_of(readers[name]())
+        try:
+            _all_of(readers[name]())
+        finally:
+            bag.forget()
 
     return run
 
@@ -208,6 +239,7 @@ SEEDS: dict[str, Any] = {
     "nclt": write_nclt,
     "kitti-360": write_kitti360,
     "complex-urban": write_complex_urban,
+    "ford-av": write_ford,
     "folder-of-clouds": write_clouds,
     "velodynes": write_velodynes,
 }

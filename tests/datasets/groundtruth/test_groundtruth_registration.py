@@ -439,10 +439,9 @@ def test_drives_whose_lengths_differ_are_told_so() -> None:
 @pytest.mark.parametrize("stretch", [0.9, 1.0, 1.06])
 def test_distances_between_registrations_tell_the_ratio_of_lengths(stretch: float) -> None:
     rng, count = np.random.default_rng(0), 30
-    truth = make_transform(
-        np.tile(np.eye(3), (count, 1, 1)), np.stack([4.0 * np.arange(count), *np.zeros((2, count))], 1)
-    )
-    ref = Nodes(np.arange(count) * 10**9, truth, 4.0 * np.arange(count))
+    travelled = np.linspace(0.0, 4.0 * (count - 1), count)
+    truth = np.array([se3_exp([x, 0.0, 0.0, 0.0, 0.0, 0.0]) for x in travelled])
+    ref = Nodes(np.arange(count) * 10**9, truth, travelled)
     query = ref.stretched(stretch)
     near = [se3_exp(rng.normal(size=6) * [0.1, 0.1, 0.1, 0.01, 0.01, 0.01]) for _ in range(count)]
     found = [Registration(k, k, near[k], np.eye(6), GOOD, "") for k in range(count)]
