@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,14 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.alignment import two_drives
+from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, RegistrationUnit
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.jobs.inputs import stretch_faults
 from relocbench.datasets.groundtruth.odometry.length import length_ratio
+from relocbench.datasets.groundtruth.registration.stretch import told_of_stretch
+from relocbench.datasets.groundtruth.registration.submap_pair import unregistered
+from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.geometry import se3_exp
 
@@ -23,16 +31,22 @@ def drive(metres: float, scale: float = 1.0, seed: int = 0, gnss_m: float = 0.5)
     """Odometry with a drifting heading and a scale, and GNSS that wanders by decimetres, of a road with bends."""
     rng = np.random.default_rng(seed)
     count = int(metres / 0.5) + 1
+    T_map_rig, odometry = (poses.copy() for poses in driven(count, scale))
+    wander = np.cumsum(rng.normal(size=(count, 3)), axis=0) * gnss_m / np.sqrt(200)
+    T_map_rig[:, :3, 3] += wander + np.array([620_000.0, 5_735_000.0, 40.0])
+    times = np.arange(count, dtype=np.int64) * 62_500_000
+    return Trajectory(times, odometry), Trajectory(times, T_map_rig)
+
+
+@cache
+def driven(count: int, scale: float) -> tuple[Array, Array]:
+    """Poses every half metre of a road with bends, true and by odometry."""
     truth, odometry = [np.eye(4)], [np.eye(4)]
     for k in range(count - 1):
         step = np.array([0.5, 0, 0, 0, 0, 0.01 * np.sin(k / 60)])
         truth.append(truth[-1] @ se3_exp(step))
         odometry.append(odometry[-1] @ se3_exp(step * np.array([scale, 1, 1, 1, 1, 1]) + [0, 0, 0, 0, 0, 2e-4]))
-    T_map_rig = np.array(truth)
-    wander = np.cumsum(rng.normal(size=(count, 3)), axis=0) * gnss_m / np.sqrt(200)
-    T_map_rig[:, :3, 3] += wander + np.array([620_000.0, 5_735_000.0, 40.0])
-    times = np.arange(count, dtype=np.int64) * 62_500_000
-    return Trajectory(times, np.array(odometry)), Trajectory(times, T_map_rig)
+    return np.array(truth), np.array(odometry)
 
 
 @pytest.mark.parametrize("scale", [0.92, 1.0, 1.03, 1.08])
@@ -116,3 +130,25 @@ def test_odometry_of_a_wrong_scale_is_refused_and_what_can_be_done_is_said(scale
         assert words in faults[0].expected
         assert "--no-use-prior" in faults[0].expected
     assert stretch_faults(replace(recording, prior=None)) == []
+
+
+def test_drives_that_differ_in_length_are_told_what_gnss_says_of_each(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    drives, nodes = [], Nodes(np.zeros(1, np.int64), np.eye(4)[None], np.zeros(1))
+    for name, scale in (("summer", 1.0), ("winter", 1.08)):
+        odometry, prior = drive(300, scale)
+        condition = Condition(weather="clear", season="summer", time_of_day="day")
+        recording = FieldRecording(name, tmp_path, condition, odometry, (), prior=prior, prior_sigma_m=3.0)
+        drives.append(Drive(recording, nodes, tmp_path / name))
+    refused = unregistered((0, 0), np.eye(4), told_of_stretch(1.08))
+    for found, notes in (([refused], 2), ([], 0)):
+        monkeypatch.setattr(two_drives, "register_along", lambda *_, found=found, **__: found)
+        said: list[str] = []
+        unit = RegistrationUnit(drives[0], drives[1], AlignmentOptions())
+        assert two_drives.register_query(unit, said.append) == found
+        assert len(said) == notes
+        if notes:
+            by_gnss = r"by odometry than by GNSS \(known to 4\.\d %\)"
+            assert re.fullmatch(rf"summer is 0\.\d % (longer|shorter) {by_gnss}", said[0])
+            assert re.fullmatch(rf"winter is [78]\.\d % longer {by_gnss}", said[1])

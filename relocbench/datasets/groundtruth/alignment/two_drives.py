@@ -10,12 +10,14 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions
 from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
+from relocbench.datasets.groundtruth.odometry.length import length_ratio
 from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, refine_locally
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
 from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions, Remember, register_along
 from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
+from relocbench.datasets.groundtruth.registration.stretch import is_stretched
 from relocbench.datasets.groundtruth.registration.submap_pair import nodes_every
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -68,7 +70,7 @@ def register_query(
         say, remember: see :func:`relocbench.datasets.groundtruth.registration.along_drive.register_along`.
     """
     reference, query, length = unit.reference, unit.query, unit.options.submap_m
-    return register_along(
+    found = register_along(
         reference.window(length),
         query.window(length),
         reference.nodes,
@@ -79,6 +81,22 @@ def register_query(
         say=say,
         remember=remember,
     )
+    if is_stretched(found):
+        for told in filter(None, map(_length_by_gnss, (reference, query))):
+            say(told)
+    return found
+
+
+def _length_by_gnss(drive: Drive) -> str:
+    """What GNSS says of the length of a drive by its odometry; empty if there is too little of it."""
+    recording = drive.recording
+    if recording.prior is None:
+        return ""
+    found = length_ratio(recording.odometry, recording.prior, recording.prior_sigma_m)
+    if found is None:
+        return ""
+    by = f"{100 * abs(found.ratio - 1):.1f} % {'longer' if found.ratio > 1 else 'shorter'}"
+    return f"{drive.name} is {by} by odometry than by GNSS (known to {100 * found.margin:.1f} %)"
 
 
 def map_prior(reference: Drive, query: Drive) -> MapPrior | None:

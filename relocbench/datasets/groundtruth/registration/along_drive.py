@@ -51,7 +51,7 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 _PLACES = (0.5, 0.25, 0.75)
 """parts of the drive at which a stretch of its odometry is looked for"""
 
-_FEW = 0.2
+_FEW = 0.6
 """share of trusted registrations below which a stretch is looked for: some may hold by chance in spite of it"""
 
 Remember = Callable[[str, Callable[[], SearchResult]], SearchResult]
@@ -122,13 +122,23 @@ def register_along(
         else:
             say("they were not found without GNSS either")
     ratio = ratio_of_lengths(found, nodes_ref, nodes_query)
-    if ratio is None and sum(one.trusted for one in found) < _FEW * len(found):
+    if not _is_stretched(ratio) and _share_of_trusted(found) < _FEW:
         ratio = registration.ratio_of_lengths()
-    if ratio is None or abs(ratio - 1) <= LARGEST_STRETCH:
+    if ratio is None or not _is_stretched(ratio):
         return found
     told = told_of_stretch(ratio)
     say(told)
     return [replace(one, reason=told) for one in found]
+
+
+def _is_stretched(ratio: float | None) -> bool:
+    return ratio is not None and abs(ratio - 1) - LARGEST_STRETCH > 1e-9
+
+
+def _share_of_trusted(found: list[Registration]) -> float:
+    """The share of the registrations that are trusted, of those whose submaps were compared at all."""
+    compared = sum(bool(np.isfinite(one.evidence.overlap_query)) for one in found)
+    return sum(one.trusted for one in found) / max(compared, 1)
 
 
 def _renamed(remember: Remember, suffix: str) -> Remember:

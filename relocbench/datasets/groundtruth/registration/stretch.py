@@ -30,12 +30,13 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 
 LARGEST_STRETCH = 0.04
 """largest error of the odometry's scale: submaps that are stretched more do not fit those of other drives"""
-_PERCENT = (-12, -10, -8, -6, -4, 4, 6, 8, 10, 12)
+_PERCENT = (-12, -10, -8, -6, -4, 0, 4, 6, 8, 10, 12)
 """stretches of the query's odometry that are tried; smaller ones are estimated with the poses"""
 _MOST_TRIED = 4
 """guesses that are registered with each of them, those that fit best"""
 _APART_M = (20.0, 80.0)
 """metres driven between two registrations whose distance is compared"""
+_TOLD = "the odometry is about"
 _FEWEST = 3
 """distances that tell a ratio"""
 
@@ -73,14 +74,12 @@ def stretch_of_query(
         found = remember(f"stretch {node} by {percent}", partial(tried, percent)).best
         if found is not None:
             fits.append((plausibility(found.evidence), percent, found))
-    if not fits:
+    _, percent, best = max(fits, key=lambda fit: fit[:2], default=(0.0, 0, None))
+    if best is None or percent == 0:
         return None
-    _, percent, best = max(fits, key=lambda fit: fit[:2])
     along = follow(ref, stretched(percent), best, few, register_options)[1]
     ratio = ratio_of_lengths(along, ref.nodes, query.nodes)
-    if ratio is None and abs(percent) > min(abs(p) for p in _PERCENT):
-        return 1 + percent / 100
-    return ratio
+    return 1 + percent / 100 if ratio is None else ratio
 
 
 def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> float | None:
@@ -111,4 +110,9 @@ def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: N
 def told_of_stretch(ratio: float) -> str:
     """The words about odometry that is ``ratio`` times as long as the reference's."""
     by = f"{100 * abs(ratio - 1):.0f} % {'longer' if ratio > 1 else 'shorter'}"
-    return f"the odometry is about {by} than the reference's, so that the scale of one of them is wrong"
+    return f"{_TOLD} {by} than the reference's, so that the scale of one of them is wrong"
+
+
+def is_stretched(registrations: Sequence[Registration]) -> bool:
+    """Whether registrations were refused for the ratio of lengths."""
+    return any(one.reason.startswith(_TOLD) for one in registrations)
