@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,10 @@ Array = NDArray[np.float64]
 
 _CLOSEST = 0.2
 """poses closer in time than this share of their usual spacing tell no velocity: their noise would make a bulge"""
+_GRADED = 1 / 3
+"""the same of the next interval, into which their velocity is drawn on"""
+_WIDE = 1.5
+"""an interval at an end that is so many times as long as usual is wide"""
 
 
 class PoseSpline:
@@ -44,22 +48,17 @@ class PoseSpline:
 
         rows = self._knots()
         seconds, poses = self._seconds(self._times_ns[rows]), self._poses[rows]
-        return CubicSpline(seconds, poses[:, :3, 3]), RotationSpline(seconds, Rotation.from_matrix(poses[:, :3, :3]))
+        return (
+            CubicSpline(seconds, poses[:, :3, 3], bc_type=(_end(seconds), _end(seconds[::-1]))),
+            RotationSpline(seconds, Rotation.from_matrix(poses[:, :3, :3])),
+        )
 
     def _knots(self) -> NDArray[np.intp]:
         """The poses that the curves go through: the first, the last, and those that are not too close to others."""
         spacing = np.diff(self._times_ns)
         closest = _CLOSEST * float(np.median(spacing))
-        if float(spacing.min()) >= closest:
-            return np.arange(len(self._times_ns))
-        rows = [0]
-        for row in range(1, len(self._times_ns)):
-            if self._times_ns[row] - self._times_ns[rows[-1]] >= closest:
-                rows.append(row)
-        last = len(self._times_ns) - 1
-        if rows[-1] != last:
-            rows = [*rows[:-1], last] if len(rows) > 1 else [0, last]
-        return np.array(rows)
+        rows = _spread(self._times_ns, np.arange(len(self._times_ns)), closest)
+        return _spread(-self._times_ns, rows[::-1], closest)[::-1]
 
     def _seconds(self, times_ns: NDArray[np.int64]) -> Array:
         # Differences are taken as integers: float64 cannot hold a present-day nanosecond count.
@@ -68,7 +67,8 @@ class PoseSpline:
     def at(self, query_ns: NDArray[np.int64]) -> Array:
         """(M, 4, 4) ``T_world_body`` at times (M,) within the span; the given poses themselves at their times.
 
-        The curves pass by poses that are much closer in time to the one before than poses usually are.
+        The curves pass by poses that are much closer in time to another than poses usually are, or than the next
+        interval is long.
         """
         if not len(query_ns):
             return np.zeros((0, 4, 4))
@@ -79,3 +79,25 @@ class PoseSpline:
         exact = self._times_ns[place] == query_ns
         out[exact] = self._poses[place[exact]]
         return out
+
+
+def _end(seconds: Array) -> Literal["natural", "not-a-knot"]:
+    """How the curve begins: as the one beside its first interval; without curvature where that is wide.
+
+    A curve that is drawn on from narrow intervals into a wide one enlarges the noise of their poses.
+    """
+    spacing = np.abs(np.diff(seconds))
+    return "natural" if spacing[0] > _WIDE * np.median(spacing) else "not-a-knot"
+
+
+def _spread(times_ns: NDArray[np.int64], rows: NDArray[np.intp], closest: float) -> NDArray[np.intp]:
+    """The first and the last of the rows, and those between whose interval is no small part of the one before."""
+    kept, before = [int(rows[0])], 0.0
+    for row in rows[1:]:
+        interval = float(times_ns[row] - times_ns[kept[-1]])
+        if interval >= max(closest, _GRADED * before):
+            kept.append(int(row))
+            before = interval
+    if kept[-1] != rows[-1]:
+        kept = [*kept[: max(len(kept) - 1, 1)], int(rows[-1])]
+    return np.array(kept)

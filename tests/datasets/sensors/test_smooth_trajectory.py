@@ -67,6 +67,23 @@ def test_noise_of_poses_that_are_close_in_time_makes_no_bulge(apart_ns: int, row
         assert degrees < 0.9
 
 
+@pytest.mark.parametrize("spacing", [0.1, 0.01])
+@pytest.mark.parametrize("pause", [0.3, 0.9])
+@pytest.mark.parametrize("place", ["first", "second", "middle", "last"])
+def test_noise_is_not_enlarged_beside_a_pause(spacing: float, pause: float, place: str) -> None:
+    gaps = np.full(40, spacing)
+    gaps[{"first": 0, "second": 1, "middle": 20, "last": -1}[place]] = pause
+    seconds = np.concatenate([[0.0], np.cumsum(gaps)])
+    times = START + np.round(seconds * 1e9).astype(np.int64)
+    between = np.linspace(times[0], times[-1], 2000).astype(np.int64)
+    for seed in range(5):
+        noise = np.random.default_rng(seed).normal(size=(41, 3)) * 0.01
+        poses = make_transform(np.tile(np.eye(3), (41, 1, 1)), np.outer(seconds, [10.0, 0.0, 0.0]) + noise)
+        found = Trajectory(times, poses, smooth=True).at(between)[:, :3, 3]
+        off = found - np.outer((between - START) / 1e9, [10.0, 0.0, 0.0])
+        assert np.linalg.norm(off, axis=1).max() < 0.11
+
+
 def test_breaks_are_between_poses() -> None:
     times = START + TENTH * np.arange(6)
     for wrong in (0, 6, -1):

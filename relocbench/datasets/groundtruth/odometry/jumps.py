@@ -175,9 +175,7 @@ def _reached(seconds: Array, apart: Array, near: Mask) -> Array:
 
 def _noise(sizes: Array) -> Array:
     """(N, 2) median of the deviations (N, 2) of the steps around each step."""
-    around = _around(sizes, _AROUND, np.nan)
-    around[0] = np.where(np.isnan(around).all(axis=0), 0.0, around[0])  # a single step has none around
-    return np.asarray(np.nanmedian(around, axis=0))
+    return _median(_around(sizes, _AROUND, np.nan))
 
 
 def _come_back(rows: NDArray[np.intp], deviation: Array, twists: Array, seconds: Array, middle: Array) -> Mask:
@@ -190,19 +188,32 @@ def _come_back(rows: NDArray[np.intp], deviation: Array, twists: Array, seconds:
         seconds: (N,) durations of all steps.
         middle: (N,) seconds.
     """
-    around = rows + np.arange(-_AROUND, _AROUND + 1)[:, None]
-    inside = (around >= 0) & (around < len(middle))
-    around = np.clip(around, 0, len(middle) - 1)
-    soon = (inside & (np.abs(middle[around] - middle[rows]) <= _SOON_S))[:, :, None]
-    # The steps right beside may be of the same bump: what the vehicle did is taken from more of them.
-    velocity = np.where(soon, twists[around] / seconds[around][:, :, None], np.nan)
-    usual = np.nanmedian(velocity, axis=0)
-    remaining = np.where(soon, (velocity - usual) * seconds[around][:, :, None], 0.0).sum(axis=0)
+    beside = np.array([*range(-_AROUND, 0), *range(1, _AROUND + 1)])[:, None] + rows
+    inside = (beside >= 0) & (beside < len(middle))
+    beside = np.clip(beside, 0, len(middle) - 1)
+    apart = middle[beside] - middle[rows]
+    soon = (inside & (np.abs(apart) <= _SOON_S))[:, :, None]
+    velocity = np.where(soon, twists[beside] / seconds[beside][:, :, None], np.nan)
+    # The steps right beside may be of the same bump: what the vehicle did is taken from more of them, and it may
+    # accelerate steadily all the while.
+    before, after = slice(_AROUND - 1, None, -1), slice(_AROUND, None)
+    slope = _median((velocity[after] - velocity[before]) / (apart[after] - apart[before] + 1e-9)[:, :, None])
+    slope[:, 3:] = 0.0
+    steady = slope * apart[:, :, None]
+    usual = _median(velocity - steady)
+    own = twists[rows] - usual * seconds[rows][:, None]
+    others = np.where(soon, (velocity - steady - usual) * seconds[beside][:, :, None], 0.0).sum(axis=0)
     parts = (slice(0, 3), slice(3, 6))
-    kept = [np.sum(remaining[:, part] * deviation[:, part], axis=1) for part in parts]
+    kept = [np.sum((own + others)[:, part] * deviation[:, part], axis=1) for part in parts]
     whole = [np.sum(deviation[:, part] ** 2, axis=1) for part in parts]
-    known = soon.sum(axis=0) >= 3
+    known = soon.sum(axis=0) >= 2
     return np.asarray(known & (np.stack(kept, axis=1) < 0.5 * np.stack(whole, axis=1)))
+
+
+def _median(values: Array) -> Array:
+    """(N, ...) medians of the values (K, N, ...) that are not nan; 0 where all are."""
+    values[0] = np.where(np.isnan(values).all(axis=0), 0.0, values[0])
+    return np.asarray(np.nanmedian(values, axis=0))
 
 
 def _sizes(twists: Array) -> Array:
