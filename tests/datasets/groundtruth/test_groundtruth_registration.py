@@ -447,12 +447,34 @@ def test_distances_between_registrations_tell_the_ratio_of_lengths(stretch: floa
     found = [Registration(k, k, near[k], np.eye(6), GOOD, "") for k in range(count)]
     ratio = ratio_of_lengths(found, ref, query)
     assert ratio is not None
-    assert ratio == pytest.approx(stretch, abs=0.004)
-    untrusted = [replace(one, reason="overlap") for one in found]
-    assert ratio_of_lengths(untrusted, ref, query) is None
-    assert ratio_of_lengths(found[:4], ref, query) is None
-    broken = replace(query, segment=np.arange(count) // 3)
-    assert ratio_of_lengths(found, ref, broken) is None
+    assert abs(ratio.ratio - stretch) < ratio.margin < 0.02
+    few_wrong = [replace(one, T_ref_query=one.T_ref_query @ se3_exp([3.0, 0, 0, 0, 0, 0])) for one in found[8:12]]
+    ratio = ratio_of_lengths([*found[:8], *few_wrong, *found[12:]], ref, query)
+    assert ratio is not None
+    assert ratio.ratio == pytest.approx(stretch, abs=0.02)
+    assert ratio_of_lengths([replace(one, reason="overlap") for one in found], ref, query) is None
+    assert ratio_of_lengths(found[:7], ref, query) is None
+    assert ratio_of_lengths(found, ref, replace(query, segment=np.arange(count) // 3)) is None
+
+
+def test_neither_bends_nor_drift_nor_a_second_lap_make_a_drive_longer() -> None:
+    for seed in range(20):
+        rng, count = np.random.default_rng(seed), 120
+        nodes = []
+        # Two laps of a roundabout, the query 1.5 m further inside.
+        for radius, scale, drift in ((15.0, 1.0, 1e-3), (13.5, 1.01, -1e-3)):
+            step = se3_exp([2.0 / 15.0 * radius * scale, 0, 0, 0, 0, 2.0 / 15.0 + drift])
+            poses = np.array([np.linalg.matrix_power(step, k) for k in range(count)])
+            nodes.append(Nodes(np.arange(count) * 10**9, poses, np.linspace(0.0, step[0, 3] * (count - 1), count)))
+        ref, query = nodes
+        found = []
+        for k in range(0, count, 2):
+            beside = se3_exp([0.0, 1.5, 0, 0, 0, 0]) @ se3_exp(rng.normal(size=6) * [0.3, 0.05, 0.05, 0.01, 0.01, 0.01])
+            found.append(Registration(k, k, beside, np.eye(6), GOOD, ""))
+        for chosen in (found, found[20:28]):
+            ratio = ratio_of_lengths(chosen, ref, query)
+            assert ratio is not None
+            assert not ratio.exceeds(0.04)
 
 
 def test_what_is_ambiguous_is_not_searched_on(monkeypatch: pytest.MonkeyPatch) -> None:

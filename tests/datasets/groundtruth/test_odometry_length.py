@@ -137,7 +137,7 @@ def test_drives_that_differ_in_length_are_told_what_gnss_says_of_each(
 ) -> None:
     drives, nodes = [], Nodes(np.zeros(1, np.int64), np.eye(4)[None], np.zeros(1))
     for name, scale in (("summer", 1.0), ("winter", 1.08)):
-        odometry, prior = drive(300, scale)
+        odometry, prior = drive(600, scale)
         condition = Condition(weather="clear", season="summer", time_of_day="day")
         recording = FieldRecording(name, tmp_path, condition, odometry, (), prior=prior, prior_sigma_m=3.0)
         drives.append(Drive(recording, nodes, tmp_path / name))
@@ -149,6 +149,6 @@ def test_drives_that_differ_in_length_are_told_what_gnss_says_of_each(
         assert two_drives.register_query(unit, said.append) == found
         assert len(said) == notes
         if notes:
-            by_gnss = r"by odometry than by GNSS \(known to 4\.\d %\)"
+            by_gnss = r"by odometry than by GNSS \(known to 2\.\d %\)"
             assert re.fullmatch(rf"summer is 0\.\d % (longer|shorter) {by_gnss}", said[0])
             assert re.fullmatch(rf"winter is [78]\.\d % longer {by_gnss}", said[1])

@@ -104,7 +104,7 @@ def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
     if prior is None:
         return []
     found = length_ratio(recording.odometry, prior, recording.prior_sigma_m)
-    if found is None or abs(found.ratio - 1) - found.margin <= LARGEST_STRETCH:
+    if found is None or not found.exceeds(LARGEST_STRETCH):
         return []
     longer, percent = "longer" if found.ratio > 1 else "shorter", 100 * abs(found.ratio - 1)
     told = (

@@ -15,8 +15,10 @@ from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.sensors.recording import Trajectory
 
-_CHORD_M = 20.0
-"""distance along the drive that a chord spans"""
+_CHORDS_M = (20.0, 50.0, 100.0, 200.0)
+"""distances along the drive that chords span; those that tell the ratio best are taken"""
+_SIGMAS = 10.0
+"""standard deviations of GNSS that a chord has at least: noise makes shorter ones longer"""
 _FEWEST = 5
 """chords whose spread tells something"""
 _LEAST_SHARE = 0.5
@@ -31,15 +33,21 @@ _ENDS = 3.0
 
 @dataclass(frozen=True)
 class LengthRatio:
-    """How many times as long a drive is by its odometry as by its GNSS."""
+    """How many times as long a drive is by its odometry as by another measurement."""
 
     ratio: float
     margin: float
     """largest error of the ratio that is reckoned with"""
 
+    def exceeds(self, stretch: float) -> bool:
+        """Whether the lengths certainly differ by more than a share."""
+        return abs(self.ratio - 1) - self.margin > stretch
+
 
 def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float) -> LengthRatio | None:
-    """The ratio of the lengths; None if odometry and GNSS have fewer than five chords of 20 m in common.
+    """The ratio of the lengths; None if odometry and GNSS have fewer than five chords in common.
+
+    A chord is at least 20 m, and ten standard deviations of GNSS.
 
     GNSS may have heights or not: of the ratios with and without them, that nearer to 1 is returned.
 
@@ -52,18 +60,40 @@ def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float) -> Len
     if len(times) < 2:
         return None
     piece = odometry.pieces(times)
+    rows = [np.flatnonzero(piece == number) for number in np.unique(piece)]
     positions, mapped = odometry.at(times)[:, :3, 3], prior.at(times)[:, :3, 3]
-    ends = [_ends_of_chords(positions, np.flatnonzero(piece == number)) for number in np.unique(piece)]
-    first, last = (np.concatenate([pair[side] for pair in ends]) for side in (0, 1))
-    by_odometry = np.linalg.norm(positions[last] - positions[first], axis=1)
     found = []
     for axes in (2, 3):
-        by_gnss = np.linalg.norm((mapped[last] - mapped[first])[:, :axes], axis=1)
-        usable = (by_odometry >= _LEAST_SHARE * _CHORD_M) & (by_gnss > 0)
-        if usable.sum() >= _FEWEST:
-            margin = _ENDS * np.sqrt(2) * sigma_m / float(by_gnss[usable].sum())
-            found.append(_mean(by_odometry[usable] / by_gnss[usable], margin))
+        by_chords = [
+            one
+            for chord_m in _CHORDS_M
+            if chord_m >= _SIGMAS * sigma_m
+            for one in [_by_chords(positions, mapped[:, :axes], rows, chord_m, sigma_m)]
+            if one is not None
+        ]
+        found += [min(by_chords, key=lambda one: one.margin)] if by_chords else []
     return min(found, key=lambda one: abs(one.ratio - 1), default=None)
+
+
+def _by_chords(
+    positions: Array, mapped: Array, rows: list[Indices], chord_m: float, sigma_m: float
+) -> LengthRatio | None:
+    """The ratio by chords of one length; None if there are too few.
+
+    Args:
+        positions: (N, 3) by odometry.
+        mapped: (N, 2) or (N, 3) by GNSS.
+        rows: of each piece of the drive.
+    """
+    ends = [_ends_of_chords(positions, of_piece, chord_m) for of_piece in rows]
+    first, last = (np.concatenate([pair[side] for pair in ends]) for side in (0, 1))
+    by_odometry = np.linalg.norm(positions[last] - positions[first], axis=1)
+    by_gnss = np.linalg.norm(mapped[last] - mapped[first], axis=1)
+    usable = (by_odometry >= _LEAST_SHARE * chord_m) & (by_gnss > 0)
+    if usable.sum() < _FEWEST:
+        return None
+    margin = _ENDS * np.sqrt(2) * sigma_m / float(by_gnss[usable].sum())
+    return _mean(by_odometry[usable] / by_gnss[usable], margin)
 
 
 def _mean(ratios: Array, least: float) -> LengthRatio:
@@ -73,8 +103,8 @@ def _mean(ratios: Array, least: float) -> LengthRatio:
     return LengthRatio(float(trimmed_mean(ratios, limits)), max(least, float(high - low) / 2))
 
 
-def _ends_of_chords(positions: Array, rows: Indices) -> tuple[Indices, Indices]:
+def _ends_of_chords(positions: Array, rows: Indices, chord_m: float) -> tuple[Indices, Indices]:
     """(K,), (K,) the rows of positions (N, 3) at which chords begin and end, of rows (M,) of a piece."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions[rows], axis=0), axis=1))])
-    places = np.searchsorted(way, np.arange(0.0, way[-1], _CHORD_M))
+    places = np.searchsorted(way, np.arange(0.0, way[-1], chord_m))
     return rows[places[:-1]], rows[places[1:]]

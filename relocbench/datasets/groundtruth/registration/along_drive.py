@@ -15,6 +15,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.odometry.length import LengthRatio
 from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions, pose_difference
 from relocbench.datasets.groundtruth.registration.hypotheses import (
     HypothesisOptions,
@@ -122,17 +123,13 @@ def register_along(
         else:
             say("they were not found without GNSS either")
     ratio = ratio_of_lengths(found, nodes_ref, nodes_query)
-    if not _is_stretched(ratio) and _share_of_trusted(found) < _FEW:
+    if (ratio is None or not ratio.exceeds(LARGEST_STRETCH)) and _share_of_trusted(found) < _FEW:
         ratio = registration.ratio_of_lengths()
-    if ratio is None or not _is_stretched(ratio):
+    if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
         return found
-    told = told_of_stretch(ratio)
+    told = told_of_stretch(ratio.ratio)
     say(told)
     return [replace(one, reason=told) for one in found]
-
-
-def _is_stretched(ratio: float | None) -> bool:
-    return ratio is not None and abs(ratio - 1) - LARGEST_STRETCH > 1e-9
 
 
 def _share_of_trusted(found: list[Registration]) -> float:
@@ -271,7 +268,7 @@ class _DriveRegistration:
         )
         return replace(found, reason=reason)
 
-    def ratio_of_lengths(self) -> float | None:
+    def ratio_of_lengths(self) -> LengthRatio | None:
         """How many times as long as the reference's the query's odometry is, if this is why nothing holds."""
         o, search = self.options, self.options.search
         for node in dict.fromkeys(int(k * len(self.query)) for k in _PLACES):

@@ -14,8 +14,11 @@ from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
+from scipy.stats import theilslopes
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.odometry.length import LengthRatio
 from relocbench.datasets.groundtruth.registration.hypotheses import (
     HypothesisOptions,
     SearchResult,
@@ -27,6 +30,7 @@ from relocbench.datasets.groundtruth.registration.hypotheses import (
 from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive, RegisterOptions
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions
 from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.geometry import invert
 
 LARGEST_STRETCH = 0.04
 """largest error of the odometry's scale: submaps that are stretched more do not fit those of other drives"""
@@ -34,11 +38,15 @@ _PERCENT = (-12, -10, -8, -6, -4, 0, 4, 6, 8, 10, 12)
 """stretches of the query's odometry that are tried; smaller ones are estimated with the poses"""
 _MOST_TRIED = 4
 """guesses that are registered with each of them, those that fit best"""
-_APART_M = (20.0, 80.0)
-"""metres driven between two registrations whose distance is compared"""
+_FAR_M = 30.0
+"""metres driven between registrations that follow each other"""
 _TOLD = "the odometry is about"
-_FEWEST = 3
-"""distances that tell a ratio"""
+_FEWEST = 8
+"""registrations that tell a ratio"""
+_MOST = 2000
+"""registrations that are compared with each other"""
+_DOUBT = 0.002
+"""probability that the true ratio is outside the margin"""
 
 
 def stretch_of_query(
@@ -50,7 +58,7 @@ def stretch_of_query(
     hypotheses: HypothesisOptions,
     register_options: RegisterOptions,
     remember: Callable[[str, Callable[[], SearchResult]], SearchResult],
-) -> float | None:
+) -> LengthRatio | None:
     """How many times as long as the reference's the query's odometry is; None if no stretch makes them fit.
 
     Args:
@@ -60,6 +68,7 @@ def stretch_of_query(
     """
     once = cache(guesses)
     few = replace(hypotheses, most_tried=_MOST_TRIED)
+    closely = replace(few, step_m=4.0)
 
     def stretched(percent: int) -> PreparedDrive:
         return query.stretched(1 / (1 + percent / 100))
@@ -77,34 +86,56 @@ def stretch_of_query(
     _, percent, best = max(fits, key=lambda fit: fit[:2], default=(0.0, 0, None))
     if best is None or percent == 0:
         return None
-    along = follow(ref, stretched(percent), best, few, register_options)[1]
-    ratio = ratio_of_lengths(along, ref.nodes, query.nodes)
-    return 1 + percent / 100 if ratio is None else ratio
+    along = follow(ref, stretched(percent), best, closely, register_options)[1]
+    return ratio_of_lengths(sorted(along, key=lambda one: one.query), ref.nodes, query.nodes)
 
 
-def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> float | None:
-    """How many times as long as the reference's the query's odometry is, by the distances between registrations.
+def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> LengthRatio | None:
+    """How many times as long as the reference's the query's odometry is, by the registrations along the road.
 
-    It is the median over all pairs of registrations that are 20 to 80 m of road apart; None if there are fewer than
-    three.
+    The way of the query from one registration to the next is measured by both odometries, in the direction that the
+    query drove, so that neither drift of the heading nor noise makes it longer. The ratio is the slope of one way over
+    the other by Theil and Sen: the median over all pairs of registrations, of which some may be wrong.
+
+    Returns:
+        the ratio and its margin; None if fewer than eight registrations follow each other.
     """
-    chosen = [one for one in registrations if one.trusted]
-    if len(chosen) < _FEWEST:
+    way_ref, way_query = _ways(registrations, ref, query)
+    if len(way_query) < _FEWEST:
         return None
-    r, q = (np.array([getattr(one, side) for one in chosen]) for side in ("ref", "query"))
-    T_ref_query = np.array([one.T_ref_query for one in chosen])
-    by_ref = (ref.T_odom_node[r] @ T_ref_query)[:, :3, 3]
-    by_query = query.T_odom_node[q, :3, 3]
-    a, b = np.triu_indices(len(chosen), 1)
-    driven = np.abs(query.travelled_m[q[a]] - query.travelled_m[q[b]])
-    usable = (driven >= _APART_M[0]) & (driven <= _APART_M[1])
-    usable &= (ref.segments()[r[a]] == ref.segments()[r[b]]) & (query.segments()[q[a]] == query.segments()[q[b]])
-    usable &= np.abs(ref.travelled_m[r[a]] - ref.travelled_m[r[b]]) <= 2 * _APART_M[1]
-    longer, shorter = (np.linalg.norm(p[a] - p[b], axis=1)[usable] for p in (by_query, by_ref))
-    known = np.minimum(longer, shorter) >= _APART_M[0] / 2
-    if known.sum() < _FEWEST:
+    every = max(1, len(way_query) // _MOST)
+    slope, _, low, high = theilslopes(way_ref[::every], way_query[::every], alpha=1 - _DOUBT)
+    if not low > 0:
         return None
-    return float(np.median(longer[known] / shorter[known]))
+    return LengthRatio(float(1 / slope), float(1 / low - 1 / high) / 2)
+
+
+def _ways(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> tuple[Array, Array]:
+    """(M,), (M,) the query's way up to each of the most registrations that follow each other, by both odometries."""
+    of_ref, of_query = ref.segments(), query.segments()
+    best: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    ways: list[tuple[float, float]] = []
+    before: Registration | None = None
+    for now in (one for one in registrations if one.trusted):
+        connected = (
+            before is not None
+            and of_ref[before.ref] == of_ref[now.ref]
+            and of_query[before.query] == of_query[now.query]
+            and abs(query.travelled_m[now.query] - query.travelled_m[before.query]) <= _FAR_M
+        )
+        if before is None or not connected:
+            ways = [(0.0, 0.0)]
+        else:
+            by_query = invert(query.T_odom_node[before.query]) @ query.T_odom_node[now.query]
+            T_odom_before, T_odom_now = (ref.T_odom_node[one.ref] @ one.T_ref_query for one in (before, now))
+            by_ref = invert(T_odom_before) @ T_odom_now
+            driven = float(np.linalg.norm(by_query[:3, 3]))
+            along = float(by_ref[:3, 3] @ by_query[:3, 3]) / driven if driven > 0 else 0.0
+            ways.append((ways[-1][0] + along, ways[-1][1] + driven))
+        if len(ways) > len(best[0]):
+            best = tuple(np.array(ways).T)
+        before = now
+    return best
 
 
 def told_of_stretch(ratio: float) -> str:
