@@ -123,7 +123,9 @@ def register_along(
         else:
             say("they were not found without GNSS either")
     ratio = ratio_of_lengths(found, nodes_ref, nodes_query)
-    if (ratio is None or not ratio.exceeds(LARGEST_STRETCH)) and _share_of_trusted(found) < _FEW:
+    certain = ratio is not None and ratio.exceeds(LARGEST_STRETCH)
+    suspected = ratio is not None and abs(ratio.ratio - 1) > LARGEST_STRETCH
+    if not certain and (suspected or _share_of_trusted(found) < _FEW):
         ratio = registration.ratio_of_lengths()
     if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
         return found
