@@ -87,6 +87,11 @@ def lost(recording: FieldRecording) -> FieldRecording:
     return replace(recording, prior=replace(recording.prior, T_odom_rig=T))
 
 
+def unlocated(recording: FieldRecording) -> FieldRecording:
+    """The recording without GNSS."""
+    return replace(recording, prior=None)
+
+
 def jumped(recording: FieldRecording) -> FieldRecording:
     """The recording with odometry whose step in the middle is off by 30 cm along, 10 cm across and 1 degree."""
     T = recording.odometry.T_odom_rig.copy()
@@ -96,11 +101,11 @@ def jumped(recording: FieldRecording) -> FieldRecording:
     return replace(recording, odometry=replace(recording.odometry, T_odom_rig=T))
 
 
-def stretched(recording: FieldRecording) -> FieldRecording:
-    """The recording with odometry that is 8 % too long."""
+def stretched(recording: FieldRecording, factor: float) -> FieldRecording:
+    """The recording with odometry that is ``factor`` times as long."""
     T = recording.odometry.T_odom_rig
     steps = invert(T[:-1]) @ T[1:]
-    steps[:, :3, 3] *= 1.08
+    steps[:, :3, 3] *= factor
     poses = [T[0]]
     for step in steps:
         poses.append(poses[-1] @ step)
@@ -133,7 +138,10 @@ def cases(seed: int) -> dict[str, Case]:
         "turned-one": Case("extrinsics 1 deg and 5 cm off in one drive", 1, spoil=off),
         "gnss": Case("GNSS 85 m off", 1, spoil=lost),
         "jump": Case("one step of the odometry 32 cm and 1 deg off", 1, spoil=jumped),
-        "drift": Case("odometry of one drive 8 % too long", 1, spoil=stretched),
+        "drift": Case("odometry of one drive 8 % too long", 1, spoil=lambda r: stretched(r, 1.08)),
+        "drift-alone": Case(
+            "odometry of one drive 5 % too long, no GNSS", 1, unlocated, lambda r: unlocated(stretched(r, 1.05))
+        ),
     }
 
 

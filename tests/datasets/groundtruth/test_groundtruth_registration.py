@@ -25,8 +25,8 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
     guesses,
 )
 from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
+from relocbench.datasets.groundtruth.registration.lengths import ratio_of_lengths
 from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
-from relocbench.datasets.groundtruth.registration.stretch import ratio_of_lengths
 from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive
 from relocbench.datasets.groundtruth.submaps.free_space import FreeSpace
 from relocbench.datasets.groundtruth.submaps.planes import Sample, balanced, direction_bins, grid_planes

@@ -16,8 +16,8 @@ from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, refine_locally
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
 from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions, Remember, register_along
+from relocbench.datasets.groundtruth.registration.lengths import is_stretched
 from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
-from relocbench.datasets.groundtruth.registration.stretch import is_stretched
 from relocbench.datasets.groundtruth.registration.submap_pair import nodes_every
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -95,8 +95,7 @@ def _length_by_gnss(drive: Drive) -> str:
     found = length_ratio(recording.odometry, recording.prior, recording.prior_sigma_m)
     if found is None:
         return ""
-    by = f"{100 * abs(found.ratio - 1):.1f} % {'longer' if found.ratio > 1 else 'shorter'}"
-    return f"{drive.name} is {by} by odometry than by GNSS (known to {100 * found.margin:.1f} %)"
+    return f"{drive.name} is {found.told(1)} by odometry than by GNSS (known to {100 * found.margin:.1f} %)"
 
 
 def map_prior(reference: Drive, query: Drive) -> MapPrior | None:

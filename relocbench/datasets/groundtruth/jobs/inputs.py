@@ -16,8 +16,7 @@ from relocbench.arrays import Times
 from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
 from relocbench.datasets.groundtruth.jobs.enlarging import enlarged
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.groundtruth.odometry.length import length_ratio
-from relocbench.datasets.groundtruth.registration.stretch import LARGEST_STRETCH
+from relocbench.datasets.groundtruth.odometry.length import LARGEST_STRETCH, length_ratio
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream
 from relocbench.errors import DatasetError
 from relocbench.progress import Reporter
@@ -106,11 +105,10 @@ def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
     found = length_ratio(recording.odometry, prior, recording.prior_sigma_m)
     if found is None or not found.exceeds(LARGEST_STRETCH):
         return []
-    longer, percent = "longer" if found.ratio > 1 else "shorter", 100 * abs(found.ratio - 1)
     told = (
-        f"the way by odometry is {percent:.1f} % {longer} than by GNSS (known to {100 * found.margin:.1f} %), expected "
-        f"at most {100 * LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the "
-        "odometry, or give --no-use-prior if the GNSS is wrong"
+        f"the way by odometry is {found.told(1)} than by GNSS (known to {100 * found.margin:.1f} %), expected at most "
+        f"{100 * LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the odometry, "
+        "or give --no-use-prior if the GNSS is wrong"
     )
     return [DatasetError(told, recording.folder)]
 

@@ -15,6 +15,8 @@ from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.sensors.recording import Trajectory
 
+LARGEST_STRETCH = 0.04
+"""largest error of the odometry's scale: submaps that are stretched more do not fit those of other drives"""
 _CHORDS_M = (20.0, 50.0, 100.0, 200.0)
 """distances along the drive that chords span; those that tell the ratio best are taken"""
 _SIGMAS = 10.0
@@ -43,13 +45,16 @@ class LengthRatio:
         """Whether the lengths certainly differ by more than a share."""
         return abs(self.ratio - 1) - self.margin > stretch
 
+    def told(self, digits: int) -> str:
+        """How much the odometry is longer or shorter, such as ``8.2 % longer``."""
+        return f"{100 * abs(self.ratio - 1):.{digits}f} % {'longer' if self.ratio > 1 else 'shorter'}"
+
 
 def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float) -> LengthRatio | None:
     """The ratio of the lengths; None if odometry and GNSS have fewer than five chords in common.
 
-    A chord is at least 20 m, and ten standard deviations of GNSS.
-
-    GNSS may have heights or not: of the ratios with and without them, that nearer to 1 is returned.
+    A chord is at least 20 m, and ten standard deviations of GNSS. GNSS may have heights or not: of the ratios with and
+    without them, that nearer to 1 is returned.
 
     Args:
         odometry: whose pieces are measured each on its own.

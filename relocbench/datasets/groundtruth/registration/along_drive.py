@@ -15,7 +15,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
-from relocbench.datasets.groundtruth.odometry.length import LengthRatio
+from relocbench.datasets.groundtruth.odometry.length import LARGEST_STRETCH, LengthRatio
 from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions, pose_difference
 from relocbench.datasets.groundtruth.registration.hypotheses import (
     HypothesisOptions,
@@ -24,17 +24,13 @@ from relocbench.datasets.groundtruth.registration.hypotheses import (
     nearest_node,
     with_alternatives,
 )
+from relocbench.datasets.groundtruth.registration.lengths import ratio_of_lengths, told_of_stretch
 from relocbench.datasets.groundtruth.registration.place_recognition import (
     MapPrior,
     guesses_by_features,
     guesses_by_prior,
 )
-from relocbench.datasets.groundtruth.registration.stretch import (
-    LARGEST_STRETCH,
-    ratio_of_lengths,
-    stretch_of_query,
-    told_of_stretch,
-)
+from relocbench.datasets.groundtruth.registration.stretch import stretch_of_query
 from relocbench.datasets.groundtruth.registration.submap_pair import (
     Guess,
     PreparedDrive,
@@ -116,10 +112,11 @@ def register_along(
     found = registration.run(first)
     if prior is not None and not any(one.trusted for one in found):
         say("nothing holds where GNSS puts the drives; they are searched for each other without GNSS")
-        alone = _DriveRegistration(ref, query, None, options, say, _renamed(remember, " without GNSS")).run(None)
-        if any(one.trusted for one in alone):
+        alone = _DriveRegistration(ref, query, None, options, say, _renamed(remember, " without GNSS"))
+        anew = alone.run(None)
+        if any(one.trusted for one in anew):
             say("the drives were found without GNSS, which is wrong for one of them")
-            found = alone
+            registration, found = alone, anew
         else:
             say("they were not found without GNSS either")
     ratio = ratio_of_lengths(found, nodes_ref, nodes_query)
@@ -129,7 +126,7 @@ def register_along(
         ratio = registration.ratio_of_lengths()
     if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
         return found
-    told = told_of_stretch(ratio.ratio)
+    told = told_of_stretch(ratio)
     say(told)
     return [replace(one, reason=told) for one in found]
 

@@ -2,9 +2,8 @@
 
 A submap along odometry that is 8 % too long is 8 % too long, and no pose puts it onto the other drive's. That two
 drives do not fit each other is a poor reason to be told if the cause can be found: where no registration holds, the
-query's submaps are stretched by several factors, and registered again. Where some hold, the distances between them tell
-the ratio. The result names the cause; no pose comes from it, since two drives tell the ratio of their scales, but not
-which of them is wrong.
+query's submaps are stretched by several factors, and registered again. The result names the cause; no pose comes from
+it.
 """
 
 from __future__ import annotations
@@ -13,11 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
-import numpy as np
-from scipy.stats import theilslopes
-
-from relocbench.arrays import Array
-from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.odometry.length import LengthRatio
 from relocbench.datasets.groundtruth.registration.hypotheses import (
     HypothesisOptions,
@@ -27,26 +21,15 @@ from relocbench.datasets.groundtruth.registration.hypotheses import (
     plausibility,
     with_alternatives,
 )
+from relocbench.datasets.groundtruth.registration.lengths import ratio_of_lengths
 from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive, RegisterOptions
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions
 from relocbench.datasets.groundtruth.verification.evidence import Registration
-from relocbench.geometry import invert
 
-LARGEST_STRETCH = 0.04
-"""largest error of the odometry's scale: submaps that are stretched more do not fit those of other drives"""
 _PERCENT = (-12, -10, -8, -6, -4, 0, 4, 6, 8, 10, 12)
 """stretches of the query's odometry that are tried; smaller ones are estimated with the poses"""
 _MOST_TRIED = 4
 """guesses that are registered with each of them, those that fit best"""
-_FAR_M = 30.0
-"""metres driven between registrations that follow each other"""
-_TOLD = "the odometry is about"
-_FEWEST = 8
-"""registrations that tell a ratio"""
-_MOST = 2000
-"""registrations that are compared with each other"""
-_DOUBT = 0.002
-"""probability that the true ratio is outside the margin"""
 
 
 def stretch_of_query(
@@ -88,62 +71,3 @@ def stretch_of_query(
         return None
     along = follow(ref, stretched(percent), best, closely, register_options)[1]
     return ratio_of_lengths(sorted(along, key=lambda one: one.query), ref.nodes, query.nodes)
-
-
-def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> LengthRatio | None:
-    """How many times as long as the reference's the query's odometry is, by the registrations along the road.
-
-    The way of the query from one registration to the next is measured by both odometries, in the direction that the
-    query drove, so that neither drift of the heading nor noise makes it longer. The ratio is the slope of one way over
-    the other by Theil and Sen: the median over all pairs of registrations, of which some may be wrong.
-
-    Returns:
-        the ratio and its margin; None if fewer than eight registrations follow each other.
-    """
-    way_ref, way_query = _ways(registrations, ref, query)
-    if len(way_query) < _FEWEST:
-        return None
-    every = max(1, len(way_query) // _MOST)
-    slope, _, low, high = theilslopes(way_ref[::every], way_query[::every], alpha=1 - _DOUBT)
-    if not low > 0:
-        return None
-    return LengthRatio(float(1 / slope), float(1 / low - 1 / high) / 2)
-
-
-def _ways(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> tuple[Array, Array]:
-    """(M,), (M,) the query's way up to each of the most registrations that follow each other, by both odometries."""
-    of_ref, of_query = ref.segments(), query.segments()
-    best: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
-    ways: list[tuple[float, float]] = []
-    before: Registration | None = None
-    for now in (one for one in registrations if one.trusted):
-        connected = (
-            before is not None
-            and of_ref[before.ref] == of_ref[now.ref]
-            and of_query[before.query] == of_query[now.query]
-            and abs(query.travelled_m[now.query] - query.travelled_m[before.query]) <= _FAR_M
-        )
-        if before is None or not connected:
-            ways = [(0.0, 0.0)]
-        else:
-            by_query = invert(query.T_odom_node[before.query]) @ query.T_odom_node[now.query]
-            T_odom_before, T_odom_now = (ref.T_odom_node[one.ref] @ one.T_ref_query for one in (before, now))
-            by_ref = invert(T_odom_before) @ T_odom_now
-            driven = float(np.linalg.norm(by_query[:3, 3]))
-            along = float(by_ref[:3, 3] @ by_query[:3, 3]) / driven if driven > 0 else 0.0
-            ways.append((ways[-1][0] + along, ways[-1][1] + driven))
-        if len(ways) > len(best[0]):
-            best = tuple(np.array(ways).T)
-        before = now
-    return best
-
-
-def told_of_stretch(ratio: float) -> str:
-    """The words about odometry that is ``ratio`` times as long as the reference's."""
-    by = f"{100 * abs(ratio - 1):.0f} % {'longer' if ratio > 1 else 'shorter'}"
-    return f"{_TOLD} {by} than the reference's, so that the scale of one of them is wrong"
-
-
-def is_stretched(registrations: Sequence[Registration]) -> bool:
-    """Whether registrations were refused for the ratio of lengths."""
-    return any(one.reason.startswith(_TOLD) for one in registrations)

@@ -1,0 +1,86 @@
+"""The lengths of two drives by their odometries, compared by the registrations between them.
+
+Two drives tell the ratio of the scales of their odometries, but not which of them is wrong. Beyond a few per cent their
+submaps do not fit each other, and the ratio is the reason that is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import theilslopes
+
+from relocbench.arrays import Array
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.odometry.length import LengthRatio
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.geometry import invert
+
+_FAR_M = 30.0
+"""metres driven between registrations that follow each other"""
+_FEWEST = 8
+"""registrations that tell a ratio"""
+_MOST = 2000
+"""registrations that are compared with each other"""
+_DOUBT = 0.002
+"""probability that the true ratio is outside the margin"""
+_TOLD = "the odometry is about"
+
+
+def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> LengthRatio | None:
+    """How many times as long as the reference's the query's odometry is, by the registrations along the road.
+
+    The way of the query from one registration to the next is measured by both odometries, in the direction that the
+    query drove, so that neither drift of the heading nor noise makes it longer. The ratio is the slope of one way over
+    the other by Theil and Sen: the median over all pairs of registrations, of which some may be wrong.
+
+    Returns:
+        the ratio and its margin; None if fewer than eight registrations follow each other.
+    """
+    way_ref, way_query = _ways(registrations, ref, query)
+    if len(way_query) < _FEWEST:
+        return None
+    every = max(1, len(way_query) // _MOST)
+    slope, _, low, high = theilslopes(way_ref[::every], way_query[::every], alpha=1 - _DOUBT)
+    if not low > 0:
+        return None
+    return LengthRatio(float(1 / slope), float(1 / low - 1 / high) / 2)
+
+
+def _ways(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> tuple[Array, Array]:
+    """(M,), (M,) the query's way up to each of the most registrations that follow each other, by both odometries."""
+    of_ref, of_query = ref.segments(), query.segments()
+    best: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    ways: list[tuple[float, float]] = []
+    before: Registration | None = None
+    for now in (one for one in registrations if one.trusted):
+        connected = (
+            before is not None
+            and of_ref[before.ref] == of_ref[now.ref]
+            and of_query[before.query] == of_query[now.query]
+            and abs(query.travelled_m[now.query] - query.travelled_m[before.query]) <= _FAR_M
+        )
+        if before is None or not connected:
+            ways = [(0.0, 0.0)]
+        else:
+            by_query = invert(query.T_odom_node[before.query]) @ query.T_odom_node[now.query]
+            T_odom_before, T_odom_now = (ref.T_odom_node[one.ref] @ one.T_ref_query for one in (before, now))
+            by_ref = invert(T_odom_before) @ T_odom_now
+            driven = float(np.linalg.norm(by_query[:3, 3]))
+            along = float(by_ref[:3, 3] @ by_query[:3, 3]) / driven if driven > 0 else 0.0
+            ways.append((ways[-1][0] + along, ways[-1][1] + driven))
+        if len(ways) > len(best[0]):
+            best = tuple(np.array(ways).T)
+        before = now
+    return best
+
+
+def told_of_stretch(ratio: LengthRatio) -> str:
+    """The words about odometry that is longer or shorter than the reference's."""
+    return f"{_TOLD} {ratio.told(0)} than the reference's, so that the scale of one of them is wrong"
+
+
+def is_stretched(registrations: Sequence[Registration]) -> bool:
+    """Whether registrations were refused for the ratio of lengths."""
+    return any(one.reason.startswith(_TOLD) for one in registrations)
