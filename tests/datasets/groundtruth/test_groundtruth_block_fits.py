@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.pose_graph.block_fits import Matches, match_points
+from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits, Matches, match_points, weights_of_patches
 from relocbench.datasets.groundtruth.pose_graph.edge_information import (
     minimum,
     nearest_semidefinite,
@@ -118,6 +118,72 @@ def test_the_odometry_inside_blocks_bounds_what_an_edge_is_worth() -> None:
     worth = np.linalg.inv(with_block_distortion(1e12 * np.eye(6), variance))
     np.testing.assert_allclose(np.diag(worth), variance, rtol=1e-3)
     np.testing.assert_allclose(with_block_distortion(np.eye(6), np.zeros(6)), np.eye(6))
+
+
+def windscreens(seed: int, moved_m: float, noise_m: float = 0.02) -> Submap:
+    """Windscreens of four parked cars beside the road; all have moved forward."""
+    rng, street = np.random.default_rng(seed), walls(seed, 1.5, noise_m)
+    normal = np.array([-0.6, 0.0, 0.8])
+    parts = [
+        np.array([x + moved_m, 5.0, 1.2]) + rng.uniform(-0.6, 0.6, (100, 2)) @ np.array([[0.8, 0, 0.6], [0, 1, 0]])
+        for x in (-4.5, -1.5, 1.5, 4.5)
+    ]
+    points = np.concatenate(parts) + noise_m * rng.normal(size=(400, 1)) * normal
+    kept = (street.normals[:, 2] < 0.8) | (rng.uniform(size=len(street.points)) < 0.6)
+    more, few = len(points), street.points[kept]
+    return Submap(
+        np.concatenate([few, points.astype(np.float32)]),
+        np.concatenate([street.normals[kept], np.tile(normal, (more, 1)).astype(np.float32)]),
+        np.concatenate([street.origins[kept], street.origins[:more]]),
+        np.concatenate([street.surface[kept], street.surface[:more]]),
+        np.concatenate([street.steady[kept], street.steady[:more]]),
+        np.concatenate([street.block[kept], street.block[:more]]),
+    )
+
+
+class Kept:
+    """A store of one block."""
+
+    def __init__(self, block: Submap) -> None:
+        self.block = block
+
+    def get(self, node: int) -> Submap:
+        return self.block
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_parked_cars_that_moved_together_do_not_lift_a_block(seed: int) -> None:
+    fits = BlockFits(Kept(windscreens(seed, 0.0)), Kept(windscreens(100 + seed, 0.11)))  # type: ignore[arg-type]
+    T = np.eye(4)
+    for _ in range(6):
+        fit = fits(0, 0, T)
+        T = T @ se3_exp(minimum(fit.H, fit.g, LEVER_M, 1e-4))
+    # With the points' weights alone the block is lifted by 14 to 25 mm.
+    assert abs(T[2, 3]) < 0.01
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.integers(1, 20))
+def test_patches_weigh_by_their_mean_distance(seed: int, points: int, patches: int) -> None:
+    rng = np.random.default_rng(seed)
+    patch, residuals = rng.integers(0, patches, points), rng.normal(0, 0.03, points)
+    weights = weights_of_patches(residuals, patch)
+    assert np.all((weights > 0) & (weights <= 1))
+    order = rng.permutation(points)
+    np.testing.assert_allclose(weights_of_patches(residuals[order], patch[order]), weights[order])
+    for one in np.unique(patch):
+        assert len(set(weights[patch == one])) == 1
+
+
+def test_noise_leaves_patches_their_weight_and_a_shift_does_not() -> None:
+    noise = np.random.default_rng(0).normal(0, 0.02, 4000)
+    patch = np.repeat([0, 1], 2000)
+    still, moved = weights_of_patches(noise + np.where(patch == 1, 0.06, 0.0), patch)[[0, -1]]
+    assert still > 0.99
+    assert moved == pytest.approx(1 / (1 + 9) ** 2, rel=0.1)
+    alone = weights_of_patches(np.array([0.02]), np.array([7]))
+    assert alone > 0.75
+    assert len(weights_of_patches(np.zeros(0), np.zeros(0, dtype=np.int64))) == 0
 
 
 def test_points_face_their_planes_only() -> None:

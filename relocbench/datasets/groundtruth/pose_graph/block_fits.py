@@ -29,6 +29,8 @@ _COSINE = 0.8
 """cosine of the largest angle between the normals of a match"""
 _PATCH_M = 1.0
 """size of the patches of surface on which errors are correlated"""
+_MOVED_M = 0.015
+"""mean distance of a patch, of very many points, at which its points have a weight of 1/4"""
 _CHARACTERISTIC_LENGTH_M, _OPEN_SHARE = 10.0, 1e-4
 """see :class:`relocbench.datasets.groundtruth.pose_graph.local_edges.LocalOptions`"""
 
@@ -47,13 +49,15 @@ class BlockFits:
         """The fit of two blocks, named by their nodes, at a pose ``T_ref_query`` (4, 4)."""
         planes, points = self._planes(0, ref).level(0), self._planes(1, query).sample(0)
         matches = match_points(planes, points, T_ref_query)
-        product = matches.by_points.T @ (matches.slopes[:, None] * matches.by_planes)
+        still = weights_of_patches(matches.residuals, matches.patches)
+        weights = still * matches.weights
+        product = matches.by_points.T @ ((still * matches.slopes)[:, None] * matches.by_planes)
         H = nearest_semidefinite(product, _CHARACTERISTIC_LENGTH_M)
-        gradients = (matches.weights * matches.residuals)[:, None] * matches.by_points
+        gradients = (weights * matches.residuals)[:, None] * matches.by_points
         g = gradients.sum(axis=0)
         # The scatter is that of the residuals which are left at the minimum of this fit.
         left = matches.residuals + matches.by_planes @ minimum(H, g, _CHARACTERISTIC_LENGTH_M, _OPEN_SHARE)
-        scatter = scatter_by_patch((matches.weights * left)[:, None] * matches.by_points, matches.patches)
+        scatter = scatter_by_patch((weights * left)[:, None] * matches.by_points, matches.patches)
         return LocalFit(H, g, scatter, len(matches))
 
     def _make_planes(self, side: int, node: int) -> PlaneMap:
@@ -102,3 +106,20 @@ def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
     by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
     facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
     return Matches(by_planes, by_points, residuals, weights, slopes, 4 * voxel_keys(q, _PATCH_M) + facing, q)
+
+
+def weights_of_patches(residuals: Array, patches: Indices) -> Array:
+    """(M,) weights of points by the mean distance of the patch that they lie on (Geman-McClure).
+
+    Noise moves the points of a patch to both sides of a plane. A patch that is off as a whole has moved between the
+    drives: a windscreen of a car that is parked 6 cm off has not one point far enough off to be an outlier, but pulls a
+    block by as many points as a facade has.
+
+    Args:
+        residuals: (M,) distances, metres.
+        patches: (M,) number of the patch of surface that each point lies on.
+    """
+    _, patch, count = np.unique(patches, return_inverse=True, return_counts=True)
+    mean = np.bincount(patch, residuals) / count
+    square = np.square(mean) / (_MOVED_M**2 + _SCALE_M**2 / count)
+    return np.asarray(1 / np.square(1 + square))[patch]
