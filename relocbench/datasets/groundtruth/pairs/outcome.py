@@ -18,7 +18,7 @@ from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import adjoint, interpolate, invert
 
 SOURCE = "lidar registration, pose graph"
-_SYSTEMATIC = np.diag(np.repeat([0.001**2, np.radians(0.008) ** 2], 3))
+_SYSTEMATIC = np.diag(np.repeat([0.0007**2, np.radians(0.004) ** 2], 3))
 """(6, 6) covariance of errors that do not average out however many points are matched, such as a bias of ranges that
 depends on the surface"""
 
@@ -164,12 +164,12 @@ class Outcomes:
         query: tuple[Nodes, Trajectory],
         registrations: Sequence[Registration] = (),
         limits: OutcomeLimits | None = None,
-        white_noise_m: tuple[Array, Array] = (np.zeros(3), np.zeros(3)),
+        white_noise: tuple[Array, Array] = (np.zeros(6), np.zeros(6)),
     ) -> None:
         """
         Args:
             reference, query: the nodes of each drive and its odometry.
-            white_noise_m: (3,) of each drive, standard deviations of the odometry's white noise, metres.
+            white_noise: (6,) of each drive, standard deviations of the odometry's white noise, metres and radians.
             registrations: those that the solution was made from; they give the reason where none is trusted.
         """
         self.solution = solution
@@ -177,7 +177,7 @@ class Outcomes:
         self.reference = SolvedDrive(*reference, solution.T_world_ref)
         self.query = SolvedDrive(*query, solution.T_world_query)
         self._registrations = registrations
-        self._white = tuple(np.diag([*np.square(sigmas), 0.0, 0.0, 0.0]) for sigmas in white_noise_m)
+        self._white = tuple(np.diag(np.square(sigmas)) for sigmas in white_noise)
 
     @cached_property
     def _way_to_contradiction(self) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
-from relocbench.datasets.groundtruth.odometry.jitter import white_noise_m
+from relocbench.datasets.groundtruth.odometry.jitter import white_noise
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, SolvedDrive
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
 from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, Solution
@@ -67,7 +67,7 @@ def pair_up(unit: PairingUnit) -> Paired:
         (unit.query.nodes, unit.query.recording.odometry),
         unit.registrations,
         unit.limits,
-        (_white_noise_m(unit.reference), _white_noise_m(unit.query)),
+        (_white_noise(unit.reference), _white_noise(unit.query)),
     )
     found = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
     count = len(unit.reference.nodes)
@@ -80,9 +80,9 @@ def pair_up(unit: PairingUnit) -> Paired:
     )
 
 
-def _white_noise_m(drive: Drive) -> Array:
-    """(3,) of odometry from scans; that of other sensors is a random walk, which the pose graph estimates."""
-    return white_noise_m(drive.recording.odometry) if drive.recording.odometry_lidar else np.zeros(3)
+def _white_noise(drive: Drive) -> Array:
+    """(6,) of odometry from scans; that of other sensors is a random walk, which the pose graph estimates."""
+    return white_noise(drive.recording.odometry) if drive.recording.odometry_lidar else np.zeros(6)
 
 
 def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outcomes: Outcomes) -> list[PairOutcome]:
