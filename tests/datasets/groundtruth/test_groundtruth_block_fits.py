@@ -180,7 +180,7 @@ def test_noise_leaves_patches_their_weight_and_a_shift_does_not() -> None:
     patch = np.repeat([0, 1], 2000)
     still, moved = weights_of_patches(noise + np.where(patch == 1, 0.06, 0.0), patch)[[0, -1]]
     assert still > 0.99
-    assert moved == pytest.approx(1 / (1 + 9) ** 2, rel=0.1)
+    assert moved == pytest.approx(1 / (1 + 16) ** 2, rel=0.1)
     alone = weights_of_patches(np.array([0.02]), np.array([7]))
     assert alone > 0.75
     assert len(weights_of_patches(np.zeros(0), np.zeros(0, dtype=np.int64))) == 0
