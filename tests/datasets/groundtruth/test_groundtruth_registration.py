@@ -457,6 +457,20 @@ def test_distances_between_registrations_tell_the_ratio_of_lengths(stretch: floa
     assert ratio_of_lengths(found, ref, replace(query, segment=np.arange(count) // 3)) is None
 
 
+def test_drift_of_the_reference_from_lap_to_lap_makes_it_no_longer() -> None:
+    count, laps = 200, 4
+    step = se3_exp([4.0, 0, 0, 0, 0, 2 * np.pi / count])
+    lap = np.array([np.linalg.matrix_power(step, k) for k in range(count)])
+    drifted = np.concatenate([se3_exp([0, 10.0 * k, 0, 0, 0, 0.09 * k]) @ lap for k in range(laps)])
+    ref = Nodes(np.arange(laps * count) * 10**9, drifted, np.linspace(0.0, 4.0 * (laps * count - 1), laps * count))
+    query = Nodes(np.arange(count) * 10**9, lap, np.linspace(0.0, 4.0 * (count - 1), count))
+    # Each quarter of the query's lap was found on another lap of the reference.
+    found = [Registration(k + k * laps // count * count, k, np.eye(4), np.eye(6), GOOD) for k in range(count)]
+    ratio = ratio_of_lengths(found, ref, query)
+    assert ratio is not None
+    assert ratio.ratio == pytest.approx(1.0, abs=1e-3)
+
+
 def test_neither_bends_nor_drift_nor_a_second_lap_make_a_drive_longer() -> None:
     for seed in range(20):
         rng, count = np.random.default_rng(seed), 120

@@ -18,7 +18,7 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import invert
 
 _FAR_M = 30.0
-"""metres driven between registrations that follow each other"""
+"""metres that the query drove between registrations that follow each other, and half of what the reference drove"""
 _FEWEST = 8
 """registrations that tell a ratio"""
 _MOST = 2000
@@ -60,6 +60,8 @@ def _ways(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> tu
             and of_ref[before.ref] == of_ref[now.ref]
             and of_query[before.query] == of_query[now.query]
             and abs(query.travelled_m[now.query] - query.travelled_m[before.query]) <= _FAR_M
+            # On another lap of the reference, the drift of a whole lap would count as way.
+            and abs(ref.travelled_m[now.ref] - ref.travelled_m[before.ref]) <= 2 * _FAR_M
         )
         if before is None or not connected:
             ways = [(0.0, 0.0)]
