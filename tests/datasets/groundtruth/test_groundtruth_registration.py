@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -11,11 +12,12 @@ import numpy as np
 import pytest
 import street_clouds as clouds
 from numpy.typing import NDArray
+from scipy.stats import theilslopes
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes, Surface
 from relocbench.datasets.groundtruth.icp.backends import icp_by_backend
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, Linearised, linearise, linearise_both, run_icp
-from relocbench.datasets.groundtruth.registration import along_drive
+from relocbench.datasets.groundtruth.registration import along_drive, lengths
 from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions, register_along
 from relocbench.datasets.groundtruth.registration.global_registration import (
     GlobalOptions,
@@ -457,6 +459,13 @@ def test_distances_between_registrations_tell_the_ratio_of_lengths(stretch: floa
     assert ratio_of_lengths(found, ref, replace(query, segment=np.arange(count) // 3)) is None
 
 
+def straight(stretch: float, count: int) -> Nodes:
+    """Nodes four metres apart, along odometry that is ``stretch`` times as long."""
+    travelled = np.linspace(0.0, 4.0 * (count - 1), count)
+    truth = np.array([se3_exp([x, 0.0, 0.0, 0.0, 0.0, 0.0]) for x in travelled])
+    return Nodes(np.arange(count) * 10**9, truth, travelled).stretched(stretch)
+
+
 def test_drift_of_the_reference_from_lap_to_lap_makes_it_no_longer() -> None:
     count, laps = 200, 4
     step = se3_exp([4.0, 0, 0, 0, 0, 2 * np.pi / count])
@@ -469,6 +478,40 @@ def test_drift_of_the_reference_from_lap_to_lap_makes_it_no_longer() -> None:
     ratio = ratio_of_lengths(found, ref, query)
     assert ratio is not None
     assert ratio.ratio == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_margin_of_a_ratio_reaches_to_its_farther_limit() -> None:
+    count = 75
+    nodes, slipped = straight(1.0, count), se3_exp([-8.0, 0, 0, 0, 0, 0])
+    found = [Registration(k, k, slipped if k > count // 2 else np.eye(4), np.eye(6), GOOD) for k in range(count)]
+    ratio = ratio_of_lengths(found, nodes, nodes)
+    assert ratio is not None
+    # Nearly half of the pairs of registrations tell that both are equally long.
+    assert ratio.ratio > 1.02
+    assert ratio.ratio - ratio.margin < 1.005
+
+
+def test_registrations_of_a_query_that_stands_tell_no_ratio() -> None:
+    nodes = straight(1.0, 20)
+    found = [Registration(k, 5, np.eye(4), np.eye(6), GOOD) for k in range(20)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ratio_of_lengths(found, nodes, nodes) is None
+
+
+def test_a_long_drive_is_thinned_before_its_registrations_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[int] = []
+
+    def counted(y: Array, x: Array, alpha: float) -> Any:
+        compared.append(len(x))
+        return theilslopes(y, x, alpha=alpha)
+
+    monkeypatch.setattr(lengths, "_MOST", 30)
+    monkeypatch.setattr(lengths, "theilslopes", counted)
+    nodes = straight(1.0, 59)
+    found = [Registration(k, k, np.eye(4), np.eye(6), GOOD) for k in range(59)]
+    assert ratio_of_lengths(found, nodes, nodes) is not None
+    assert compared == [30]
 
 
 def test_neither_bends_nor_drift_nor_a_second_lap_make_a_drive_longer() -> None:

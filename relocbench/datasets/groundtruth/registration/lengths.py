@@ -36,16 +36,16 @@ def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: N
     the other by Theil and Sen: the median over all pairs of registrations, of which some may be wrong.
 
     Returns:
-        the ratio and its margin; None if fewer than eight registrations follow each other.
+        the ratio and its margin; None if fewer than eight registrations follow each other, or the query stands still.
     """
     way_ref, way_query = _ways(registrations, ref, query)
-    if len(way_query) < _FEWEST:
+    if len(way_query) < _FEWEST or not np.ptp(way_query) > 0:
         return None
-    every = max(1, len(way_query) // _MOST)
+    every = -(-len(way_query) // _MOST)
     slope, _, low, high = theilslopes(way_ref[::every], way_query[::every], alpha=1 - _DOUBT)
     if not low > 0:
         return None
-    return LengthRatio(float(1 / slope), float(1 / low - 1 / high) / 2)
+    return LengthRatio(float(1 / slope), float(max(1 / low - 1 / slope, 1 / slope - 1 / high)))
 
 
 def _ways(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> tuple[Array, Array]:
