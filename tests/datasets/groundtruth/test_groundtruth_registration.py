@@ -27,9 +27,9 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
     guesses,
 )
 from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
-from relocbench.datasets.groundtruth.registration.lengths import ratio_of_lengths
+from relocbench.datasets.groundtruth.registration.lengths import may_hold_by_chance, ratio_of_lengths
 from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
-from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive
+from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive, unregistered
 from relocbench.datasets.groundtruth.submaps.free_space import FreeSpace
 from relocbench.datasets.groundtruth.submaps.planes import Sample, balanced, direction_bins, grid_planes
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
@@ -457,6 +457,28 @@ def test_distances_between_registrations_tell_the_ratio_of_lengths(stretch: floa
     assert ratio_of_lengths([replace(one, reason="overlap") for one in found], ref, query) is None
     assert ratio_of_lengths(found[:7], ref, query) is None
     assert ratio_of_lengths(found, ref, replace(query, segment=np.arange(count) // 3)) is None
+
+
+@pytest.mark.parametrize(
+    ("trusted", "refused", "elsewhere", "by_chance"),
+    [
+        (30, 0, 0, False),
+        (19, 11, 0, False),
+        (17, 13, 0, True),
+        # A wrong place leads off the reference's road, where nothing is compared.
+        (9, 0, 21, True),
+        (16, 0, 14, False),
+        (9, 0, 0, False),
+        (0, 0, 30, True),
+    ],
+)
+def test_few_registrations_or_little_road_may_hold_by_chance(
+    trusted: int, refused: int, elsewhere: int, by_chance: bool
+) -> None:
+    found = [Registration(k, k, np.eye(4), np.eye(6), GOOD) for k in range(trusted)]
+    found += [Registration(k, k, np.eye(4), np.eye(6), GOOD, "overlap") for k in range(refused)]
+    found += [unregistered((k, k), np.eye(4), "the reference did not come by") for k in range(elsewhere)]
+    assert may_hold_by_chance(found, 4.0) == by_chance
 
 
 def straight(stretch: float, count: int) -> Nodes:

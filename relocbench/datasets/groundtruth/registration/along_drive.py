@@ -24,7 +24,7 @@ from relocbench.datasets.groundtruth.registration.hypotheses import (
     nearest_node,
     with_alternatives,
 )
-from relocbench.datasets.groundtruth.registration.lengths import ratio_of_lengths, told_of_stretch
+from relocbench.datasets.groundtruth.registration.lengths import may_hold_by_chance, ratio_of_lengths, told_of_stretch
 from relocbench.datasets.groundtruth.registration.place_recognition import (
     MapPrior,
     guesses_by_features,
@@ -47,9 +47,6 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 
 _PLACES = (0.5, 0.25, 0.75)
 """parts of the drive at which a stretch of its odometry is looked for"""
-
-_FEW = 0.6
-"""share of trusted registrations below which a stretch is looked for: some may hold by chance in spite of it"""
 
 Remember = Callable[[str, Callable[[], SearchResult]], SearchResult]
 """(key, work) -> the result of the work, done now or earlier"""
@@ -122,19 +119,13 @@ def register_along(
     ratio = ratio_of_lengths(found, nodes_ref, nodes_query)
     certain = ratio is not None and ratio.exceeds(LARGEST_STRETCH)
     suspected = ratio is not None and abs(ratio.ratio - 1) > LARGEST_STRETCH
-    if not certain and (suspected or _share_of_trusted(found) < _FEW):
+    if not certain and (suspected or may_hold_by_chance(found, options.step_m)):
         ratio = registration.ratio_of_lengths()
     if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
         return found
     told = told_of_stretch(ratio)
     say(told)
     return [replace(one, reason=told) for one in found]
-
-
-def _share_of_trusted(found: list[Registration]) -> float:
-    """The share of the registrations that are trusted, of those whose submaps were compared at all."""
-    compared = sum(bool(np.isfinite(one.evidence.overlap_query)) for one in found)
-    return sum(one.trusted for one in found) / max(compared, 1)
 
 
 def _renamed(remember: Remember, suffix: str) -> Remember:

@@ -25,6 +25,10 @@ _MOST = 2000
 """registrations that are compared with each other"""
 _DOUBT = 0.002
 """probability that the true ratio is outside the margin"""
+_FEW = 0.6
+"""share of trusted registrations below which they may hold by chance"""
+_SHORT_M = 60.0
+"""registered length of road, a submap's, below which they may"""
 _TOLD = "the odometry is about"
 
 
@@ -76,6 +80,20 @@ def _ways(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> tu
             best = tuple(np.array(ways).T)
         before = now
     return best
+
+
+def may_hold_by_chance(found: list[Registration], step_m: float) -> bool:
+    """Whether few registrations are trusted of those whose submaps were compared, or little road of the whole drive.
+
+    Some hold by chance in spite of a stretch. A place that fits by chance may lead off the reference's road at once,
+    where nothing is compared.
+
+    Args:
+        step_m: distance between the nodes that are registered.
+    """
+    trusted = sum(one.trusted for one in found)
+    compared = sum(bool(np.isfinite(one.evidence.overlap_query)) for one in found)
+    return trusted < _FEW * max(compared, 1) or (trusted * step_m < _SHORT_M and trusted < _FEW * len(found))
 
 
 def told_of_stretch(ratio: LengthRatio) -> str:
