@@ -285,6 +285,18 @@ def test_white_noise_of_odometry_is_that_of_its_poses() -> None:
         assert not white_noise(Trajectory(odometry.times_ns[:few], odometry.T_odom_rig[:few])).any()
 
 
+@pytest.mark.parametrize(
+    "kept",
+    [np.arange(600) % 8 > 0, np.random.default_rng(4).uniform(size=600) > 0.35, np.arange(600) < 24],
+    ids=["every eighth scan is missing", "a third of them is missing", "a short drive"],
+)
+def test_white_noise_is_told_where_few_scans_follow_each_other(kept: NDArray[np.bool_]) -> None:
+    noise = [0.01, 0.004, 0.004, 0.001, 0.0005, 0.0002]
+    odometry = noisy(np.array([[0.8 * k, 0.0, 0.0] for k in range(600)]), noise, seed=2)
+    found = white_noise(Trajectory(odometry.times_ns[kept], odometry.T_odom_rig[kept]))
+    assert np.all((found > 0.4 * np.array(noise)) & (found < 2.5 * np.array(noise)))
+
+
 def test_a_body_that_sways_and_heaves_is_not_noise_of_odometry() -> None:
     seconds = np.arange(400) / 10
     motion = np.column_stack([8 * seconds, 0.03 * np.sin(8 * seconds), 0.05 * np.sin(8.5 * seconds)])
@@ -292,3 +304,6 @@ def test_a_body_that_sways_and_heaves_is_not_noise_of_odometry() -> None:
     assert along == pytest.approx(0.002, rel=0.25)
     assert across == pytest.approx(0.001, rel=0.25)
     assert height <= across
+    # A heave so fast that differences leave all of it is not taken for noise either.
+    along, across, height, *_ = white_noise(noisy(motion, [0.002, 0.001, 0.005, 0, 0, 0], seed=3))
+    assert height == min(along, across)
