@@ -162,6 +162,16 @@ def test_parked_cars_that_moved_together_do_not_lift_a_block(seed: int) -> None:
     assert abs(T[2, 3]) < 0.01
 
 
+def test_a_step_is_whole_where_all_patches_are_off() -> None:
+    off, steps = 0.02, []
+    for seed in range(6):
+        fits = BlockFits(Kept(walls(seed, 1.0)), Kept(walls(100 + seed, 1.0)))  # type: ignore[arg-type]
+        fit = fits(0, 0, se3_exp([0, off, off, 0, 0, 0]))
+        steps.append(minimum(fit.H, fit.g, LEVER_M, 1e-4)[1:3])
+    # With patches that weigh little in the gradient but in full in H, it is 0.6 of this.
+    np.testing.assert_allclose(np.mean(steps, axis=0), -off, rtol=0.25)
+
+
 @settings(deadline=None, max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.integers(1, 20))
 def test_patches_weigh_by_their_mean_distance(seed: int, points: int, patches: int) -> None:
