@@ -392,6 +392,27 @@ def test_drives_that_gnss_puts_apart_are_found_without_it() -> None:
     ]
 
 
+def test_drives_that_do_not_meet_are_searched_for_without_gnss_at_few_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: list[tuple[bool, int]] = []
+
+    def nothing(self: Any, node: int) -> SearchResult:
+        searched.append((self.prior is not None, node))
+        return SearchResult(None, "nothing holds")
+
+    monkeypatch.setattr(along_drive._DriveRegistration, "_search", nothing)
+    monkeypatch.setattr(along_drive._DriveRegistration, "ratio_of_lengths", lambda self: None)
+    street = clouds.irregular(3)
+    ref, query = clouds.Drive(street, 1, 35.0, 90.0), clouds.Drive(street, 2, 0.0, 400.0)
+    away = make_transform(np.eye(3), [900.0, 0.0, 0.0])
+    found, _, said = tracked(ref, query, prior=MapPrior(ref.T_street_node, away @ query.T_street_node))
+    assert not any(one.trusted for one in found)
+    assert sum(with_gnss for with_gnss, _ in searched) > 10
+    without = [node for with_gnss, node in searched if not with_gnss]
+    assert 4 <= len(without) <= 5
+    assert query.nodes.travelled_m[without[-1]] >= 300
+    assert said[-1] == "they were not found without GNSS either"
+
+
 @pytest.mark.slow
 def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the_reason() -> None:
     street = clouds.irregular(3)

@@ -48,6 +48,10 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 _PLACES = (0.5, 0.25, 0.75)
 """parts of the drive at which a stretch of its odometry is looked for"""
 
+_SEARCHES = 4
+"""parts of the drive, at the beginning of each of which it is searched for without GNSS if nothing holds where GNSS is:
+most of such drives do not meet at all, and a search along the whole reference takes a minute and more"""
+
 Remember = Callable[[str, Callable[[], SearchResult]], SearchResult]
 """(key, work) -> the result of the work, done now or earlier"""
 
@@ -109,7 +113,9 @@ def register_along(
     found = registration.run(first)
     if prior is not None and not any(one.trusted for one in found):
         say("nothing holds where GNSS puts the drives; they are searched for each other without GNSS")
-        alone = _DriveRegistration(ref, query, None, options, say, _renamed(remember, " without GNSS"))
+        apart = float(nodes_query.travelled_m[-1]) / _SEARCHES
+        rarely = replace(options, retry_m=max(options.retry_m, apart))
+        alone = _DriveRegistration(ref, query, None, rarely, say, _renamed(remember, " without GNSS"))
         anew = alone.run(None)
         if any(one.trusted for one in anew):
             say("the drives were found without GNSS, which is wrong for one of them")
