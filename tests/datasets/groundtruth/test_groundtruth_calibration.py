@@ -159,6 +159,21 @@ def test_a_cause_is_judged_by_all_that_is_wrong_and_not_by_what_is_left_after_a_
     assert np.abs(found.errors - truth).max() < 5e-3
 
 
+def test_only_what_is_in_error_is_corrected() -> None:
+    late = SENSORS.spread(Cause("winter", "time")).any(axis=1)
+    truth = np.where(late, LATE_S, 0.0)
+    tilted = SIZE * SENSORS.number("winter", 0) + 4
+    # Less than what a lidar should be good to, but measured.
+    truth[tilted] = 0.0005
+    found = calibrate(_evidence_of(truth, sigma=1e-4), SENSORS)
+    assert found.causes == (Cause("winter", "time"),)
+    assert found.errors[tilted] == pytest.approx(0.0005, abs=2e-4)
+    assert (found.in_error == late).all()
+    assert (found.correction == np.where(late, found.errors, 0.0)).all()
+    assert found.uncorrected(found.correction)[tilted, tilted] >= found.errors[tilted] ** 2
+    assert not calibrate(_evidence_of(0 * truth), SENSORS).correction.any()
+
+
 def test_what_is_not_observed_is_not_guessed() -> None:
     blind = Reduced(np.zeros((SENSORS.unknowns,) * 2), np.zeros(SENSORS.unknowns))
     found = calibrate(blind, SENSORS)

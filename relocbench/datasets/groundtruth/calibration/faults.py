@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.calibration.adjustment import Reduced
 from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Cause, Sensors, unknowns_reduced
 
@@ -25,6 +25,24 @@ class Calibration:
     """(K,) estimated errors, which are the unknowns of :mod:`.unknowns`"""
     covariance: Array
     """(K, K)"""
+
+    @property
+    def in_error(self) -> Mask:
+        """(K,) the unknowns of the causes that are in error."""
+        out = np.zeros(len(self.errors), dtype=np.bool_)
+        for cause in self.causes:
+            out |= self.sensors.spread(cause).any(axis=1)
+        return out
+
+    @property
+    def correction(self) -> Array:
+        """(K,) what is to be corrected: the errors of what is in error.
+
+        All else has estimates too, within what it should be good to. Lidars that are corrected by these are measured
+        anew, and the next estimates are added to them: the rotation of both lidars, which the drives' poses follow,
+        grew from round to round.
+        """
+        return np.where(self.in_error, self.errors, 0.0)
 
     def uncorrected(self, corrected: Array) -> Array:
         """(K, K) second moment of the errors that are left after some (K,) were corrected: uncertainty and rest."""

@@ -28,7 +28,6 @@ from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
 from relocbench.datasets.groundtruth.calibration.unknowns import (
     EVERY,
     RIG,
-    SIZE,
     DriveLidars,
     Sensors,
     unknowns_reduced,
@@ -110,7 +109,7 @@ def align(
         open_to = open_kinds(reduced, sensors)
         if not _settled(found, total) and corrections < _MOST_CORRECTIONS:
             corrections, wrong = corrections + 1, _concerned(found, recordings)
-            total = found.errors * _of_drives(sensors, wrong)
+            total = found.correction
             told = "; ".join(map(str, found.causes)) or "nothing"
             reporter.note(f"calibration: {told} in error; corrected, and registered again")
             continue
@@ -118,10 +117,9 @@ def align(
         file = write_calibration(folder, in_metres, removed, open_to, corrections, at)
         for line in tell(file, in_metres, sum(e.count for e in evidence)):
             reporter.note(line)
-        if corrections and (np.abs(found.errors - total) > _REMAINS * found.sigmas.ravel()).any():
-            reporter.note(
-                f"calibration: errors remain after {corrections} corrections; they are part of the sigma of each pair"
-            )
+        if corrections and _remain(found, total):
+            after = "a correction" if corrections == 1 else f"{corrections} corrections"
+            reporter.note(f"calibration: errors remain after {after}; they are part of the sigma of each pair")
         shared = {
             d.name: SharedErrors(e.by_calibration, found.uncorrected(total))
             for d, e in zip(drives[1:], evidence, strict=True)
@@ -132,11 +130,15 @@ def align(
 
 def _settled(found: Calibration, corrected: Array) -> bool:
     """Whether what was corrected (K,) is what was found, within its uncertainty."""
-    concerned = corrected != 0
-    for cause in found.causes:
-        concerned |= found.sensors.spread(cause).any(axis=1)
+    concerned = (corrected != 0) | found.in_error
     apart = np.abs(found.errors - corrected) > _SETTLED * found.sigmas.ravel()
     return not bool((concerned & apart).any())
+
+
+def _remain(found: Calibration, corrected: Array) -> bool:
+    """Whether errors that were found or corrected (K,) are left."""
+    concerned = (corrected != 0) | found.in_error
+    return bool((concerned & (np.abs(found.errors - corrected) > _REMAINS * found.sigmas.ravel())).any())
 
 
 def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:
@@ -145,11 +147,6 @@ def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[
     if any(o == RIG or o.startswith(EVERY) for o in of):
         return {r.name for r in recordings}
     return {r.name for r in recordings if any(o == r.name or o.startswith(f"{r.name}/") for o in of)}
-
-
-def _of_drives(sensors: Sensors, names: set[str]) -> Array:
-    """(K,) 1 for the unknowns of some drives, else 0."""
-    return np.repeat([float(drive in names) for drive, _ in sensors.names], SIZE)
 
 
 def _places(recordings: Sequence[FieldRecording], wrong: set[str], folder: Path, corrections: int) -> Places:
