@@ -107,7 +107,7 @@ def align(
         reduced = sum((e.reduced for e in evidence[1:]), evidence[0].reduced).about(total)
         found = calibrate(reduced, sensors)
         open_to = open_kinds(reduced, sensors)
-        if not _settled(found, total) and corrections < _MOST_CORRECTIONS:
+        if corrections < _MOST_CORRECTIONS and _differ(found, total, _SETTLED):
             corrections, wrong = corrections + 1, _concerned(found, recordings)
             total = found.correction
             told = "; ".join(map(str, found.causes)) or "nothing"
@@ -117,7 +117,7 @@ def align(
         file = write_calibration(folder, in_metres, removed, open_to, corrections, at)
         for line in tell(file, in_metres, sum(e.count for e in evidence)):
             reporter.note(line)
-        if corrections and _remain(found, total):
+        if corrections and _differ(found, total, _REMAINS):
             after = "a correction" if corrections == 1 else f"{corrections} corrections"
             reporter.note(f"calibration: errors remain after {after}; they are part of the sigma of each pair")
         shared = {
@@ -128,17 +128,10 @@ def align(
         return Aligned(drives, registrations, shared)
 
 
-def _settled(found: Calibration, corrected: Array) -> bool:
-    """Whether what was corrected (K,) is what was found, within its uncertainty."""
+def _differ(found: Calibration, corrected: Array, sigmas: float) -> bool:
+    """Whether an error that was found or corrected (K,) differs by more standard deviations from what was corrected."""
     concerned = (corrected != 0) | found.in_error
-    apart = np.abs(found.errors - corrected) > _SETTLED * found.sigmas.ravel()
-    return not bool((concerned & apart).any())
-
-
-def _remain(found: Calibration, corrected: Array) -> bool:
-    """Whether errors that were found or corrected (K,) are left."""
-    concerned = (corrected != 0) | found.in_error
-    return bool((concerned & (np.abs(found.errors - corrected) > _REMAINS * found.sigmas.ravel())).any())
+    return bool((concerned & (np.abs(found.errors - corrected) > sigmas * found.sigmas.ravel())).any())
 
 
 def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:

@@ -49,9 +49,9 @@ class BlockFits:
         """The fit of two blocks, named by their nodes, at a pose ``T_ref_query`` (4, 4)."""
         planes, points = self._planes(0, ref).level(0), self._planes(1, query).sample(0)
         matches = match_points(planes, points, T_ref_query)
-        still = weights_of_patches(matches.residuals, matches.patches)
-        weights = still * matches.weights
-        product = matches.by_points.T @ ((still * matches.slopes)[:, None] * matches.by_planes)
+        of_patches = weights_of_patches(matches.residuals, matches.patches)
+        weights = of_patches * matches.weights
+        product = matches.by_points.T @ ((of_patches * matches.slopes)[:, None] * matches.by_planes)
         H = nearest_semidefinite(product, _CHARACTERISTIC_LENGTH_M)
         gradients = (weights * matches.residuals)[:, None] * matches.by_points
         g = gradients.sum(axis=0)
