@@ -13,7 +13,7 @@ help:            ## list the targets
 
 setup: $(VENV)/.ready ## virtual environment, pinned packages, system libraries
 
-$(VENV)/.ready: tools/setup.sh tools/hashes.txt pyproject.toml
+$(VENV)/.ready: tools/setup.sh tools/hashes.txt pyproject.toml relocbench/version.py
 	VENV=$(VENV) tools/setup.sh
 
 browser:         ## Chromium, which the tests of the pages in HTML open them in (they are skipped without one)
