@@ -2,7 +2,7 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup browser test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
+.PHONY: help setup browser test test-rest test-all test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
 PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra bags --extra cluster --extra registration --extra learned \
@@ -19,12 +19,18 @@ $(VENV)/.ready: tools/setup.sh tools/hashes.txt pyproject.toml relocbench/versio
 browser:         ## Chromium, which the tests of the pages in HTML open them in (they are skipped without one)
 	tools/browser.sh
 
-PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=20
+PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n logical --dist loadfile --no-loadscope-reorder --durations=20
 
-test: setup      ## the test suite on two cores, the files that take longest first
+test: setup      ## the quick tests: each promise once, on all cores
+	$(PYTEST) -m "not thorough"
+
+test-rest: setup ## the other tests, marked thorough: more cases of the same promises
+	$(PYTEST) -m thorough
+
+test-all: setup  ## all tests: those of test and of test-rest
 	$(PYTEST)
 
-test-busy: setup ## the test suite with eight busy loops beside it
+test-busy: setup ## all tests with eight busy loops beside them
 	tools/beside_busy_loops.sh 8 $(PYTEST)
 
 test-processors: setup ## the tests as other processors would run them, a table of what failed (TESTS=files)
