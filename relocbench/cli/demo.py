@@ -68,7 +68,7 @@ def demo(
         )
         board = write_leaderboard(out / "results", out / "leaderboard", reporter=report)
         (of_street,) = (each for each in board.datasets if each.entry.record.fingerprint == dataset.fingerprint)
-        found = by_condition(of_street)
+        found = by_condition([of_street])
         write_condition_picture(found, dataset, out / PICTURE)
         page = write_site(Boards(board, None, None), out / "leaderboard" / "html", reporter=report)
     if json:
@@ -110,8 +110,10 @@ def _print_summary(results: ByCondition) -> None:
     from relocbench.metrics import CORRECT
 
     metres, degrees = CORRECT
-    title = f"Map: {results.map_condition}. Queries found within {metres:g} m and {degrees:g}°, in %"
+    title = f"Map: {results.columns[0].map_condition}. Queries found within {metres:g} m and {degrees:g}°, in %"
     # A word a line, so that the table fits a narrow terminal.
-    named = ["\n".join((*c.condition.split(", "), *(["(same drive)"] if c.one_drive else []))) for c in results.columns]
+    named = [
+        "\n".join((*c.condition.split(", "), *(["(same drive)"] if c.same_drive else []))) for c in results.columns
+    ]
     rows = [[line.label, *(number(found.share, "share") for found in line.found)] for line in results.lines]
-    print_table(title, ["method", *named], rows)
+    print_table(title, ["method", *map("\n".join, named)], rows)

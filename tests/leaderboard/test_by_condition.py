@@ -1,21 +1,27 @@
-"""Shares and marks by the condition of the query."""
+"""The matrix of methods and conditions."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from test_leaderboard import Made, MadeResults
 
+from relocbench.evaluation.common.error_table import ErrorTable
 from relocbench.leaderboard.tracking.by_condition import ByCondition, by_condition
+from relocbench.leaderboard.tracking.thresholds import FinerThresholds, finer_thresholds
 
 SNOW, NIGHT, OWN = "sun__snow__front", "sun__night__front", "sun__sun__front"
 BAD = np.inf
 
 
-def sorted_by_condition(root: Path) -> ByCondition:
-    results = MadeResults(root, {NIGHT: 4, OWN: 3, SNOW: 4}, splits={"test": (SNOW, NIGHT, OWN)})
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> ByCondition:
+    results = MadeResults(
+        tmp_path_factory.mktemp("results"), {NIGHT: 4, OWN: 3, SNOW: 4}, splits={"test": (SNOW, NIGHT, OWN)}
+    )
     results.write_dataset()
     good = Made([0.1, 0.1, 0.1], [0.1] * 3)
     results.add("close", {OWN: good, SNOW: Made([0.1, 0.3, BAD, 0.1], [0.1, 0.1, BAD, 3.0])})
@@ -23,38 +29,71 @@ def sorted_by_condition(root: Path) -> ByCondition:
         "far", {OWN: good, SNOW: Made([0.1] * 4, [0.1] * 4), NIGHT: Made([0.1, 0.1, BAD, BAD], [1, 3, BAD, BAD])}
     )
     results.add("identity", {OWN: good, SNOW: good_of(4), NIGHT: good_of(4)})
-    return by_condition(results.board().datasets[0])
+    return by_condition(results.board().datasets)
 
 
 def good_of(count: int) -> Made:
     return Made([0.1] * count, [0.1] * count)
 
 
-def test_the_maps_own_drive_is_first_and_floors_are_last(tmp_path: Path) -> None:
-    found = sorted_by_condition(tmp_path)
-    assert [c.pair_set for c in found.columns] == [OWN, SNOW, NIGHT]
-    assert [c.one_drive for c in found.columns] == [True, False, False]
-    assert [line.label for line in found.lines] == ["far", "close", "identity"]
-    assert [line.floor for line in found.lines] == [False, False, True]
+def test_the_maps_own_drive_is_first_and_trivial_baselines_are_last(found: ByCondition) -> None:
+    assert [column.pair_sets for column in found.columns] == [(OWN,), (NIGHT,), (SNOW,)]
+    assert [column.same_drive for column in found.columns] == [True, False, False]
+    assert [(line.label, line.baseline) for line in found.lines] == [
+        ("far", False),
+        ("close", False),
+        ("identity", True),
+    ]
 
 
-def test_an_answer_is_found_within_both_thresholds(tmp_path: Path) -> None:
-    far, close, _ = sorted_by_condition(tmp_path).lines
-    assert close.found[1].right.tolist() == [True, False, False, False]
-    assert close.found[1].share == pytest.approx(0.25)
-    assert far.found[2].right.tolist() == [True, False, False, False]
-    assert far.found[2].share == pytest.approx(0.25)
+def test_an_answer_is_found_within_both_thresholds(found: ByCondition) -> None:
+    far, close, _ = found.lines
+    assert close.found[2].right.tolist() == [True, False, False, False]
+    assert close.found[2].share == pytest.approx(0.25)
+    assert far.found[1].right.tolist() == [True, False, False, False]
+    assert far.share == pytest.approx((1 + 0.25) / 2)
 
 
-def test_a_missing_result_has_neither_share_nor_marks(tmp_path: Path) -> None:
-    close = sorted_by_condition(tmp_path).lines[1]
-    assert close.found[2].share is None
-    assert len(close.found[2].right) == 0
+def test_a_missing_result_has_neither_share_nor_marks(found: ByCondition) -> None:
+    close = found.lines[1]
+    assert close.share is None
+    assert close.found[1].share is None
+    assert len(close.found[1].right) == 0
 
 
-def test_pair_sets_of_several_maps_are_refused(tmp_path: Path) -> None:
-    results = MadeResults(tmp_path, {SNOW: 2, "rain__snow__front": 2})
+def test_methods_that_the_data_cannot_tell_apart_have_no_rank(found: ByCondition) -> None:
+    assert [line.rank for line in found.lines] == [None, None, None]
+
+
+def test_pair_sets_of_one_condition_share_a_column_and_count_the_same(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path, {SNOW: 2, "sun__snow__rear": 4})
     results.write_dataset()
-    results.add("close", {SNOW: good_of(2), "rain__snow__front": good_of(2)})
-    with pytest.raises(ValueError, match="all of one map"):
-        by_condition(results.board().datasets[0])
+    results.add("close", {SNOW: good_of(2), "sun__snow__rear": Made([0.1, BAD, BAD, BAD], [0.1, BAD, BAD, BAD])})
+    found = by_condition(results.board().datasets)
+    assert [(column.pair_sets, column.pairs) for column in found.columns] == [((SNOW, "sun__snow__rear"), 6)]
+    assert found.lines[0].share == pytest.approx((1 + 0.25) / 2)
+
+
+@pytest.mark.parametrize(
+    ("distances", "expected"),
+    [
+        ([0.2, 0.3, 0.4], None),
+        ([0.2, 0.2, 0.4], FinerThresholds(0.1, 1.0, 2 / 3)),
+        ([0.06, 0.06, 0.2], FinerThresholds(0.05, 0.5, 1.0)),
+        ([0.01, 0.01, 0.01], FinerThresholds(0.025, 0.25, 1.0)),
+        ([0.01, 0.01, None], None),
+    ],
+)
+def test_the_finer_default_is_the_first_that_standing_still_does_not_solve(
+    distances: list[float | None], expected: FinerThresholds | None, tmp_path: Path
+) -> None:
+    results = MadeResults(tmp_path, {SNOW: 3})
+    results.write_dataset()
+    results.add("close", {SNOW: good_of(3)})
+    entry = results.board().datasets[0].entry
+    (method,) = entry.methods
+    rows = [
+        replace(row, distance_m=far, angle_deg=0.0) for row, far in zip(method.errors[SNOW], distances, strict=True)
+    ]
+    apart = replace(method, errors={SNOW: ErrorTable.of(rows)})
+    assert finer_thresholds(replace(entry, methods=(apart,))) == expected

@@ -1,38 +1,64 @@
-"""Which method finds what share of the queries, by the condition that the query was taken in."""
+"""The matrix that every board opens with: what share of the pairs each method finds, by condition.
+
+Pages, Markdown, the terminal and the demo's picture show the same rows, columns and numbers.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.leaderboard.tracking.model import DatasetBoard, Row, Table
+from relocbench.leaderboard.tracking.cells import shown_rank
+from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.marks import is_ranked
+from relocbench.leaderboard.tracking.model import DatasetBoard, Table
+from relocbench.leaderboard.tracking.thresholds import finer_thresholds
 from relocbench.metrics import CORRECT, within
-
-RECALL = f"recall@({CORRECT[0]:g}m,{CORRECT[1]:g}deg)"
-"""the metric of the shares: that of an answer that counts as found"""
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What one method finds of the queries of one pair set."""
-
-    share: float | None
-    """:data:`RECALL` as the board has it; None without a result"""
-    right: NDArray[np.bool_]
-    """(N,) whether each pair is found, by time of the query and then of the keyframe; empty without a result"""
+from relocbench.metrics.pose.registry import SIGMA_FACTOR
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """The queries of one pair set."""
+    """The pairs of one dataset whose keyframes are of one condition and whose queries are of one."""
 
-    pair_set: str
+    dataset: DatasetBoard
+    pair_sets: tuple[str, ...]
+    map_condition: str
     condition: str
+    """of the queries"""
+    split: str
+    """empty where all results of the dataset are of one split"""
     pairs: int
-    one_drive: bool
+    same_drive: bool
     """whether keyframes and queries are of one drive, and so of one condition"""
+    metres: float = CORRECT[0]
+    degrees: float = CORRECT[1]
+    """the greatest errors of a pair that is found"""
+
+    @property
+    def is_finer(self) -> bool:
+        """Whether a pair must be closer than usual: the dataset's :func:`finer_thresholds`."""
+        return (self.metres, self.degrees) != CORRECT
+
+    @property
+    def is_finer_than_truth(self) -> bool:
+        """Whether the thresholds are finer than the ground truth allows."""
+        records = [self.dataset.entry.pair_sets[name] for name in self.pair_sets]
+        sigmas = [(r.median_sigma_translation_m or 0.0, r.median_sigma_rotation_deg or 0.0) for r in records]
+        return any(self.metres < SIGMA_FACTOR * m or self.degrees < SIGMA_FACTOR * deg for m, deg in sigmas)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What one method finds of the pairs of one column."""
+
+    share: float | None
+    """the mean over the column's pair sets, each counting the same; None where the result on one is missing"""
+    right: NDArray[np.bool_]
+    """(N,) whether each pair is found, by time of the query and then of the keyframe; empty without a share"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,57 +66,107 @@ class Line:
     """One method, from the first column to the last."""
 
     label: str
-    floor: bool
+    method: Method
+    """its results on the first dataset that has any"""
+    rank: int | None
+    """in the first total of the only dataset; None over several, and where no rank is shown"""
+    baseline: bool
+    """whether it is a trivial baseline"""
+    share: float | None
+    """the mean over the pair sets across conditions, or over all where there are none; None where one is missing"""
     found: tuple[Found, ...]
+    """one a column"""
 
 
 @dataclass(frozen=True, eq=False)
 class ByCondition:
-    """The methods of a dataset with one map, against the conditions of its queries."""
+    """The methods against the conditions."""
 
-    map_condition: str
     columns: tuple[Column, ...]
-    """the map's own drive first, then in the order of the dataset's splits"""
+    """by dataset and split; pairs of the same drive first, then in the order of the dataset's pair sets"""
     lines: tuple[Line, ...]
-    """the method that finds most in all columns first, floors last"""
+    """the method that finds most across conditions first, trivial baselines last"""
+
+    @property
+    def usual(self) -> ByCondition:
+        """Without the columns of finer thresholds."""
+        kept = [i for i, column in enumerate(self.columns) if not column.is_finer]
+        lines = tuple(replace(line, found=tuple(line.found[i] for i in kept)) for line in self.lines)
+        return ByCondition(tuple(self.columns[i] for i in kept), lines)
 
 
-def by_condition(board: DatasetBoard) -> ByCondition:
-    """Sort the results on a dataset whose pair sets share one map by the condition of the query.
+def by_condition(datasets: Sequence[DatasetBoard]) -> ByCondition:
+    """Sort the results on some datasets by the condition of the query.
 
-    Raises:
-        ValueError: the dataset has no pair set with results, or pair sets of several maps.
+    The columns of a dataset that standing still nearly solves occur twice: within the usual thresholds, and beside it
+    within the finer ones that fit.
     """
-    driven = [name for names in board.entry.splits.values() for name in names]
-    tables = sorted(board.pair_sets, key=lambda table: (not _one_drive(board, table), driven.index(table.pair_set)))
-    records = [board.entry.pair_sets[table.pair_set] for table in tables]
-    if len({record.reference for record in records}) != 1:
-        raise ValueError("expected pair sets with results, all of one map")
-    columns = [
-        Column(table.pair_set, record.query_condition, table.pairs, _one_drive(board, table))
-        for table, record in zip(tables, records, strict=True)
-    ]
-    rows = [{row.method.label: row for row in table.rows} for table in tables]
-    lines = [
-        Line(
-            method.label,
-            method.is_floor or method.is_clock,
-            tuple(_found(of_set[method.label], table) for of_set, table in zip(rows, tables, strict=True)),
-        )
-        for method in board.entry.methods
-    ]
-    lines.sort(key=lambda line: (line.floor, -sum(int(found.right.sum()) for found in line.found), line.label))
-    return ByCondition(records[0].reference_condition, tuple(columns), tuple(lines))
+    columns = [column for dataset in datasets for column in _columns(dataset)]
+    methods: dict[str, Method] = {}
+    for dataset in datasets:
+        for method in dataset.entry.methods:
+            methods.setdefault(method.label, method)
+    ranks = _ranks(datasets)
+    lines = [_line(label, method, ranks.get(label), columns) for label, method in methods.items()]
+    return ByCondition(tuple(columns), tuple(sorted(lines, key=_place)))
 
 
-def _one_drive(board: DatasetBoard, table: Table) -> bool:
-    record = board.entry.pair_sets[table.pair_set]
-    return record.reference == record.query
+def _columns(dataset: DatasetBoard) -> list[Column]:
+    entry = dataset.entry
+    tables = {table.pair_set: table for table in dataset.pair_sets}
+    split_of = {name: split for split, names in entry.splits.items() for name in names}
+    splits = [split for split in (*entry.splits, "") if any(split_of.get(name, "") == split for name in tables)]
+    found: dict[tuple[int, bool, str, str], list[Table]] = {}
+    for name in entry.pair_sets:
+        if name in tables:
+            record, split = entry.pair_sets[name], splits.index(split_of.get(name, ""))
+            across = record.reference != record.query
+            key = split, across, record.reference_condition, record.query_condition
+            found.setdefault(key, []).append(tables[name])
+    finer = finer_thresholds(entry)
+    columns = []
+    for (split, across, map_condition, condition), own in sorted(found.items(), key=lambda item: item[0][:2]):
+        shown = splits[split] if len(splits) > 1 else ""
+        names, pairs = tuple(t.pair_set for t in own), sum(t.pairs for t in own)
+        column = Column(dataset, names, map_condition, condition, shown, pairs, not across)
+        columns.append(column)
+        if finer is not None:
+            columns.append(replace(column, metres=finer.metres, degrees=finer.degrees))
+    return columns
 
 
-def _found(row: Row, table: Table) -> Found:
-    if row.missing:
+def _ranks(datasets: Sequence[DatasetBoard]) -> dict[str, int | None]:
+    """The ranks in the first total, which is that across conditions where there is one."""
+    if len(datasets) != 1 or not datasets[0].totals:
+        return {}
+    first = datasets[0].totals[0]
+    return {row.method.label: shown_rank(row, first) for row in first.rows}
+
+
+def _line(label: str, method: Method, rank: int | None, columns: Sequence[Column]) -> Line:
+    found = tuple(_found(label, column) for column in columns)
+    usual = [(column, own) for column, own in zip(columns, found, strict=True) if not column.is_finer]
+    counted = [each for each in usual if not each[0].same_drive] or usual
+    sets = sum(len(column.pair_sets) for column, _ in counted)
+    shares = [None if own.share is None else own.share * len(column.pair_sets) for column, own in counted]
+    known = [share for share in shares if share is not None]
+    share = sum(known) / sets if known and len(known) == len(shares) else None
+    return Line(label, method, rank, method.is_floor or method.is_clock, share, found)
+
+
+def _place(line: Line) -> tuple[bool, bool, int, float, float, str]:
+    known = [own.share for own in line.found if own.share is not None]
+    missing = len(line.found) - len(known)
+    return line.baseline, not is_ranked(line.method), missing, -(line.share or 0.0), -sum(known), line.label
+
+
+def _found(label: str, column: Column) -> Found:
+    method = next((m for m in column.dataset.entry.methods if m.label == label), None)
+    tables = [] if method is None else [method.errors.get(name) for name in column.pair_sets]
+    known = [table for table in tables if table is not None]
+    if not known or len(known) < len(column.pair_sets):
         return Found(None, np.zeros(0, dtype=np.bool_))
-    errors = row.method.errors[table.pair_set]
-    order = np.lexsort((errors.keys[:, 0], errors.keys[:, 1]))
-    return Found(row.values[RECALL], within(errors.errors, *CORRECT)[order])
+    rights = [within(table.errors, column.metres, column.degrees) for table in known]
+    keys = np.concatenate([table.keys for table in known])
+    order = np.lexsort((keys[:, 0], keys[:, 1]))
+    return Found(float(np.mean([right.mean() for right in rights])), np.concatenate(rights)[order])

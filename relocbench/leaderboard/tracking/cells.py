@@ -24,6 +24,8 @@ SHOWN = (
     "recall@(5m,10deg)",
 )
 DAGGER = "†"
+NO_RANK = "–"
+"""in place of the rank that all methods of a table would share"""
 
 
 def shown_metrics(board: Board) -> list[Metric]:
@@ -56,9 +58,17 @@ def name(row: Row) -> str:
     return " ".join([*told, *(["(missing)"] if row.missing else []), *signs(row.method).split()])
 
 
-def rank(row: Row) -> str:
-    """The rank, empty for a method that has none."""
-    return "" if row.rank is None else str(row.rank)
+def shown_rank(row: Row, table: Table) -> int | None:
+    """The rank; None for a method without one, and where all methods share one, which says nothing of any."""
+    return None if share_a_rank(table.rows) else row.rank
+
+
+def rank(row: Row, table: Table) -> str:
+    """The rank as text: empty for a method that has none, a dash where all methods share one."""
+    if row.rank is None:
+        return ""
+    shown = shown_rank(row, table)
+    return NO_RANK if shown is None else str(shown)
 
 
 def cell(metric: Metric, row: Row, table: Table, *, interval: bool = True) -> str:

@@ -56,6 +56,7 @@ def write_condition_picture(results: ByCondition, dataset: Dataset, path: Path) 
 
     Raises:
         DatasetError: a damaged image.
+        ValueError: the results are of several maps, or of none.
     """
     picture = condition_picture(results, dataset)
     write_bytes(path, png_of(lambda: _figure(picture)))
@@ -66,7 +67,10 @@ def condition_picture(results: ByCondition, dataset: Dataset) -> ConditionPictur
 
     Drives of the rendered town are in step, so that equal places in a drive are equal places in the street.
     """
-    sets = [dataset.pair_set(column.pair_set) for column in results.columns]
+    results = results.usual
+    if len({column.map_condition for column in results.columns}) != 1:
+        raise ValueError("expected results of one map")
+    sets = [dataset.pair_set(column.pair_sets[0]) for column in results.columns]
     middle = sets[-1].pairs[len(sets[-1].pairs) // 2]
     queries = [as_rgb(dataset.query(one, one.pairs[len(one.pairs) // 2]).image) for one in sets]
     return ConditionPicture(results, as_rgb(dataset.reference(sets[-1], middle).image), tuple(queries))
@@ -83,7 +87,7 @@ def _figure(picture: ConditionPicture) -> Figure:
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
     lefts = [_EDGE + i * (wide + _GAP) for i in range(count)]
-    headings = [(results.map_condition, "the map"), *((c.condition, _role(c)) for c in results.columns)]
+    headings = [(results.columns[0].map_condition, "the map"), *((c.condition, _role(c)) for c in results.columns)]
     for left, image, (condition, role) in zip(lefts, (picture.keyframe, *picture.queries), headings, strict=True):
         top = _EDGE + _HEADING
         axes.imshow(image, extent=(left, left + wide, top + high, top), aspect="auto", interpolation="lanczos")
@@ -93,7 +97,7 @@ def _figure(picture: ConditionPicture) -> Figure:
         y = below_images + (number + 0.5) * _LINE
         if number % 2 == 0:
             axes.add_patch(Rectangle((0, y - _LINE / 2), _WIDTH, _LINE, facecolor=_BAND, linewidth=0))
-        colour = _FAINT if line.floor else _TEXT
+        colour = _FAINT if line.baseline else _TEXT
         axes.text(lefts[0] + 0.05, y, _short(line.label), va="center_baseline", size=12, color=colour)
         for left, found in zip(lefts[1:], line.found, strict=True):
             _cell(axes, found, left, wide, y)
@@ -133,7 +137,7 @@ def _legend(axes: Axes, lefts: Sequence[float], y: float) -> None:
 
 
 def _role(column: Column) -> str:
-    return "queries, of the same drive" if column.one_drive else "queries"
+    return "queries, of the same drive" if column.same_drive else "queries"
 
 
 def _short(text: str) -> str:

@@ -107,7 +107,7 @@ def _total_table(board: Board, dataset: DatasetBoard, table: Table) -> str:
     ]
     rows = [
         [
-            rank(row),
+            rank(row, table),
             name(row),
             cell(board.metric, row, table, interval=row.rank is not None and not share_a_rank(table.rows)),
             *(cell(board.metric, same_method(row, group), group, interval=False) for group in groups),

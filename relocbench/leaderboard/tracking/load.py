@@ -156,6 +156,10 @@ class DatasetEntry:
         """The pair sets on which at least one method was run, completely or not."""
         return tuple(n for n in self.pair_sets if any(n in m.errors or n in m.stopped for m in self.methods))
 
+    def errors_of(self, pair_set: str) -> ErrorTable | None:
+        """The errors of the first method that has a result on a pair set: all have the same pairs."""
+        return next((m.errors[pair_set] for m in self.methods if pair_set in m.errors), None)
+
     def groups(self, pair_set: str) -> list[str]:
         """The named groups of a pair set in natural order; none where all pairs are in one group."""
         return sorted(self.pair_sets[pair_set].groups, key=natural) if len(self.pair_sets[pair_set].groups) > 1 else []

@@ -229,7 +229,7 @@ def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
     ]
     rows = []
     for row in table.rows:
-        head = [*([rank(row)] if ranks else []), name(row)]
+        head = [*([rank(row, table)] if ranks else []), name(row)]
         rows.append([*head, *(cell(m, row, table) for m in metrics), _seconds(row), _counts(row)])
     for seed_row in table.seeds:
         head = [*([""] if ranks else []), f"*{escaped(seed_row.title)}, mean ± sd*"]
