@@ -150,6 +150,8 @@ class TrainingRun:
     """number of background processes that read pairs; 0 for none"""
     device: str = "cpu"
     reporter: Reporter = field(default_factory=Silent)
+    tensorboard: Path | None = None
+    """folder for event files of TensorBoard, of what is logged anyway; None: there are none"""
 
 
 @dataclass(frozen=True)

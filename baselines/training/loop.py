@@ -28,6 +28,7 @@ from baselines.training.checkpoint_content import check_state, restore_network, 
 from baselines.training.ema import EmaNetwork
 from baselines.training.loading import batches_in_order
 from baselines.training.log import SECONDS, Row, Table, Window
+from baselines.training.tensorboard import EventFile
 from relocbench.errors import MethodError
 from relocbench.training import TrainingReport, TrainingRun, ValidationScores
 
@@ -185,7 +186,7 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         """Begin at the first step, or where the folder's checkpoint stands.
 
         Raises:
-            MethodError: the folder holds another training, or the checkpoint is damaged.
+            MethodError: the folder holds another training, the checkpoint is damaged, or TensorBoard is not installed.
         """
         path = self._checkpoint
         found = load_checkpoint(path, self._identity)
@@ -203,6 +204,7 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
             self.window = Window(found.window, found.window_steps)
         self.log = Table(self.run.out / "log.csv", self.step)
         self.validation = Table(self.run.out / "validation.csv", self.step)
+        self._events = EventFile(self.run.tensorboard, self.step) if self.run.tensorboard else None
 
     def run_to_end(self) -> TrainingReport:
         """Take all steps that are left.
@@ -259,7 +261,10 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         ends = self.step == stage.stop
         if self.step % self.options.log_every == 0 or ends:
             times = {"step": self.step, SECONDS: self.seconds}
-            self.log.add({**times, **self.log_labels(), **self.window.take()})
+            means = self.window.take()
+            self.log.add({**times, **self.log_labels(), **means})
+            if self._events:
+                self._events.add(self.step, {f"training/{name}": mean for name, mean in means.items()})
         validates = ends or (self.step - stage.start) % self._validate_every == 0
         if validates:
             self._keep_if_better()
@@ -281,6 +286,8 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         group_column, count_column = self.validation_columns
         for group, count, values in score_rows(scores):
             self.validation.add({"step": self.step, group_column: group, count_column: count, **values})
+            if self._events:
+                self._events.add(self.step, {f"{name}/{group}": value for name, value in values.items()})
         score = float(np.mean(list(scores.together.values())))
         if self.best is None or score >= self.best.score:
             self.best = Best.of(self.step, score, self.kept_network, scores)
@@ -302,6 +309,8 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
 
     def _finish(self) -> TrainingReport:
         """Write the kept weights and the model card; without validation the last weights are kept."""
+        if self._events:
+            self._events.close()
         best = self.best or Best.of(self.step, math.nan, self.kept_network, None)
         self.network.load_state_dict(best.weights)
         self.save_weights(self.weights, self.network, best.step, best.scores or None)

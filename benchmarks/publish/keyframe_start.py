@@ -72,7 +72,12 @@ def main() -> None:
     torch.set_num_threads(1)
     seeds = [int(part) for part in options.districts.split(",")]
     named = [text.partition("=") for text in options.weights or [f"shipped={SHIPPED / 'gn-net.safetensors'}"]]
-    answers = {name: {seed: answers_of(asked, seed, options) for seed in seeds} for name, _, asked in named}
+    missing = [file for file in (split(given)[0] for _, _, given in named) if not Path(file).is_file()]
+    if missing:
+        parser.error(
+            f"no such file: {', '.join(missing)}; docs/weights.md says how to train the weights of other seeds"
+        )
+    answers = {name: {seed: answers_of(given, seed, options) for seed in seeds} for name, _, given in named}
     answers |= {name: {seed: answers_of_other(name, seed, options) for seed in seeds} for name in options.method}
     told = {name: table(name, answers, chosen) for name, chosen in GROUPS.items()}
     print(json.dumps({"benchmark": "keyframe_start", **told}))

@@ -102,6 +102,14 @@ def train(
     device: Annotated[
         str | None, typer.Option(metavar="NAME", help="cpu, cuda, cuda:1, ... [default: a GPU where there is one].")
     ] = None,
+    tensorboard: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Write losses and validation scores for TensorBoard into this folder, too (needs the extra "
+            "'tensorboard').",
+        ),
+    ] = None,
     show_options: Annotated[
         bool, typer.Option("--show-options", help="Print the trainer's options as YAML and stop.")
     ] = False,
@@ -152,9 +160,9 @@ def train(
 
     from relocbench.training import TrainingRun
 
-    for root in dataset:
-        if out.resolve().is_relative_to(root.resolve()):
-            raise ConfigError("--out lies inside a dataset, which it would change; choose another folder", out)
+    for option, folder in (("--out", out), ("--tensorboard", tensorboard)):
+        if folder and any(folder.resolve().is_relative_to(root.resolve()) for root in dataset):
+            raise ConfigError(f"{option} lies inside a dataset, which it would change; choose another folder", folder)
     place = device or _device()
     words = ["train", name, *(f"--dataset={root}" for root in dataset), f"--out={out}"]
     words += [f"--config={config}"] if config else []
@@ -163,7 +171,7 @@ def train(
     asked = f"--validation-places={validation_places:g}" if of_places else f"--validation-pairs={validation_pairs}"
     words += ["--no-validation" if no_validation else asked]
     command = shlex.join(["relocbench", *words, f"--device={place}"])
-    run = TrainingRun(out, name, command, 1 if workers is None else workers, place, reporter(quiet))
+    run = TrainingRun(out, name, command, 1 if workers is None else workers, place, reporter(quiet), tensorboard)
     with alone_writing_to(out, MethodError):
         remove_parts(out, deep=False)
         if isinstance(trainer, PlaceTrainer):
