@@ -66,21 +66,21 @@ def test_the_first_tutorial_prints_what_it_shows(street: Path) -> None:
     assert_as_shown(FIRST, json.loads((street / "printed.json").read_text()))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ON_THE_STREET)
 def test_a_tutorial_that_goes_on_prints_what_it_shows(name: str, street: Path, tmp_path: Path) -> None:
     page = TUTORIALS / f"{name}.md"
     assert_as_shown(page, tutorial_pages.run(page, continued(street, tmp_path)))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", OWN_DATA)
 def test_a_tutorial_with_data_of_its_own_prints_what_it_shows(name: str, tmp_path: Path) -> None:
     page = TUTORIALS / f"{name}.md"
     assert_as_shown(page, tutorial_pages.run(page, tmp_path))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_notebook_runs_and_prints_what_it_shows(street: Path, tmp_path: Path) -> None:
     copy = continued(street, tmp_path) / NOTEBOOK.name
     shutil.copy(NOTEBOOK, copy)

@@ -203,7 +203,7 @@ class Forger:
             time.sleep(0.05)
         else:
             for connection in _sockets():
-                connection.sendall(_FRAMES[self.how])
+                connection.sendall(FRAMES[self.how])
         return TrackResult(np.eye(4))
 
 
@@ -281,7 +281,7 @@ def _frame(text: bytes) -> bytes:
     return struct.pack("<Q", len(text)) + text
 
 
-_FRAMES = {
+FRAMES = {
     "pickle": _frame(b"cos\nsystem\n(S'false'\ntR."),
     "text": _frame(b"not json"),
     "huge": struct.pack("<Q", 2**60),
@@ -291,7 +291,6 @@ _FRAMES = {
     "objects": _frame(json.dumps({"words": [], "arrays": [[3, 5]]}).encode()),
     "nothing": _frame(json.dumps({"words": None, "arrays": []}).encode()),
 }
-FRAMES = tuple(_FRAMES)
 
 
 def _sockets() -> list[socket.socket]:

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,6 +23,8 @@ FAULT_POINTS = Path(__file__).parent / "fault_points"
 EVENTS = ("write", "rename", "append", "remove")
 LONGEST_S = 3000.0
 """far more than a job takes on a machine that is ten times busier; only a hang gets there"""
+WAIT_S = 300.0
+"""far more than what happens at once takes on such a machine"""
 
 
 @dataclass(frozen=True)
@@ -145,3 +147,12 @@ def is_running(pid: int) -> bool:
         return "Z" not in Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
     except FileNotFoundError:
         return False
+
+
+def wait_until(true: Callable[[], bool], process: subprocess.Popen[str] | None = None) -> None:
+    """Raises AssertionError where it does not come true in time, or the process ends before."""
+    until = time.monotonic() + WAIT_S
+    while not true():
+        assert time.monotonic() < until
+        assert process is None or process.poll() is None, process.communicate()
+        time.sleep(0.02)

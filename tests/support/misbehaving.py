@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from relocbench.execution import step
 from relocbench.retrieval import Descriptors, ImageView
 from relocbench.tracking import Query, Reference, TrackResult
 
@@ -210,3 +211,11 @@ class DescribesNever(Describes):
     def __init__(self, deed: str = "") -> None:
         super().__init__()
         DEEDS[deed]()
+
+
+def do(deed: str) -> str:
+    """A unit of work that calls a method which does ``deed``; nothing for an empty name."""
+    with step("", (deed,)):
+        if deed:
+            DEEDS[deed]()
+    return "done"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
 from contextvars import Context
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from cheating_retrievers import KeyGuesser, MeanGrey
 from cheating_trackers import FRAMES, Trilaterator
+from refusals import refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
 
@@ -18,7 +20,10 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import MethodError, RelocbenchError
 from relocbench.evaluation.common.answer_table import Answer, read_answers
+from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.error_table import read_errors
+from relocbench.evaluation.common.framing import FramingFault, receive_answer
+from relocbench.evaluation.common.isolation import _answers as as_answers
 from relocbench.evaluation.common.matching_table import OFFSETS_PX, read_matching
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.common.worker import Shown, units_of
@@ -28,7 +33,7 @@ from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.geometry import Camera
-from relocbench.methods import MethodSpec, parse_method
+from relocbench.methods import MethodSpec, parse_method, parse_methods
 from relocbench.progress import Silent
 from relocbench.tracking import Query, Reference
 
@@ -54,17 +59,41 @@ def answers(folder: MethodResults) -> list[Answer]:
     return list(read_answers(folder.answers(ACROSS)).values())
 
 
-@pytest.mark.parametrize("name", ["Clock", "KeyReader", "StackWalker"])
-def test_who_looks_elsewhere_finds_nothing(dataset: Dataset, tmp_path: Path, name: str) -> None:
-    cheat, floor = evaluate(dataset, tmp_path, f"cheat={HERE}:{name}", "identity")
-    assert [json.loads(answer.info)["found"] for answer in answers(cheat)] == [[]] * len(answers(cheat))
-    assert errors(cheat) == errors(floor)
-    assert cheat.run_record().isolated is True
+CHEATS = {
+    "clock": "Clock",
+    "keys": "KeyReader",
+    "walker": "StackWalker",
+    "declared": "DeclaredClock",
+    "mutator": "Mutator",
+    "patch": "Forger",
+    "stopwatch": "Forger",
+    "fields": "Forger",
+    "note-a": "NoteTaker",
+    "note-b": "NoteTaker",
+    "order": "Order",
+}
+SETTINGS = ("patch.how=patch", "stopwatch.how=clock", "fields.how=fields")
 
 
-@pytest.mark.parametrize("name", ["StackWalker"])
-def test_a_run_in_the_evaluators_process_says_so(dataset: Dataset, tmp_path: Path, name: str) -> None:
-    (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:{name}", workers=0)
+@pytest.fixture(scope="module")
+def asked(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, MethodResults]:
+    """All cheats, by label, asked in one run, and the identity after them; with workers of their own, which end."""
+    methods = [f"{label}={HERE}:{name}" for label, name in CHEATS.items()]
+    folders = Context().run(
+        evaluate, dataset, tmp_path_factory.mktemp("asked"), *methods, "orb-pnp", "identity", set=SETTINGS
+    )
+    return {folder.label: folder for folder in folders}
+
+
+@pytest.mark.parametrize("label", ["clock", "keys", "walker"])
+def test_who_looks_elsewhere_finds_nothing(asked: dict[str, MethodResults], label: str) -> None:
+    assert [json.loads(answer.info)["found"] for answer in answers(asked[label])] == [[]] * len(answers(asked[label]))
+    assert errors(asked[label]) == errors(asked["identity"])
+    assert asked[label].run_record().isolated is True
+
+
+def test_a_run_in_the_evaluators_process_says_so(dataset: Dataset, tmp_path: Path) -> None:
+    (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:StackWalker", workers=0)
     assert any(json.loads(answer.info)["found"] for answer in answers(cheat)), "the walker finds what there is"
     assert cheat.run_record().isolated is False
 
@@ -76,62 +105,77 @@ def test_a_run_of_which_a_part_was_not_isolated_says_so(dataset: Dataset, tmp_pa
     assert mixed.run_record().isolated is False
 
 
-def test_who_declares_that_it_uses_times_gets_them_and_is_marked(dataset: Dataset, tmp_path: Path) -> None:
-    clock, floor = evaluate(dataset, tmp_path, f"clock={HERE}:DeclaredClock", "identity")
-    assert max(errors(clock)) < 0.13 < max(errors(floor))
-    assert clock.run_record().uses_times
-    assert not floor.run_record().uses_times
+def test_who_declares_that_it_uses_times_gets_them_and_is_marked(asked: dict[str, MethodResults]) -> None:
+    assert max(errors(asked["declared"])) < 0.13 < max(errors(asked["identity"]))
+    assert asked["declared"].run_record().uses_times
+    assert not asked["identity"].run_record().uses_times
 
 
-def test_pairs_are_asked_in_an_order_that_says_nothing(dataset: Dataset, tmp_path: Path) -> None:
-    def asked(out: str, seed: int) -> list[tuple[int, int, int]]:
-        # With a process of its own, which has not been asked before.
-        (cheat,) = Context().run(evaluate, dataset, tmp_path / out, f"cheat={HERE}:Order", seed=seed)
-        told = [(answer.key, json.loads(answer.info)) for answer in answers(cheat)]
-        return [(key[0], info["keyframe"], info["query"]) for key, info in told]
-
-    first, again, other = asked("a", 0), asked("b", 0), asked("c", 1)
-    assert first == again, "the order is drawn from the seed"
-    assert first != other
-    keyframes = sorted({time for time, _, _ in first})
-    places = {time: place for time, place, _ in first}
-    assert [places[time] for time in keyframes] != sorted(places.values()), "keyframes are not asked in time order"
+def test_pairs_are_asked_in_an_order_that_says_nothing(asked: dict[str, MethodResults]) -> None:
+    told = [(answer.key, json.loads(answer.info)) for answer in answers(asked["order"])]
+    places = {key[0]: info["keyframe"] for key, info in told}
+    assert [places[time] for time in sorted(places)] != sorted(places.values()), "keyframes are not asked in time order"
 
 
-def test_who_writes_to_its_input_spoils_nothing_for_the_next(dataset: Dataset, tmp_path: Path) -> None:
-    evaluate(dataset, tmp_path / "both", f"cheat={HERE}:Mutator", "orb-pnp")
-    evaluate(dataset, tmp_path / "alone", "orb-pnp")
-    both, alone = (next((tmp_path / out).glob("*@*/orb-pnp")) / f"{ACROSS}.txt" for out in ("both", "alone"))
-    assert both.read_bytes() == alone.read_bytes()
+def test_the_order_is_drawn_from_the_seed_and_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
+    pair_set = dataset.pair_set(ACROSS)
+    keys = [pair.key for pair in pair_set.pairs]
+
+    def order(seed: int, times: bool = False) -> list[tuple[int, int]]:
+        units = units_of(dataset, pair_set, parse_method("identity"), tmp_path, keys, Shown(times=times), seed)
+        return [key for unit in units for key in unit.keys]
+
+    assert order(0) == order(0) != order(1)
+    assert sorted(order(0)) == sorted(keys) == order(0, times=True), "who says that it uses times gets them in order"
 
 
-def test_answers_are_checked_where_the_method_cannot_reach(dataset: Dataset, tmp_path: Path) -> None:
-    (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:Forger", set=("how=patch",))
-    forged = [answer for answer in answers(cheat) if answer.status == "error"]
-    assert len(forged) >= len(answers(cheat)) - 1, "the first answer was given before the patch"
-    assert "not a rigid transform" in forged[0].message
-    assert not any("\n" in answer.message for answer in answers(cheat))
+def test_who_writes_to_its_input_spoils_nothing_for_the_next(
+    dataset: Dataset, asked: dict[str, MethodResults], tmp_path: Path
+) -> None:
+    (alone,) = evaluate(dataset, tmp_path, "orb-pnp")
+    assert asked["orb-pnp"].predictions(ACROSS).read_bytes() == alone.predictions(ACROSS).read_bytes()
 
 
-def test_seconds_are_measured_where_the_method_cannot_reach(dataset: Dataset, tmp_path: Path) -> None:
-    (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:Forger", set=("how=clock",))
-    assert min(answer.seconds or 0 for answer in answers(cheat)) >= 0.05
+def test_answers_are_checked_where_the_method_cannot_reach(asked: dict[str, MethodResults]) -> None:
+    told = answers(asked["patch"])
+    forged = [answer for answer in told if answer.status == "error"]
+    assert len(forged) >= len(told) - 1, "the first answer was given before the patch"
+    assert not any("\n" in answer.message for answer in told)
+
+
+def test_seconds_are_measured_where_the_method_cannot_reach(asked: dict[str, MethodResults]) -> None:
+    assert min(answer.seconds or 0 for answer in answers(asked["stopwatch"])) >= 0.05
+
+
+def test_a_process_that_speaks_out_of_turn_gains_nothing(asked: dict[str, MethodResults]) -> None:
+    both = zip(errors(asked["fields"]), errors(asked["identity"]), strict=True)
+    assert all(mine >= floors or np.isinf(mine) for mine, floors in both)
+
+
+def test_a_process_that_sends_no_answer_ends_the_run(dataset: Dataset, tmp_path: Path) -> None:
+    with refused(RelocbenchError):
+        Context().run(evaluate, dataset, tmp_path, f"cheat={HERE}:Forger", set=("how=pickle",))
+    assert not list(tmp_path.rglob("scores.yaml"))
 
 
 @pytest.mark.parametrize("how", FRAMES)
-def test_a_process_that_speaks_out_of_turn_gains_nothing(dataset: Dataset, tmp_path: Path, how: str) -> None:
-    try:
-        (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:Forger", set=(f"how={how}",))
-    except RelocbenchError:
-        return  # the run is refused
-    (floor,) = evaluate(dataset, tmp_path, "identity")
-    assert all(mine >= floors or np.isinf(mine) for mine, floors in zip(errors(cheat), errors(floor), strict=True))
+def test_nothing_that_a_process_may_send_is_taken_for_an_answer(how: str) -> None:
+    here, there = socket.socketpair()
+    with here:
+        there.sendall(FRAMES[how])
+        there.close()
+        try:
+            words, arrays = receive_answer(here, lambda: False)
+        except FramingFault:
+            return
+    assert {answer.status for answer in as_answers(words, arrays, 1)} == {"error"}
 
 
 def test_a_method_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
     for path in (dataset.root, dataset.root / "pairs", dataset.root.parent / "." / dataset.root.name):
-        with pytest.raises(MethodError, match="names a file or folder of the dataset"):
-            evaluate(dataset, tmp_path, "cheat=trackers_for_tests:Required", set=(f"weights={path}",))
+        with refused(MethodError, "", None, "cheat", "weights"):
+            evaluate(dataset, tmp_path / "r", "cheat=trackers_for_tests:Required", set=(f"weights={path}",))
+    assert not (tmp_path / "r").exists(), "nothing was begun"
 
 
 PLACES = {
@@ -168,21 +212,24 @@ def test_no_other_way_of_naming_the_dataset_is_taken(
     filled = place.format(
         root=root, slashless=root[1:], links=links, copy=tmp_path / "elsewhere" / "copy", above=dataset.root.parent
     )
-    with pytest.raises(MethodError, match=r"parameter 'weights' names a (file or folder of|folder that holds)"):
-        evaluate(dataset, tmp_path / "r", "cheat=trackers_for_tests:Required", set=(f"weights='{filled}'",))
-    assert not (tmp_path / "r").exists(), "nothing was begun"
+    (spec,) = parse_methods(["cheat=trackers_for_tests:Required"], [f"weights='{filled}'"])
+    with refused(MethodError, "", None, "cheat", "weights"):
+        check_blind([spec], dataset.root)
 
 
-def test_a_program_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(MethodError, match="its command line names a file or folder of the dataset"):
-        evaluate(dataset, tmp_path, f"cheat=subprocess:cat --data={dataset.root}/pairs")
+def test_a_program_is_not_given_the_path_of_the_dataset(dataset: Dataset) -> None:
+    (spec,) = parse_methods([f"cheat=subprocess:cat --data={dataset.root}/pairs"])
+    with refused(MethodError, "", None, "cheat"):
+        check_blind([spec], dataset.root)
 
 
 def test_the_other_evaluations_do_not_give_it_either(dataset: Dataset, tmp_path: Path) -> None:
     views = make_small_views(tmp_path / "views")
     some_file = next(path for path in sorted(views.rglob("*")) if path.is_file())
-    options = RetrievalOptions(dataset=views, out=tmp_path / "out", methods=("lpn",), set=(f"weights={some_file}",))
-    with pytest.raises(MethodError, match="retriever 'lpn': parameter 'weights' names a file or folder of the dataset"):
+    options = RetrievalOptions(
+        dataset=views, out=tmp_path / "out", methods=("mine=misbehaving:Describes",), set=(f"mark={some_file}",)
+    )
+    with refused(MethodError, "", None, "mine", "mark"):
         evaluate_retrievers(options, Silent())
     chain = RelocalizationOptions(
         dataset=dataset.root,
@@ -191,7 +238,7 @@ def test_the_other_evaluations_do_not_give_it_either(dataset: Dataset, tmp_path:
         methods=("cheat=trackers_for_tests:Required",),
         set=(f"cheat.weights={dataset.root}",),
     )
-    with pytest.raises(MethodError, match="method 'cheat': parameter 'weights' names a file or folder of the dataset"):
+    with refused(MethodError, "", None, "cheat", "weights"):
         evaluate_chains(chain, Silent())
 
 
@@ -211,9 +258,7 @@ def test_other_paths_and_words_are_taken(dataset: Dataset, tmp_path: Path, monke
         "x" * 9000,
     )
     for word in words:
-        evaluate(
-            dataset, tmp_path / "r", "m=trackers_for_tests:Required", set=(f"weights={word!s}",), overwrite="always"
-        )
+        check_blind(parse_methods(["m=trackers_for_tests:Required"], [f"weights={word!s}"]), dataset.root)
 
 
 @pytest.mark.parametrize("name", ["PathReader", "KeyGuesser"])
@@ -248,7 +293,7 @@ def test_frames_of_the_querys_own_drive_are_not_shown_as_neighbours(dataset: Dat
 
 
 def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp_path: Path) -> None:
-    matched = make_small_dataset(tmp_path / "small", frames=8, correspondences=60, size=(160, 120))
+    matched = make_small_dataset(tmp_path / "small", frames=4, correspondences=60, size=(160, 120))
     (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:Trilaterator", matching=True)
     rows = [row.found for row in read_matching(cheat.matching(ACROSS))]
     assert sum(found.pixels for found in rows) > 100
@@ -257,7 +302,7 @@ def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp
 
 
 def test_who_fits_a_pose_to_all_starts_gains_as_documented_and_is_found_by_check_method(tmp_path: Path) -> None:
-    matched = make_small_dataset(tmp_path / "small", frames=8, correspondences=400, size=(160, 120))
+    matched = make_small_dataset(tmp_path / "small", frames=4, correspondences=400, size=(160, 120))
     (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:PoseFitter", matching=True)
     rows = [row.found for row in read_matching(cheat.matching(ACROSS))]
     assert sum(found.within_3px for found in rows) > 1.5 * sum(found.start_within_3px for found in rows)
@@ -265,10 +310,8 @@ def test_who_fits_a_pose_to_all_starts_gains_as_documented_and_is_found_by_check
     assert not alone.passed
 
 
-def test_notes_in_home_caches_and_temporary_files_are_not_found_by_the_next(dataset: Dataset, tmp_path: Path) -> None:
-    methods = (f"a={HERE}:NoteTaker", f"b={HERE}:NoteTaker")
-    folders = Context().run(evaluate, dataset, tmp_path / "r", *methods)  # workers of their own, which end
-    told = [json.loads(answer.info) for folder in folders for answer in answers(folder)]
+def test_notes_in_home_caches_and_temporary_files_are_not_found_by_the_next(asked: dict[str, MethodResults]) -> None:
+    told = [json.loads(answer.info) for label in ("note-a", "note-b") for answer in answers(asked[label])]
     assert [info["found"] for info in told] == [[]] * len(told)
     places = {place for info in told for place in info["places"]}
     assert len(places) == 2 * 5, "each method has folders of its own"
