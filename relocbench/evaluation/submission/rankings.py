@@ -7,7 +7,7 @@ from pathlib import Path
 
 from relocbench.datasets.checks.faults import Findings
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.submission.resolving import AskedLists
+from relocbench.evaluation.submission.resolving import ResolvedRetrievalSet
 from relocbench.files import lines_of, read_text
 from relocbench.retrieval import RetrievalTask
 
@@ -33,7 +33,7 @@ class TaskLists:
         return len(self.task.queries) - len(self.lists)
 
 
-def read_ranked(path: Path, task: RetrievalTask, asked: AskedLists, found: Findings) -> TaskLists:
+def read_ranked(path: Path, task: RetrievalTask, asked: ResolvedRetrievalSet, found: Findings) -> TaskLists:
     """Read ``TASK.txt``, a line ``query db`` for each retrieved image; keys of a blind export become names again."""
     out = TaskLists(task)
     queries, gallery = asked.queries(task), asked.gallery(task)

@@ -44,7 +44,7 @@ class Asked:
 
 
 @dataclass(frozen=True, eq=False)
-class AskedLists:
+class ResolvedRetrievalSet:
     """A retrieval set whose queries are answered, and what its images are called in the answers."""
 
     images: OpenedSet
@@ -96,7 +96,7 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
     raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")
 
 
-def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, OpenedSet]]) -> AskedLists:
+def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, OpenedSet]]) -> ResolvedRetrievalSet:
     """The retrieval set that lists belong to.
 
     Args:
@@ -115,9 +115,9 @@ def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, Ope
     if blind is not None and source is not None:
         keys = BlindImages(source, blind.edition)
         _check_export(blind, keys.name, source.fingerprint)
-        return AskedLists(source, keys)
+        return ResolvedRetrievalSet(source, keys)
     if name in sets:
-        return AskedLists(sets[name][1])
+        return ResolvedRetrievalSet(sets[name][1])
     there = ", ".join(sets) or "none"
     if blind is not None:
         of = ", ".join(images.name for _, images in sets.values())
