@@ -23,7 +23,7 @@ from relocbench.evaluation.submission.card import CARD, Answered, Card, read_car
 from relocbench.evaluation.submission.folder import RUN, answer_files, answer_folders, check_entries
 from relocbench.evaluation.submission.poses import PairSetAnswers, read_answered
 from relocbench.evaluation.submission.rankings import TaskLists, odd_lists, read_ranked
-from relocbench.evaluation.submission.resolving import Asked, ResolvedRetrievalSet, resolve, resolve_lists
+from relocbench.evaluation.submission.resolving import ResolvedDataset, ResolvedRetrievalSet, resolve, resolve_lists
 from relocbench.evaluation.submission.suspicions import suspicions
 from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.files import YamlPlaces, load_yaml
@@ -72,7 +72,7 @@ class TrackedDataset:
 
     name: str
     """in the submission"""
-    asked: Asked
+    asked: ResolvedDataset
     pair_sets: list[PairSetAnswers]
 
 

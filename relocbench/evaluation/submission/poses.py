@@ -14,7 +14,7 @@ from relocbench.datasets.core.pairfile import PairKey, parse_pose
 from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS, Answer
 from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
-from relocbench.evaluation.submission.resolving import Asked
+from relocbench.evaluation.submission.resolving import ResolvedDataset
 from relocbench.files import parse_timestamp, read_csv, read_rows
 
 FARTHEST_M = 1e6
@@ -52,7 +52,7 @@ class PairSetAnswers:
         return Answer(key, "ok" if there else "failed", message="" if there else "not in the prediction file")
 
 
-def read_answered(path: Path, pair_set: PairSet, asked: Asked, found: Findings) -> PairSetAnswers:
+def read_answered(path: Path, pair_set: PairSet, asked: ResolvedDataset, found: Findings) -> PairSetAnswers:
     """Read ``PAIRSET.txt`` and, where there is one, ``PAIRSET.csv``."""
     out = PairSetAnswers(pair_set)
     keys = asked.keys(pair_set)
@@ -73,7 +73,7 @@ def _of_possible_size(path: Path, most: int, pairs: int, found: Findings) -> boo
 
 
 def _read_poses(
-    path: Path, asked: Asked, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, found: Findings
+    path: Path, asked: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, found: Findings
 ) -> None:
     seen: dict[PairKey, int] = {}
     with found.catching():
@@ -89,7 +89,7 @@ def _read_line(
     fields: list[str],
     path: Path,
     number: int,
-    asked: Asked,
+    asked: ResolvedDataset,
     keys: Mapping[PairKey, PairKey],
     seen: dict[PairKey, int],
     out: PairSetAnswers,
@@ -126,7 +126,7 @@ def _pose(fields: list[str], path: Path, number: int) -> Array:
 
 
 def _read_table(
-    path: Path, asked: Asked, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, found: Findings
+    path: Path, asked: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, found: Findings
 ) -> None:
     seen: dict[PairKey, int] = {}
     with found.catching():

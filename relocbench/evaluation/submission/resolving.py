@@ -18,7 +18,7 @@ from relocbench.retrieval import RetrievalTask
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class ResolvedDataset:
     """A dataset whose pairs are answered, and what they are called in the answers."""
 
     dataset: Dataset
@@ -67,7 +67,7 @@ def other_fingerprint(name: str, claimed: str, true: str) -> str:
     return f"the fingerprint of '{name}' is {claimed[:SHORT]}, the dataset given has {true[:SHORT]}"
 
 
-def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Dataset]) -> Asked:
+def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Dataset]) -> ResolvedDataset:
     """The dataset that answers belong to.
 
     Args:
@@ -84,14 +84,14 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
     source = None if blind is None else next((d for d in datasets if d.name == blind.dataset), None)
     if own is not None and own.fingerprint != fingerprint:
         if source is None and question and own.question == question:
-            return Asked(own, answered_on=fingerprint)
+            return ResolvedDataset(own, answered_on=fingerprint)
         raise PredictionError(other_fingerprint(name, fingerprint, own.fingerprint))
     if blind is not None and source is not None:
         keys = BlindKeys(source, blind.edition)
         _check_export(blind, keys.name, source.fingerprint)
-        return Asked(source, keys)
+        return ResolvedDataset(source, keys)
     if own is not None:
-        return Asked(own)
+        return ResolvedDataset(own)
     there = ", ".join(d.name for d in datasets) or "none"
     raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")
 
