@@ -90,10 +90,10 @@ class Connection:
 
 def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, Any]]:
     tracker = LocalTracker(spec.create())
-    return _Asked(tracker), asdict(tracker.declared)
+    return _RequestHandler(tracker), asdict(tracker.declared)
 
 
-class _Asked:
+class _RequestHandler:
     """The questions of the protocol, by name."""
 
     def __init__(self, tracker: LocalTracker) -> None:

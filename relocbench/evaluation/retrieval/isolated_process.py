@@ -41,10 +41,10 @@ def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, A
         "rerank_top": retriever.rerank_top,
         "rerank_fault": retriever.rerank_fault,
     }
-    return _Asked(retriever, connection), declared
+    return _RequestHandler(retriever, connection), declared
 
 
-class _Asked:
+class _RequestHandler:
     """The questions of the protocol, by name."""
 
     def __init__(self, retriever: LocalRetriever, connection: Connection) -> None:
