@@ -46,7 +46,7 @@ def check_blind(specs: Sequence[MethodSpec], root: Path) -> None:
         MethodError: a parameter, or a word of a program's command line, names the dataset, a part of it or a copy of
             it; or a parameter names a folder around it.
     """
-    asked = _Asked(root)
+    asked = _EvaluatedDataset(root)
     for spec in specs:
         of_it = "names a file or folder of the dataset that is asked about, which holds the truth"
         for name, value in spec.parameters.items():
@@ -62,7 +62,7 @@ def check_blind(specs: Sequence[MethodSpec], root: Path) -> None:
             raise MethodError(f"{spec.kind.noun} '{spec.label}': its command line {of_it}")
 
 
-class _Asked:
+class _EvaluatedDataset:
     """The dataset that methods are asked about."""
 
     def __init__(self, root: Path) -> None:
@@ -99,7 +99,7 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(inner)
 
 
-def _leads_to(text: str, asked: _Asked, *, around: bool = False) -> bool:
+def _leads_to(text: str, asked: _EvaluatedDataset, *, around: bool = False) -> bool:
     """Whether a text is, or holds, the path of a dataset, of something in it or of a copy of it.
 
     Args:
@@ -127,11 +127,11 @@ def _paths(word: str) -> Iterator[Path]:
             continue
 
 
-def _is_of(path: Path, asked: _Asked) -> bool:
+def _is_of(path: Path, asked: _EvaluatedDataset) -> bool:
     return any(asked.is_at(above) for above in (path, *path.parents))
 
 
-def _holds(path: Path, asked: _Asked) -> bool:
+def _holds(path: Path, asked: _EvaluatedDataset) -> bool:
     if path == Path(path.anchor):  # more often the bar of a fraction than a path
         return False
     return path in asked.root.parents or any(map(asked.is_at, _entries(path)))
