@@ -37,7 +37,7 @@ _PAIRS_A_UNIT = 16
 
 
 @dataclass(frozen=True)
-class Shown:
+class Visibility:
     """What a method sees of the evaluation besides images, cameras and depth."""
 
     isolated: bool = True
@@ -57,7 +57,7 @@ class Unit:
     camera: str
     keys: tuple[PairKey, ...]
     journal: Path
-    shown: Shown
+    shown: Visibility
     patient: bool
     """whether the first call of a process may take many times the limit, as compilation does"""
 
@@ -65,9 +65,9 @@ class Unit:
         return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
 
 
-def shown_to(spec: MethodSpec, run: Run) -> Shown:
+def shown_to(spec: MethodSpec, run: Run) -> Visibility:
     """What a method sees in a run. Raises MethodError."""
-    return Shown(isolated=run.apart, times=spec.uses_times())
+    return Visibility(isolated=run.apart, times=spec.uses_times())
 
 
 def units_of(
@@ -76,7 +76,7 @@ def units_of(
     spec: MethodSpec,
     journal: Path,
     keys: Sequence[PairKey],
-    shown: Shown,
+    shown: Visibility,
     seed: int = 0,
 ) -> list[Unit]:
     """Units of work for the pairs of ``keys``, each with pairs of a single reference.

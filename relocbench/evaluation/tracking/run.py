@@ -25,8 +25,8 @@ from relocbench.evaluation.common.capabilities import construction_fault
 from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, RunRecord, write_record
 from relocbench.evaluation.common.worker import (
-    Shown,
     Unit,
+    Visibility,
     answered_keys,
     append_entry,
     is_first_call,
@@ -120,7 +120,7 @@ def _run_pair_set(
     todo: list[PairKey],
     lost: LossHandler[Unit],
     run: Run,
-    shown: Shown,
+    shown: Visibility,
     seed: int,
     advance: Callable[[int], None],
 ) -> None:
@@ -246,7 +246,7 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
         }
 
 
-def new_record(dataset: Dataset, spec: MethodSpec, run: Run, shown: Shown, seed: int) -> RunRecord:
+def new_record(dataset: Dataset, spec: MethodSpec, run: Run, shown: Visibility, seed: int) -> RunRecord:
     """The record of a run that begins now."""
     return RunRecord(
         dataset=dataset.name,

@@ -26,7 +26,7 @@ from relocbench.evaluation.common.framing import FramingFault, receive_answer
 from relocbench.evaluation.common.isolation import _answers as as_answers
 from relocbench.evaluation.common.matching_table import OFFSETS_PX, read_matching
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.common.worker import Shown, units_of
+from relocbench.evaluation.common.worker import Visibility, units_of
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
@@ -122,7 +122,7 @@ def test_the_order_is_drawn_from_the_seed_and_the_dataset(dataset: Dataset, tmp_
     keys = [pair.key for pair in pair_set.pairs]
 
     def order(seed: int, times: bool = False) -> list[tuple[int, int]]:
-        units = units_of(dataset, pair_set, parse_method("identity"), tmp_path, keys, Shown(times=times), seed)
+        units = units_of(dataset, pair_set, parse_method("identity"), tmp_path, keys, Visibility(times=times), seed)
         return [key for unit in units for key in unit.keys]
 
     assert order(0) == order(0) != order(1)
@@ -360,7 +360,7 @@ def test_whoever_remembers_images_fails_as_many_pairs_of_one_place(tmp_path: Pat
     for seed in range(400):
         keyframes: set[int] = set()
         queries: set[int] = set()
-        units = units_of(apart, pair_set, MethodSpec("m", "identity"), tmp_path, keys, Shown(), seed)
+        units = units_of(apart, pair_set, MethodSpec("m", "identity"), tmp_path, keys, Visibility(), seed)
         for ref, query in (key for unit in units for key in unit.keys):
             if ref in keyframes and query in queries and {ref, query} <= exchanged:
                 called[pair_set.by_key[ref, query].is_elsewhere] += 1

@@ -19,7 +19,7 @@ from relocbench.evaluation.common import worker_losses
 from relocbench.evaluation.common.worker import (
     CONSTRUCTOR,
     PREPARE,
-    Shown,
+    Visibility,
     Unit,
     answered_keys,
     append_entry,
@@ -87,7 +87,7 @@ class Played:
 
 
 def _unit(keys: tuple[PairKey, ...], journal: Path) -> Unit:
-    return Unit(parse_method("identity"), Path("d"), "a", "b", "c", keys, journal, Shown(), patient=True)
+    return Unit(parse_method("identity"), Path("d"), "a", "b", "c", keys, journal, Visibility(), patient=True)
 
 
 @pytest.fixture(autouse=True)
