@@ -57,7 +57,7 @@ class Unit:
     camera: str
     keys: tuple[PairKey, ...]
     journal: Path
-    shown: Visibility
+    visibility: Visibility
     patient: bool
     """whether the first call of a process may take many times the limit, as compilation does"""
 
@@ -65,7 +65,7 @@ class Unit:
         return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
 
 
-def shown_to(spec: MethodSpec, run: Run) -> Visibility:
+def visibility_of(spec: MethodSpec, run: Run) -> Visibility:
     """What a method sees in a run. Raises MethodError."""
     return Visibility(isolated=run.apart, times=spec.uses_times())
 
@@ -76,7 +76,7 @@ def units_of(
     spec: MethodSpec,
     journal: Path,
     keys: Sequence[PairKey],
-    shown: Visibility,
+    visibility: Visibility,
     seed: int = 0,
 ) -> list[Unit]:
     """Units of work for the pairs of ``keys``, each with pairs of a single reference.
@@ -85,13 +85,13 @@ def units_of(
     the drive. A method that uses times gets the pairs in the order of their times.
     """
     by_keyframe = [list(group) for _, group in groupby(sorted(keys), key=lambda key: key[0])]
-    if not shown.times:
+    if not visibility.times:
         rng = _rng(f"{seed} {dataset.fingerprint} {pair_set.name}")
         by_keyframe = [[group[i] for i in rng.permutation(len(group))] for group in by_keyframe]
         by_keyframe = [by_keyframe[i] for i in rng.permutation(len(by_keyframe))]
     common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
     return [
-        Unit(*common, tuple(chunk), journal.resolve(), shown, patient=True)
+        Unit(*common, tuple(chunk), journal.resolve(), visibility, patient=True)
         for group in by_keyframe
         for chunk in chunks(group, _PAIRS_A_UNIT)
     ]
@@ -110,13 +110,13 @@ def show_keyframe(unit: Unit, tracker: TrackerHandle) -> str | None:
     neighbours = 0 if unit.reference == unit.query else tracker.declared.neighbours
     keyframe = traversal.reference(unit.camera, unit.keys[0][0], neighbours)
     with step(PREPARE, unit.keys, MANY_TIMES):
-        return tracker.prepare(shown_reference(keyframe, unit.shown.times))
+        return tracker.prepare(shown_reference(keyframe, unit.visibility.times))
 
 
 def query_of(unit: Unit, key: PairKey) -> Query:
     """The query of a pair as the tracker sees it. Raises DatasetError."""
     query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
-    return shown_query(query, unit.shown.times)
+    return shown_query(query, unit.visibility.times)
 
 
 def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
@@ -199,7 +199,7 @@ def tracker_of(unit: Unit) -> TrackerHandle:
     A method that is a program, and nothing else, is isolated by being one.
     """
     program = unit.spec.target.startswith(SUBPROCESS) and unit.spec.start is None
-    apart = unit.shown.isolated and not program
+    apart = unit.visibility.isolated and not program
     known = repr(unit.spec), apart
     if known not in _trackers:
         with step(CONSTRUCTOR, times=MANY_TIMES):

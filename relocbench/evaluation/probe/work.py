@@ -26,10 +26,10 @@ from relocbench.evaluation.common.worker import (
     open_journal,
     query_of,
     show_keyframe,
-    shown_to,
     tracker_of,
     traversal_of,
     units_of,
+    visibility_of,
     write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
@@ -102,7 +102,7 @@ def ask_pairs(
         PredictionError: another process is writing to the folder.
         DatasetError: an image or a correspondence file is bad.
     """
-    shown = shown_to(spec, run)
+    visibility = visibility_of(spec, run)
     root = folder / f"{spec.label}-{_digest(dataset, spec, task)}"
     journals = {pair_set.name: root / pair_set.name for pair_set, _ in asked}
     for journal in journals.values():
@@ -113,7 +113,7 @@ def ask_pairs(
             ProbeUnit(**vars(unit), task=task)
             for pair_set, keys in asked
             for unit in units_of(
-                dataset, pair_set, spec, journals[pair_set.name], _open(keys, journals[pair_set.name]), shown
+                dataset, pair_set, spec, journals[pair_set.name], _open(keys, journals[pair_set.name]), visibility
             )
         ]
 

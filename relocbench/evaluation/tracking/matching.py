@@ -41,11 +41,11 @@ from relocbench.evaluation.common.worker import (
     query_of,
     remove_journal,
     show_keyframe,
-    shown_to,
     time_factor,
     tracker_of,
     traversal_of,
     units_of,
+    visibility_of,
     write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
@@ -136,8 +136,8 @@ def match_method(
     left = [s for s in with_truth if not folder.matching(s.name).exists()]
     if not left:
         return
-    shown = shown_to(spec, run)
-    refuse_mixture(folder, new_record(dataset, spec, run, shown, seed), work_left=True)
+    visibility = visibility_of(spec, run)
+    refuse_mixture(folder, new_record(dataset, spec, run, visibility, seed), work_left=True)
 
     def open_units() -> list[Unit]:
         # Units of all pair sets together: starting worker processes for each set would take longer than the work.
@@ -145,7 +145,7 @@ def match_method(
             unit
             for pair_set in left
             for unit in units_of(
-                dataset, pair_set, spec, _journal(folder, pair_set), _open_pairs(folder, pair_set), shown, seed
+                dataset, pair_set, spec, _journal(folder, pair_set), _open_pairs(folder, pair_set), visibility, seed
             )
         ]
 

@@ -35,10 +35,10 @@ from relocbench.evaluation.common.worker import (
     query_of,
     remove_journal,
     show_keyframe,
-    shown_to,
     time_factor,
     tracker_of,
     units_of,
+    visibility_of,
     write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
@@ -79,8 +79,8 @@ def run_method(
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
-    shown = shown_to(spec, run)
-    record = new_record(dataset, spec, run, shown, seed)
+    visibility = visibility_of(spec, run)
+    record = new_record(dataset, spec, run, visibility, seed)
     refuse_submitted(folder)
     if overwrite == "always":
         # A method that cannot be made, say because of a mistyped path of weights, must not cost earlier answers.
@@ -105,7 +105,7 @@ def run_method(
     lost = LossHandler(_write_broken)
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
-            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, shown, seed, advance)
+            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, visibility, seed, advance)
     begun = folder.run_record()
     of_all = {"start": begun.start, "end": now(), "isolated": bool(begun.isolated and record.isolated)}
     write_record(folder.run_yaml, record.model_copy(update=of_all))
@@ -120,7 +120,7 @@ def _run_pair_set(
     todo: list[PairKey],
     lost: LossHandler[Unit],
     run: Run,
-    shown: Visibility,
+    visibility: Visibility,
     seed: int,
     advance: Callable[[int], None],
 ) -> None:
@@ -131,7 +131,9 @@ def _run_pair_set(
 
     def open_units() -> list[Unit]:
         answered = answered_keys(journal)
-        return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered], shown, seed)
+        return units_of(
+            dataset, pair_set, spec, journal, [key for key in todo if key not in answered], visibility, seed
+        )
 
     with alone_in(journal, PredictionError):
         run_until_answered(_run_unit, open_units, lost, run, advance)
@@ -246,14 +248,14 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
         }
 
 
-def new_record(dataset: Dataset, spec: MethodSpec, run: Run, shown: Visibility, seed: int) -> RunRecord:
+def new_record(dataset: Dataset, spec: MethodSpec, run: Run, visibility: Visibility, seed: int) -> RunRecord:
     """The record of a run that begins now."""
     return RunRecord(
         dataset=dataset.name,
         fingerprint=dataset.fingerprint,
         question=dataset.question,
-        isolated=shown.isolated,
-        uses_times=shown.times,
+        isolated=visibility.isolated,
+        uses_times=visibility.times,
         **made_by(spec, run.workers, seed),
     )
 
