@@ -21,7 +21,7 @@ Summary = dict[str, dict[str, float | int | None]]
 
 
 @dataclass(frozen=True)
-class Found:
+class OffsetCounts:
     """How many pixels of a pair, those that were started at one offset, the method brought near the truth."""
 
     offset_px: int
@@ -41,12 +41,12 @@ class MatchingRow:
 
     key: PairKey
     group: str
-    found: Found
+    found: OffsetCounts
     message: str = ""
     """how the method broke, in which case it answered no pixel"""
 
 
-_COUNTS = tuple(field.name for field in fields(Found))
+_COUNTS = tuple(field.name for field in fields(OffsetCounts))
 MATCHING_COLUMNS = (*KEY_COLUMNS, "group", *_COUNTS, "message")
 
 
@@ -59,7 +59,7 @@ def read_matching(path: Path) -> list[MatchingRow]:
     """Read ``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
     out = []
     for row in _rows(path):
-        key, found = row.key(), Found(*map(row.count, _COUNTS))
+        key, found = row.key(), OffsetCounts(*map(row.count, _COUNTS))
         if not found.within_1px <= found.within_3px <= found.answered <= found.pixels:
             raise row.fault("expected within_1px <= within_3px <= answered <= pixels")
         out.append(MatchingRow(key, row["group"], found, row["message"]))
@@ -96,7 +96,7 @@ def summarize_matching(rows: Sequence[MatchingRow], group: str = ALL) -> Summary
     }
 
 
-def _shares(rows: Sequence[Found]) -> dict[str, float | int | None]:
+def _shares(rows: Sequence[OffsetCounts]) -> dict[str, float | int | None]:
     count = sum(row.pixels for row in rows)
 
     def share(name: str) -> float | None:

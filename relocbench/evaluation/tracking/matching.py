@@ -25,8 +25,8 @@ from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.common.matching_table import (
     OFFSETS_PX,
-    Found,
     MatchingRow,
+    OffsetCounts,
     check_complete,
     read_matching,
     write_matching,
@@ -169,7 +169,7 @@ def _collect(pair_set: PairSet, folder: MethodResults) -> None:
     journal = folder.matching_journal(pair_set.name)
     entries = {entry["key"]: entry for entry in journal_entries(journal)}
     rows = [
-        MatchingRow(pair.key, pair.group, Found(*counts), entries[pair.key]["message"])
+        MatchingRow(pair.key, pair.group, OffsetCounts(*counts), entries[pair.key]["message"])
         for pair in pair_set.pairs
         for counts in entries[pair.key]["found"]
     ]
@@ -231,16 +231,16 @@ def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None
     }
 
 
-def _count(offset: int, starts: Starts, ends: Array) -> Found:
+def _count(offset: int, starts: Starts, ends: Array) -> OffsetCounts:
     rows = starts.offset_px == offset
     count = int(rows.sum())
     if not count:
-        return Found(offset, 0, 0, 0, 0, 0, 0)
+        return OffsetCounts(offset, 0, 0, 0, 0, 0, 0)
     quality = matching_quality(ends[rows], starts.uv_query[rows], starts.uv_start[rows] - starts.uv_query[rows])
     shares = [(share["match@1px"], share["match@3px"]) for share in (quality.share, quality.start_share)]
     (near, nearer_than_3), (start_near, start_3) = [(round(a * count), round(b * count)) for a, b in shares]
     answered = int(np.isfinite(ends[rows]).all(axis=1).sum())
-    return Found(offset, count, answered, near, nearer_than_3, start_near, start_3)
+    return OffsetCounts(offset, count, answered, near, nearer_than_3, start_near, start_3)
 
 
 def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
