@@ -34,7 +34,7 @@ _SHORTEST_S, _LONGEST_S = 0.004, 0.6
 
 
 @dataclass(frozen=True)
-class Found:
+class ScanLayout:
     """What was found, in the terms of ``lidar.yaml``."""
 
     columns: tuple[str, ...]
@@ -46,7 +46,7 @@ class Found:
     """what was found, for people"""
 
 
-def look_at(path: Path, time_ns: int, columns: tuple[str, ...] = ()) -> Found:
+def look_at(path: Path, time_ns: int, columns: tuple[str, ...] = ()) -> ScanLayout:
     """What a cloud holds.
 
     Args:
@@ -90,15 +90,15 @@ def _usual(count: int, path: Path) -> tuple[str, ...]:
 
 def _with_times(
     fields: Mapping[str, NDArray[Any]], names: tuple[str, ...], dtype: Any, words: str, time_ns: int, path: Path
-) -> Found:
+) -> ScanLayout:
     name = next((known for known in TIME_FIELDS if known in fields), None)
     if name is None:
-        return Found(names, dtype, None, "s", "scan", f"{words}, no times of points")
+        return ScanLayout(names, dtype, None, "s", "scan", f"{words}, no times of points")
     values = np.asarray(fields[name], dtype=np.float64)
     values = values[np.isfinite(values)]
     span = float(np.ptp(values)) if len(values) else 0.0
     if span == 0.0:
-        return Found(names, dtype, None, "s", "scan", f"{words}, {name} is the same for all points")
+        return ScanLayout(names, dtype, None, "s", "scan", f"{words}, {name} is the same for all points")
     fitting: list[TimeUnit] = [u for u, seconds in _UNITS.items() if _SHORTEST_S <= span * seconds <= _LONGEST_S]
     if len(fitting) != 1:
         raise DatasetError(f"the times of points in {name} span {span:g}, which is no scan in s, ms, us or ns", path)
@@ -109,4 +109,4 @@ def _with_times(
         raise DatasetError(f"the times of points in {name} ({unit}) are not within a second of the cloud's time", path)
     since = "absolute" if absolute and not relative else "relative to the cloud's"
     kind: TimeFrom = "epoch" if absolute and not relative else "scan"
-    return Found(names, dtype, name, unit, kind, f"{words}, times of points in {name}, {unit}, {since}")
+    return ScanLayout(names, dtype, name, unit, kind, f"{words}, times of points in {name}, {unit}, {since}")

@@ -17,7 +17,7 @@ import numpy as np
 from relocbench.arrays import Times
 from relocbench.datasets.core.schema import Condition, Transform
 from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, told_motion
-from relocbench.datasets.importers.clouds.detection import Found, look_at
+from relocbench.datasets.importers.clouds.detection import ScanLayout, look_at
 from relocbench.datasets.importers.clouds.times import clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
 from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, GenericLidarStream
@@ -114,7 +114,7 @@ def read_clouds(
     )
 
 
-def _look(files: Sequence[Path], times: Times, columns: tuple[str, ...]) -> Found:
+def _look(files: Sequence[Path], times: Times, columns: tuple[str, ...]) -> ScanLayout:
     """What the clouds hold, by the first of a few along the drive that has enough points."""
     places = [len(files) // 2, len(files) // 4, 3 * len(files) // 4, 0]
     for place in places[:-1]:
