@@ -57,7 +57,7 @@ class Loftr:
         self.device = device
 
     @torch.inference_mode()
-    def look_at(self, image: NDArray[np.uint8]) -> LoftrImage:
+    def encode(self, image: NDArray[np.uint8]) -> LoftrImage:
         """What is computed of a grey (H, W) or RGB (H, W, 3) image alone.
 
         Raises:

@@ -95,11 +95,11 @@ class LoftrPnp(Pnp[PreparedImage]):
     def prepare(self, reference: Reference) -> PreparedImage:
         """Compute the features of a keyframe's cells."""
         strong = StrongPixels.of(reference, self.depth_radius_px)
-        return PreparedImage(strong, reference, self._network.look_at(reference.image))
+        return PreparedImage(strong, reference, self._network.encode(reference.image))
 
     def correspond(self, reference: PreparedImage, query: Query) -> Matches2D3D:
         """The points of a keyframe's cells and the pixels that see them in a query."""
-        seen = self._network.look_at(query.image)
+        seen = self._network.encode(query.image)
         here, there = self._network(reference.seen, seen)
         lifted = lift(reference.reference, here, self.depth_radius_px)
         scale = max(1.0, float(reference.seen.factor.max()), float(seen.factor.max()))

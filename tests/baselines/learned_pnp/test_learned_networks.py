@@ -241,7 +241,7 @@ def test_lightglue_of_nothing_is_nothing(drawn: Callable[[str], Path]) -> None:
 def test_loftr_of_an_image_with_itself_finds_its_cells(drawn: Callable[[str], Path]) -> None:
     network = Loftr(drawn("loftr"), "outdoor", 0.0, 840, "cpu")
     image = pattern(101, 143)
-    seen = network.look_at(image)
+    seen = network.encode(image)
     here, there = network(seen, seen)
     assert len(here) > 10
     cells = (here + 0.5) / 8
@@ -254,7 +254,7 @@ def test_pixels_of_loftr_are_those_of_the_original(drawn: Callable[[str], Path])
     small = pattern(96, 128)
     large = np.asarray(cv2.resize(small, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
     network = Loftr(drawn("loftr"), "outdoor", 0.0, 128, "cpu")
-    direct, shrunk = network.look_at(small), network.look_at(large)
+    direct, shrunk = network.encode(small), network.encode(large)
     plain, mixed = network(direct, direct), network(direct, shrunk)
     np.testing.assert_array_equal(plain[0], mixed[0])
     np.testing.assert_allclose((plain[1] + 0.5) * 2.0 - 0.5, mixed[1], atol=1e-9)
@@ -262,7 +262,7 @@ def test_pixels_of_loftr_are_those_of_the_original(drawn: Callable[[str], Path])
 
 def test_models_of_loftr_differ_in_their_encoding_of_positions(drawn: Callable[[str], Path]) -> None:
     image = pattern(64, 96)
-    maps = [Loftr(drawn("loftr"), model, 0.2, 840, "cpu").look_at(image).maps for model in get_args(LoftrModel)]
+    maps = [Loftr(drawn("loftr"), model, 0.2, 840, "cpu").encode(image).maps for model in get_args(LoftrModel)]
     assert not torch.equal(maps[0]["coarse"], maps[1]["coarse"])
     assert torch.equal(maps[0]["fine"], maps[1]["fine"])
 

@@ -18,7 +18,7 @@ from relocbench.datasets.groundtruth.calibration.correction import CorrectedLida
 from relocbench.datasets.groundtruth.calibration.estimation import Evidence, about, node_twists
 from relocbench.datasets.groundtruth.calibration.faults import calibrate, find_causes
 from relocbench.datasets.groundtruth.calibration.files import (
-    Places,
+    RoundFolders,
     read_calibration,
     read_evidence,
     write_calibration,
@@ -309,7 +309,7 @@ def test_evidence_and_findings_are_kept_on_disk(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"a\.npz"):
         read_evidence(path, SENSORS.unknowns, 7)
     found = calibrate(reduced, SENSORS)
-    places = Places({"summer": tmp_path / "blocks/summer"}, {"winter": tmp_path / "registrations"})
+    places = RoundFolders({"summer": tmp_path / "blocks/summer"}, {"winter": tmp_path / "registrations"})
     file = write_calibration(tmp_path, found, truth, open_kinds(reduced, SENSORS), 1, places)
     assert read_calibration(tmp_path) == file
     assert read_calibration(tmp_path / "none").causes == ()

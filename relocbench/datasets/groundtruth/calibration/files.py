@@ -77,7 +77,7 @@ def read_evidence(path: Path, unknowns: int, nodes: int) -> Evidence:
 
 
 @dataclass(frozen=True)
-class Places:
+class RoundFolders:
     """Where the files of the last round are."""
 
     blocks: dict[str, Path]
@@ -85,7 +85,12 @@ class Places:
 
 
 def write_calibration(
-    folder: Path, found: Calibration, total: Any, open_kinds: dict[str, tuple[str, ...]], rounds: int, places: Places
+    folder: Path,
+    found: Calibration,
+    total: Any,
+    open_kinds: dict[str, tuple[str, ...]],
+    rounds: int,
+    places: RoundFolders,
 ) -> CalibrationFile:
     """Write ``calibration.yaml``.
 

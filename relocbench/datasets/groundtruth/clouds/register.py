@@ -10,7 +10,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
 from relocbench.datasets.groundtruth.clouds.judging import free_space_known
 from relocbench.datasets.groundtruth.clouds.preparing import Preparation, PreparedCloud, prepare
-from relocbench.datasets.groundtruth.clouds.search import Found, SearchOptions, search, steps
+from relocbench.datasets.groundtruth.clouds.search import CloudSearchResult, SearchOptions, search, steps
 from relocbench.datasets.groundtruth.icp.backends import Backend
 from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions, Matcher
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale, scale_of, scene_size
@@ -113,7 +113,11 @@ def register_clouds(
 
 
 def _in_clouds_frames(
-    found: Found, a: PreparedCloud, b: PreparedCloud, scale: SceneScale, sides: tuple[Preparation, Preparation]
+    found: CloudSearchResult,
+    a: PreparedCloud,
+    b: PreparedCloud,
+    scale: SceneScale,
+    sides: tuple[Preparation, Preparation],
 ) -> CloudRegistration:
     T_b_middle = scale.reduced(b.T_cloud_node)
     best = found.best

@@ -83,7 +83,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class CloudSearchResult:
     """The result of the search."""
 
     best: Candidate | None
@@ -103,7 +103,7 @@ def search(
     known: FreeSpaceKnown,
     options: SearchOptions,
     advance: Callable[[int], None] = lambda count: None,
-) -> Found:
+) -> CloudSearchResult:
     """Search for the pose of B in A. ``advance`` is called once for each of :func:`steps` steps."""
     judged = _Judge(a, b, scale, known, options)
     tried: list[Candidate] = []
@@ -123,7 +123,7 @@ def search(
             advance(1)
     if not tried:
         advance(1)
-        return Found(None, "no guess: the clouds have too few features in common", 0)
+        return CloudSearchResult(None, "no guess: the clouds have too few features in common", 0)
     best = _most_plausible(tried)
     others = judged.all_of(judged.best_fitting(alternatives_of(a.planes, b.planes, best.T_a_b, scale), _FITS))
     advance(1)
@@ -131,14 +131,14 @@ def search(
     best = _most_plausible(everything)
     count = len(everything)
     if not best.trusted:
-        return Found(best, best.verdict.reason, count)
+        return CloudSearchResult(best, best.verdict.reason, count)
     rivals = [c for c in everything if (c.trusted or c.nearly) and not _same(c.T_a_b, best.T_a_b)]
     rival = min(rivals, key=lambda c: c.unexplained, default=None)
     if rival is not None and rival.unexplained < _TIMES * best.unexplained + _MORE:
         metres, degrees = pose_difference(best.T_a_b, rival.T_a_b)
         reason = f"ambiguous: another pose, {metres / scale.factor:.2g} m and {degrees:.0f} deg away, holds as well"
-        return Found(best, reason, count, rival)
-    return Found(best, "", count, rival)
+        return CloudSearchResult(best, reason, count, rival)
+    return CloudSearchResult(best, "", count, rival)
 
 
 def steps(options: SearchOptions) -> int:

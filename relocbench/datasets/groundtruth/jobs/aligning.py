@@ -19,7 +19,7 @@ from relocbench.datasets.groundtruth.calibration.correction import corrected
 from relocbench.datasets.groundtruth.calibration.estimation import Evidence, gather_evidence
 from relocbench.datasets.groundtruth.calibration.faults import Calibration, calibrate
 from relocbench.datasets.groundtruth.calibration.files import (
-    Places,
+    RoundFolders,
     read_evidence,
     write_calibration,
     write_evidence,
@@ -142,11 +142,11 @@ def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[
     return {r.name for r in recordings if any(o == r.name or o.startswith(f"{r.name}/") for o in of)}
 
 
-def _places(recordings: Sequence[FieldRecording], wrong: set[str], folder: Path, corrections: int) -> Places:
+def _places(recordings: Sequence[FieldRecording], wrong: set[str], folder: Path, corrections: int) -> RoundFolders:
     """Where a round's files are: those of drives that are not concerned stay where they were from the beginning."""
     anew = folder / f"corrected-{corrections}" if corrections else folder
     both = recordings[0].name in wrong
-    return Places(
+    return RoundFolders(
         {r.name: (anew if r.name in wrong else folder) / "blocks" / r.name for r in recordings},
         {r.name: (anew if both or r.name in wrong else folder) / "registrations" for r in recordings[1:]},
     )
@@ -154,7 +154,7 @@ def _places(recordings: Sequence[FieldRecording], wrong: set[str], folder: Path,
 
 def _register(
     drives: Sequence[Drive],
-    at: Places,
+    at: RoundFolders,
     options: AlignmentOptions,
     first: FirstPose | None,
     reporter: Reporter,
@@ -171,7 +171,7 @@ def _evidence(
     drives: Sequence[Drive],
     registrations: dict[str, list[Registration]],
     sensors: Sensors,
-    at: Places,
+    at: RoundFolders,
     options: AlignmentOptions,
     reporter: Reporter,
     run: Run,

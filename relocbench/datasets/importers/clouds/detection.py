@@ -46,7 +46,7 @@ class ScanLayout:
     """what was found, for people"""
 
 
-def look_at(path: Path, time_ns: int, columns: tuple[str, ...] = ()) -> ScanLayout:
+def layout_of_scan(path: Path, time_ns: int, columns: tuple[str, ...] = ()) -> ScanLayout:
     """What a cloud holds.
 
     Args:

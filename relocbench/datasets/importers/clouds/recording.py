@@ -17,7 +17,7 @@ import numpy as np
 from relocbench.arrays import Times
 from relocbench.datasets.core.schema import Condition, Transform
 from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, told_motion
-from relocbench.datasets.importers.clouds.detection import ScanLayout, look_at
+from relocbench.datasets.importers.clouds.detection import ScanLayout, layout_of_scan
 from relocbench.datasets.importers.clouds.times import clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
 from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, GenericLidarStream
@@ -119,10 +119,10 @@ def _look(files: Sequence[Path], times: Times, columns: tuple[str, ...]) -> Scan
     places = [len(files) // 2, len(files) // 4, 3 * len(files) // 4, 0]
     for place in places[:-1]:
         try:
-            return look_at(files[place], int(times[place]), columns)
+            return layout_of_scan(files[place], int(times[place]), columns)
         except DatasetError:
             continue  # such as a cloud taken beside a wall that returned nothing
-    return look_at(files[places[-1]], int(times[places[-1]]), columns)
+    return layout_of_scan(files[places[-1]], int(times[places[-1]]), columns)
 
 
 def _assumed(time: str | None, motion: str, pattern: str) -> str:

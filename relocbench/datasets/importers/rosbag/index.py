@@ -31,7 +31,7 @@ _REPORTED = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class MessageLocations:
     """Where the messages of a topic lie, in the order of the files."""
 
     stamps_ns: Times
@@ -75,7 +75,7 @@ class Fixes:
 class Index:
     """What one pass over a recording found."""
 
-    places: dict[str, Places] = field(default_factory=dict)
+    places: dict[str, MessageLocations] = field(default_factory=dict)
     poses: dict[str, Poses] = field(default_factory=dict)
     """topic -> poses"""
     links: list[Poses] = field(default_factory=list)
@@ -250,7 +250,7 @@ def _index(
         elif types[topic] in kinds.POSES:
             out.poses[topic] = Poses(*found.names, stamps, received, found.matrix(7))
         else:
-            out.places[topic] = Places(stamps, received, found.column(2), found.column(3))
+            out.places[topic] = MessageLocations(stamps, received, found.column(2), found.column(3))
     for names, found in links.items():
         poses = Poses(*names, found.column(0), found.column(1), found.matrix(7), names in static)
         out.links.append(poses)
@@ -291,7 +291,7 @@ def _load(path: Path, mark: dict[str, Any]) -> Index | None:
         arrays = parse_npz(data, told["arrays"], path)
         out = Index()
         for number, topic in enumerate(told["places"]):
-            out.places[topic] = Places(*arrays[f"places_{number}"])
+            out.places[topic] = MessageLocations(*arrays[f"places_{number}"])
         for kind in ("poses", "links"):
             for number, (topic, parent, child, static) in enumerate(told[kind]):
                 times, values = arrays[f"{kind}_{number}_times"], arrays[f"{kind}_{number}_values"]
