@@ -19,8 +19,8 @@ from relocbench.evaluation.common import worker_losses
 from relocbench.evaluation.common.worker import (
     CONSTRUCTOR,
     PREPARE,
-    Visibility,
     Unit,
+    Visibility,
     answered_keys,
     append_entry,
     journal_entries,
