@@ -43,7 +43,7 @@ import numpy as np
 
 from relocbench.datasets.core.images import write_depth
 from relocbench.datasets.groundtruth.alignment.two_drives import RegistrationUnit, register_query
-from relocbench.datasets.groundtruth.calibration.estimation import gather_evidence
+from relocbench.datasets.groundtruth.calibration.estimation import calibration_evidence
 from relocbench.datasets.groundtruth.calibration.unknowns import DriveLidars, Sensors
 from relocbench.datasets.groundtruth.depth.depth import make_scene, scene_depth
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
@@ -139,7 +139,7 @@ def ground_truth(folder: Path, steps: int) -> tuple[dict[str, Cost], dict[str, f
     registrations, of_registration = measured(lambda: register_query(RegistrationUnit(reference, query, alignment)))
     sensors = Sensors((DriveLidars.of(reference.recording), DriveLidars.of(query.recording)))
     solution = optimise(reference.nodes, query.nodes, registrations, options=alignment.graph)
-    _, of_calibration = measured(lambda: gather_evidence(solution, (reference, query), sensors))
+    _, of_calibration = measured(lambda: calibration_evidence(solution, (reference, query), sensors))
     chosen = tuple(
         tuple(int(t) for t in _times(drive.nodes.times_ns, metres))
         for drive, metres in zip(drives, driven, strict=True)

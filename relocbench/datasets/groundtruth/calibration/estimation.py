@@ -67,7 +67,7 @@ class Evidence:
     """number of fits"""
 
 
-def gather_evidence(solution: Solution, drives: tuple[Drive, Drive], sensors: Sensors) -> Evidence:
+def calibration_evidence(solution: Solution, drives: tuple[Drive, Drive], sensors: Sensors) -> Evidence:
     """The normal equations of the calibration of two drives' lidars, with their poses eliminated.
 
     Args:

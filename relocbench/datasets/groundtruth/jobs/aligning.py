@@ -16,7 +16,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.registration_job import register_drives
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose
 from relocbench.datasets.groundtruth.calibration.correction import corrected
-from relocbench.datasets.groundtruth.calibration.estimation import Evidence, gather_evidence
+from relocbench.datasets.groundtruth.calibration.estimation import Evidence, calibration_evidence
 from relocbench.datasets.groundtruth.calibration.faults import Calibration, calibrate
 from relocbench.datasets.groundtruth.calibration.files import (
     RoundFolders,
@@ -195,4 +195,4 @@ def _evidence(
 
 def _gather(unit: _EvidenceUnit) -> None:
     solution = optimise(unit.reference.nodes, unit.query.nodes, unit.registrations, options=unit.options.graph)
-    write_evidence(unit.path, gather_evidence(solution, (unit.reference, unit.query), unit.sensors))
+    write_evidence(unit.path, calibration_evidence(solution, (unit.reference, unit.query), unit.sensors))
