@@ -15,7 +15,7 @@ ALIKE = 0.7
 
 
 @dataclass(frozen=True)
-class Evidence:
+class CorrelationEvidence:
     """What speaks for a pose; points out of view count as points that look different."""
 
     correlation: float
@@ -24,11 +24,11 @@ class Evidence:
     """share of all points whose correlation is at least :data:`ALIKE`"""
 
 
-def evidence_for(T_query_ref: Array, points: LevelPoints, reference: Level, query: Level) -> Evidence:
+def evidence_for(T_query_ref: Array, points: LevelPoints, reference: Level, query: Level) -> CorrelationEvidence:
     """The evidence for a pose from the points of one level of the keyframe."""
     depth = 1.0 / points.points[2].astype(np.float64)
     found = correlations(T_query_ref, points.uv.astype(np.float64), depth, _grey(reference), _grey(query))
-    return Evidence(float(np.mean(found)), float(np.mean(found >= ALIKE)))
+    return CorrelationEvidence(float(np.mean(found)), float(np.mean(found >= ALIKE)))
 
 
 def _grey(level: Level) -> GreyImage:

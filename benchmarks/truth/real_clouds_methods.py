@@ -25,7 +25,7 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
 )
 from relocbench.datasets.groundtruth.registration.hypotheses import plausibility
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
-from relocbench.datasets.groundtruth.verification.verification import gather_evidence
+from relocbench.datasets.groundtruth.verification.verification import verification_evidence
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp
 
 Array = NDArray[np.float64]
@@ -149,7 +149,7 @@ def judged(scans: Scans, pair: Pair, guess: Array) -> Candidate:
     found = run_icp(ref.planes, query.planes, guess, options)
     if found.count < options.least_matches:
         return Candidate(guess, found.T_ref_query, -1.0)
-    evidence = gather_evidence(ref, query, found.T_ref_query, found.information)
+    evidence = verification_evidence(ref, query, found.T_ref_query, found.information)
     return Candidate(guess, found.T_ref_query, plausibility(evidence))
 
 

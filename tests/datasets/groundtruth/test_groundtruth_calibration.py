@@ -15,7 +15,7 @@ from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.calibration.adjustment import Adjustment, CalibrationEdges, Reduced
 from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar, corrected
-from relocbench.datasets.groundtruth.calibration.estimation import Evidence, about, node_twists
+from relocbench.datasets.groundtruth.calibration.estimation import CalibrationEvidence, about, node_twists
 from relocbench.datasets.groundtruth.calibration.faults import calibrate, find_causes
 from relocbench.datasets.groundtruth.calibration.files import (
     RoundFolders,
@@ -295,7 +295,7 @@ def test_evidence_and_findings_are_kept_on_disk(tmp_path: Path) -> None:
     reduced = _evidence_of(truth)
     by = np.random.default_rng(1).normal(size=(7, 6, SENSORS.unknowns))
     path = tmp_path / "a.npz"
-    write_evidence(path, Evidence(reduced, by, 99))
+    write_evidence(path, CalibrationEvidence(reduced, by, 99))
     read = read_evidence(path, SENSORS.unknowns, 7)
     assert np.array_equal(read.reduced.A, reduced.A)
     assert np.array_equal(read.by_calibration, by)

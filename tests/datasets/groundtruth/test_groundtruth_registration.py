@@ -36,7 +36,7 @@ from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, alternatives, shifted_poses
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
-from relocbench.datasets.groundtruth.verification.verification import Thresholds, gather_evidence, verdict
+from relocbench.datasets.groundtruth.verification.verification import Thresholds, verdict, verification_evidence
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, se3_log
@@ -213,7 +213,7 @@ def test_bare_walls_hold_nothing_along_the_street() -> None:
     apart = se3_log(invert(TRUTH) @ found.T_ref_query)
     assert np.linalg.norm(apart[1:3]) < 0.02
     assert abs(apart[0]) > 0.2
-    assert verdict(gather_evidence(ref, query, found.T_ref_query, found.information)).startswith(
+    assert verdict(verification_evidence(ref, query, found.T_ref_query, found.information)).startswith(
         "weak along the street"
     )
 
@@ -252,7 +252,7 @@ def test_leaves_are_no_walls_and_low_things_count_less() -> None:
 
 def test_the_right_pose_is_trusted(pair: Pair) -> None:
     found = run_icp(pair[0].planes, pair[1].planes, TRUTH @ se3_exp([0.3, 0, 0, 0, 0, 0.01]))
-    evidence = gather_evidence(*pair, found.T_ref_query, found.information)
+    evidence = verification_evidence(*pair, found.T_ref_query, found.information)
     assert verdict(evidence) == ""
     assert min(evidence.overlap_ref, evidence.overlap_query) > 0.9
     assert max(evidence.violations_ref, evidence.violations_query) < 0.03
@@ -261,14 +261,14 @@ def test_the_right_pose_is_trusted(pair: Pair) -> None:
 @pytest.mark.parametrize("shift", [5.0, -9.0, 20.0])
 def test_a_shifted_pose_is_rejected_with_a_reason(pair: Pair, shift: float) -> None:
     T = make_transform(np.eye(3), [shift, 0, 0]) @ TRUTH
-    reason = verdict(gather_evidence(*pair, T, 1e6 * np.eye(6)))
+    reason = verdict(verification_evidence(*pair, T, 1e6 * np.eye(6)))
     assert reason.split()[0] in ("free", "overlap", "too", "details:")
 
 
 def test_another_street_is_rejected(pair: Pair) -> None:
     other = PreparedSubmap(clouds.submap(clouds.irregular(77), 4, T_STREET_QUERY))
     found = run_icp(pair[0].planes, other.planes, TRUTH)
-    assert verdict(gather_evidence(pair[0], other, found.T_ref_query, found.information))
+    assert verdict(verification_evidence(pair[0], other, found.T_ref_query, found.information))
 
 
 GOOD = Evidence(0.95, 0.95, 0.01, 0.01, 0.01, 0.01, 0.05, (1.0, 0.0, 0.0), 0.1, 0.9, 0.9, 0.9, 0.9)

@@ -23,7 +23,7 @@ from relocbench.datasets.groundtruth.registration.global_registration import des
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, fit
-from relocbench.datasets.groundtruth.verification.verification import gather_evidence, verdict
+from relocbench.datasets.groundtruth.verification.verification import verdict, verification_evidence
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp, transform_from_tq
 
 pytestmark = pytest.mark.slow
@@ -145,11 +145,11 @@ def test_right_poses_of_a_dense_scene_are_trusted_and_wrong_ones_are_not(scans: 
     for i in range(4):
         ref, query = sides[i], sides[i + 1]
         found = run_icp(ref.planes, query.planes, invert(poses[i]) @ poses[i + 1])
-        assert verdict(gather_evidence(ref, query, found.T_ref_query, found.information)) == ""
+        assert verdict(verification_evidence(ref, query, found.T_ref_query, found.information)) == ""
         for wrong in (
             make_transform(so3_exp([0, 0, np.pi]), [0, 0, 0]),
             make_transform(np.eye(3), [6.0, 0, 0]),
             make_transform(so3_exp([0, 0, 0.2]), [0, 0, 0]),
         ):
             T = found.T_ref_query @ wrong
-            assert verdict(gather_evidence(ref, query, T, found.information))
+            assert verdict(verification_evidence(ref, query, T, found.information))

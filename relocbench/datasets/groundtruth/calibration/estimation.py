@@ -56,7 +56,7 @@ _TWIST_NS = 150_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class CalibrationEvidence:
     """What two drives say of the calibration of their lidars."""
 
     reduced: Reduced
@@ -67,7 +67,7 @@ class Evidence:
     """number of fits"""
 
 
-def calibration_evidence(solution: Solution, drives: tuple[Drive, Drive], sensors: Sensors) -> Evidence:
+def calibration_evidence(solution: Solution, drives: tuple[Drive, Drive], sensors: Sensors) -> CalibrationEvidence:
     """The normal equations of the calibration of two drives' lidars, with their poses eliminated.
 
     Args:
@@ -82,7 +82,7 @@ def calibration_evidence(solution: Solution, drives: tuple[Drive, Drive], sensor
     odometry = solution.drives.odometry(solution.noise)
     scales = scales_of(solution.drives, odometry)
     T, calibration = solution.T_world_node, np.zeros(sensors.unknowns)
-    nothing = Evidence(
+    nothing = CalibrationEvidence(
         Reduced(np.zeros((sensors.unknowns,) * 2), np.zeros(sensors.unknowns)),
         np.zeros((len(T), 6, sensors.unknowns)), 0,
     )  # fmt: skip
@@ -106,7 +106,7 @@ def calibration_evidence(solution: Solution, drives: tuple[Drive, Drive], sensor
         estimate, covariance = reduced.estimate(assumed)
         change = estimate - calibration
         T, calibration = T @ se3_exp(adjustment.step(change)), estimate
-        evidence = Evidence(reduced, adjustment.by_calibration, len(used))
+        evidence = CalibrationEvidence(reduced, adjustment.by_calibration, len(used))
         if reach == _REACHES[-1] and (np.abs(change) <= _SETTLED * np.sqrt(np.diagonal(covariance)) + 1e-12).all():
             break
     return evidence

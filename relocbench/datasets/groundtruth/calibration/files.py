@@ -12,7 +12,7 @@ from pydantic import Field
 from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.core.schema import Strict
 from relocbench.datasets.groundtruth.calibration.adjustment import Reduced
-from relocbench.datasets.groundtruth.calibration.estimation import Evidence
+from relocbench.datasets.groundtruth.calibration.estimation import CalibrationEvidence
 from relocbench.datasets.groundtruth.calibration.faults import Calibration
 from relocbench.datasets.groundtruth.calibration.unknowns import SIZE
 from relocbench.errors import DatasetError
@@ -53,7 +53,7 @@ class CalibrationFile(Strict):
     """query drive -> folder of its registrations, relative to this file"""
 
 
-def write_evidence(path: Path, evidence: Evidence) -> None:
+def write_evidence(path: Path, evidence: CalibrationEvidence) -> None:
     """Write the evidence of two drives. The same evidence gives the same bytes."""
     arrays: dict[str, Any] = {
         "A": evidence.reduced.A,
@@ -65,7 +65,7 @@ def write_evidence(path: Path, evidence: Evidence) -> None:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
-def read_evidence(path: Path, unknowns: int, nodes: int) -> Evidence:
+def read_evidence(path: Path, unknowns: int, nodes: int) -> CalibrationEvidence:
     """Evidence of K unknowns and N nodes. Raises DatasetError with the file if it is damaged or of other drives."""
     data = read_bytes(path, "evidence of calibration", DatasetError, _MOST_BYTES)
     arrays = parse_npz(data, _ARRAYS, path)
@@ -73,7 +73,7 @@ def read_evidence(path: Path, unknowns: int, nodes: int) -> Evidence:
     for name, shape in shapes.items():
         if arrays[name].shape != shape:
             raise DatasetError(f"'{name}' has the shape {arrays[name].shape}, not {shape}; remove it", path)
-    return Evidence(Reduced(arrays["A"], arrays["h"]), arrays["by_calibration"], int(arrays["count"]))
+    return CalibrationEvidence(Reduced(arrays["A"], arrays["h"]), arrays["by_calibration"], int(arrays["count"]))
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, fit, shifted_poses
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
-from relocbench.datasets.groundtruth.verification.verification import gather_evidence, weakest
+from relocbench.datasets.groundtruth.verification.verification import verification_evidence, weakest
 from relocbench.geometry import make_transform, so3_exp
 
 _RIGID = IcpOptions(scale_error_sigma=0.0, drift_per_m=0.0, turn_per_m=0.0)
@@ -209,7 +209,7 @@ class _Judge:
         fitted = final_fit(*self._fine, T)
         if _same(fitted.T_ref_query, T):
             T, information = fitted.T_ref_query, self._with_drift(fitted.information, information)
-        evidence = gather_evidence(self._a, self._b, T, information)
+        evidence = verification_evidence(self._a, self._b, T, information)
         sigma, direction, sigma_deg = weakest(information, T)
         evidence = replace(evidence, weakest_sigma_m=sigma, weakest_direction=direction, weakest_sigma_deg=sigma_deg)
         return Candidate(

@@ -16,7 +16,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.registration_job import register_drives
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose
 from relocbench.datasets.groundtruth.calibration.correction import corrected
-from relocbench.datasets.groundtruth.calibration.estimation import Evidence, calibration_evidence
+from relocbench.datasets.groundtruth.calibration.estimation import CalibrationEvidence, calibration_evidence
 from relocbench.datasets.groundtruth.calibration.faults import Calibration, calibrate
 from relocbench.datasets.groundtruth.calibration.files import (
     RoundFolders,
@@ -175,7 +175,7 @@ def _evidence(
     options: AlignmentOptions,
     reporter: Reporter,
     run: Run,
-) -> list[Evidence]:
+) -> list[CalibrationEvidence]:
     """The evidence of each query drive; that of an earlier run is read from disk."""
     units = []
     for query in drives[1:]:

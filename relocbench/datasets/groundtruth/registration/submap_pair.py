@@ -16,7 +16,7 @@ from relocbench.datasets.groundtruth.icp.icp import IcpOptions, IcpResult
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
-from relocbench.datasets.groundtruth.verification.verification import Thresholds, gather_evidence, verdict
+from relocbench.datasets.groundtruth.verification.verification import Thresholds, verdict, verification_evidence
 from relocbench.geometry import invert
 
 Guess = tuple[int, int, Array]
@@ -90,7 +90,7 @@ def register(
     if refined.count < options.icp.least_matches:
         reason = f"nothing to hold on to: {refined.count} points of both found a surface of the other"
         return unregistered(pair, refined.T_ref_query, reason)
-    evidence = gather_evidence(a, b, refined.T_ref_query, refined.information)
+    evidence = verification_evidence(a, b, refined.T_ref_query, refined.information)
     return Registration(
         *pair, refined.T_ref_query, refined.information, evidence, verdict(evidence, options.thresholds)
     )

@@ -61,7 +61,9 @@ class _OneWay:
     violations: float
 
 
-def gather_evidence(ref: PreparedSubmap, query: PreparedSubmap, T_ref_query: Array, information: Array) -> Evidence:
+def verification_evidence(
+    ref: PreparedSubmap, query: PreparedSubmap, T_ref_query: Array, information: Array
+) -> Evidence:
     """The evidence for and against a pose of two submaps.
 
     Args:
