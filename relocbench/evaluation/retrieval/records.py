@@ -124,7 +124,7 @@ class RetrievalRun(RunRecord):
     tasks: dict[str, TaskRun] = Field(default_factory=dict)
 
 
-class RetrievalScores(Strict):
+class RetrieverScores(Strict):
     """``scores.yaml`` of a retriever."""
 
     relocbench: str
@@ -147,9 +147,9 @@ class RetrieverResults(MethodResults):
         """Read ``run.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.run_yaml, RetrievalRun, "the record of a retrieval run", PredictionError)
 
-    def retrieval_scores(self) -> RetrievalScores:
+    def retrieval_scores(self) -> RetrieverScores:
         """Read ``scores.yaml``. Raises PredictionError with file and line."""
-        return load_yaml(self.scores_yaml, RetrievalScores, "the scores of a retriever", PredictionError)
+        return load_yaml(self.scores_yaml, RetrieverScores, "the scores of a retriever", PredictionError)
 
 
 @dataclass(frozen=True)

@@ -12,22 +12,22 @@ from relocbench.evaluation.common.results import check_made_for, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, ranking_of, read_answers
 from relocbench.evaluation.retrieval.records import (
     METRICS,
-    RetrievalScores,
     RetrieverResults,
+    RetrieverScores,
     SetRecord,
     TaskRecord,
     TaskRun,
 )
 from relocbench.files import sha256_file
 from relocbench.metrics import Denominator, mean_interval, per_group, score_retrieval
-from relocbench.metrics.retrieval.measures import RetrievalScores as QueryScores
+from relocbench.metrics.retrieval.measures import RetrievalScores
 
 Values = dict[str, float | int | None]
 _MOST_POSITIVES = 100_000_000
 """limit over all queries of a task: each position takes 8 bytes"""
 
 
-def score_retriever(asked: SetRecord, folder: RetrieverResults) -> RetrievalScores:
+def score_retriever(asked: SetRecord, folder: RetrieverResults) -> RetrieverScores:
     """Score every task that a retriever answered, and write ``scores.yaml``.
 
     Raises:
@@ -39,7 +39,7 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults) -> RetrievalScor
         if folder.complete(name):
             answers[name], lists[name] = sha256_file(folder.answers(name)), sha256_file(folder.predictions(name))
             tasks[name] = summary(record, checked_answers(name, record, folder))
-    scores = RetrievalScores(
+    scores = RetrieverScores(
         relocbench=version.__version__,
         run=sha256_file(folder.run_yaml),
         answers=answers,
@@ -68,7 +68,7 @@ def checked_answers(name: str, record: TaskRecord, folder: RetrieverResults) -> 
     return answers
 
 
-def scores_of(answers: Sequence[QueryAnswer], record: TaskRecord) -> QueryScores:
+def scores_of(answers: Sequence[QueryAnswer], record: TaskRecord) -> RetrievalScores:
     """The scores of each query."""
     return score_retrieval(ranking_of(answers, record.gallery))
 

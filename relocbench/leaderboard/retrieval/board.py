@@ -19,8 +19,8 @@ from relocbench.evaluation.retrieval.records import (
     METRICS,
     SET_FILE,
     RetrievalRun,
-    RetrievalScores,
     RetrieverResults,
+    RetrieverScores,
     SetRecord,
     SetResults,
     TaskRecord,
@@ -337,7 +337,7 @@ def load_retriever(
     return Retriever(folder.label, named, answers, confirmed, run.method, card, folder)
 
 
-def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: RetrievalScores) -> None:
+def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: RetrieverScores) -> None:
     """Raise PredictionError unless ``scores.yaml`` was computed from the files beside it."""
     if not scored.run:
         told = "does not say what it was computed from, as earlier versions did not"
@@ -353,7 +353,7 @@ def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: Ret
 
 
 def _check_summary(
-    folder: RetrieverResults, task: str, record: TaskRecord, answers: Sequence[QueryAnswer], scored: RetrievalScores
+    folder: RetrieverResults, task: str, record: TaskRecord, answers: Sequence[QueryAnswer], scored: RetrieverScores
 ) -> None:
     """Raise PredictionError unless ``scores.yaml`` has the means of a task's table."""
     summary = scored.tasks.get(task, {})
