@@ -16,7 +16,7 @@ from relocbench.files.names import (
     fitting_name,
     plain_name,
 )
-from relocbench.files.nearby import meant
+from relocbench.files.nearby import did_you_mean
 from relocbench.files.numbers import (
     parse_count,
     parse_floats,
@@ -65,6 +65,7 @@ __all__ = [
     "check_joined_name",
     "check_label",
     "check_name",
+    "did_you_mean",
     "dump_yaml",
     "first_fault",
     "fitting_name",
@@ -73,7 +74,6 @@ __all__ = [
     "load_yaml",
     "load_yaml_value",
     "load_yaml_values",
-    "meant",
     "parse_count",
     "parse_floats",
     "parse_json",

@@ -13,7 +13,7 @@ _MOST = 1000
 """folders that are looked at, and entries of each, so that a mistake costs no time"""
 
 
-def meant(folder: Path, holds: Callable[[Path], bool]) -> str:
+def did_you_mean(folder: Path, holds: Callable[[Path], bool]) -> str:
     """``; did you mean FOLDER?`` for the first folder within ``folder`` for which ``holds`` is true, else nothing.
 
     Nearer ones come first, then those whose names come first.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from relocbench.files import meant
+from relocbench.files import did_you_mean
 from relocbench.files import nearby as search
 
 
@@ -22,17 +22,17 @@ def make(root: Path, *names: str) -> None:
 
 def test_the_nearest_and_first_by_name_is_meant(tmp_path: Path) -> None:
     make(tmp_path, "z/deep", "b", "c")
-    assert meant(tmp_path, marked) == f"; did you mean {tmp_path / 'b'}?"
-    assert meant(tmp_path / "z", marked) == f"; did you mean {tmp_path / 'z' / 'deep'}?"
+    assert did_you_mean(tmp_path, marked) == f"; did you mean {tmp_path / 'b'}?"
+    assert did_you_mean(tmp_path / "z", marked) == f"; did you mean {tmp_path / 'z' / 'deep'}?"
 
 
 def test_what_is_too_deep_or_a_link_is_not_meant(tmp_path: Path) -> None:
     make(tmp_path, "a/b/c")
-    assert meant(tmp_path, marked) == ""
+    assert did_you_mean(tmp_path, marked) == ""
     make(tmp_path / "elsewhere" / "x", "y")
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "link").symlink_to(tmp_path / "elsewhere" / "x" / "y")
-    assert meant(tmp_path / "home", marked) == ""
+    assert did_you_mean(tmp_path / "home", marked) == ""
 
 
 def test_what_cannot_be_read_was_not_meant(tmp_path: Path) -> None:
@@ -43,8 +43,8 @@ def test_what_cannot_be_read_was_not_meant(tmp_path: Path) -> None:
             raise PermissionError(13, "Permission denied", str(folder))
         return marked(folder)
 
-    assert meant(tmp_path, look) == f"; did you mean {tmp_path / 'b'}?"
-    assert meant(tmp_path / "absent", marked) == ""
+    assert did_you_mean(tmp_path, look) == f"; did you mean {tmp_path / 'b'}?"
+    assert did_you_mean(tmp_path / "absent", marked) == ""
 
 
 def test_a_large_tree_costs_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,5 +56,5 @@ def test_a_large_tree_costs_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         return False
 
     monkeypatch.setattr(search, "_MOST", 15)
-    assert meant(tmp_path, look) == ""
+    assert did_you_mean(tmp_path, look) == ""
     assert len(looked) == 15

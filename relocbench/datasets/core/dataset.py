@@ -13,7 +13,7 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import DatasetFile
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.errors import DatasetError
-from relocbench.files import load_yaml, meant
+from relocbench.files import did_you_mean, load_yaml
 from relocbench.tracking import Query, Reference
 
 
@@ -33,7 +33,7 @@ class Dataset:
         if not self.layout.dataset_yaml.exists():
             if self.layout.build_yaml.exists():
                 raise DatasetError("the build was not finished; run it again", self.root)
-            other = meant(self.root, lambda folder: DatasetLayout(folder).manifest.exists())
+            other = did_you_mean(self.root, lambda folder: DatasetLayout(folder).manifest.exists())
             raise DatasetError(f"expected a dataset with dataset.yaml{other}", self.root)
         self.file = load_yaml(self.layout.dataset_yaml, DatasetFile, "a dataset description", DatasetError)
         fingerprint.check_manifest(self.layout, self.file)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.errors import DatasetError
-from relocbench.files import meant
+from relocbench.files import did_you_mean
 
 MARKS: dict[str, tuple[str, ...]] = {
     "kitti": ("sequences",),
@@ -37,7 +37,7 @@ def check_recordings(kind: str, sources: Sequence[Path]) -> None:
     for source in sources:
         if not source.is_dir() or _has_one(kind, source):
             continue
-        told = meant(source, lambda folder: _has_one(kind, folder))
+        told = did_you_mean(source, lambda folder: _has_one(kind, folder))
         if told:
             raise DatasetError(f"holds no {' or '.join(MARKS[kind][:2])} of a {kind} recording{told}", source)
 

@@ -27,9 +27,9 @@ from relocbench.errors import PredictionError
 from relocbench.files import (
     check_joined_name,
     check_label,
+    did_you_mean,
     dump_yaml,
     load_yaml,
-    meant,
     read_bytes,
     remove_parts,
     write_text,
@@ -321,7 +321,7 @@ def all_results(results: Path) -> list[DatasetResults]:
         raise PredictionError("no such folder; expected results of the evaluate commands", results)
     found = list(map(DatasetResults, folders_with("dataset.yaml", results)))
     if not found:
-        other = meant(results, lambda folder: any(folder.glob("*@*/dataset.yaml")))
+        other = did_you_mean(results, lambda folder: any(folder.glob("*@*/dataset.yaml")))
         raise PredictionError(f"holds no results (expected DATASET@FINGERPRINT folders){other}", results)
     return found
 
