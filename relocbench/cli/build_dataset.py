@@ -271,7 +271,7 @@ def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
     if where.scheduler is not None:
         # Workers of a cluster start in folders of their own.
         sources, out = [source.absolute() for source in sources], out.absolute()
-    run = Run(where.workers or default_workers(), where.scheduler).sharing(out, *sources)
+    run = Run(where.workers or default_workers(), where.scheduler).with_shared_folders(out, *sources)
     for source in sources:
         if out.resolve().is_relative_to(source.resolve()):  # not even a folder is made there
             raise DatasetError(f"lies inside the recording {source}, which is never written to", out)

@@ -72,17 +72,19 @@ class Run:
     """limits of each call of third-party code (:func:`run_limited`); a scheduler's workers have limits of their own"""
 
     @property
-    def apart(self) -> bool:
+    def in_subprocess(self) -> bool:
         """Whether the work runs in other processes than this one."""
         return self.scheduler is not None or self.workers > 0
 
-    def alone(self) -> Self:
+    def single_process(self) -> Self:
         """The same without worker processes, for work that is shorter than their start."""
         return replace(self, workers=1)
 
-    def sharing(self, writes: Path, *reads: Path | None) -> Self:
+    def with_shared_folders(self, writes: Path, *reads: Path | None) -> Self:
         """The same for work that writes to one folder and reads others, all of which a cluster's workers must see."""
-        return self if self.scheduler is None else replace(self, scheduler=self.scheduler.sharing(writes, *reads))
+        if self.scheduler is None:
+            return self
+        return replace(self, scheduler=self.scheduler.with_shared_folders(writes, *reads))
 
 
 def default_workers() -> int:

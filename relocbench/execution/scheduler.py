@@ -46,7 +46,7 @@ class Scheduler(BaseModel):
     def _from_address(cls, values: Any) -> Any:
         return {"address": values} if isinstance(values, str) else values
 
-    def sharing(self, writes: Path, *reads: Path | None) -> Self:
+    def with_shared_folders(self, writes: Path, *reads: Path | None) -> Self:
         """The same scheduler for work that writes to one folder and reads others."""
         found = tuple(path.absolute() for path in reads if path is not None)
         return self.model_copy(update={"writes": writes.absolute(), "reads": found})

@@ -163,14 +163,14 @@ def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, 
     dask.add_workers(1, cwd=tmp_path, preload=hasty)  # it does not look again for a file that may come later
     mine = Path(f"/proc/self/task/{os.getpid()}")
     with pytest.raises(ConfigError, match=rf"{mine}: not seen by worker .*; all workers must see the folders"):
-        list(run_units(square, [1, 2], Run(scheduler=where(dask).sharing(tmp_path, mine))))
+        list(run_units(square, [1, 2], Run(scheduler=where(dask).with_shared_folders(tmp_path, mine))))
     here = Path("/proc/self/cwd")
     assert here.resolve() != tmp_path
     before = sorted(here.iterdir())
     with pytest.raises(ConfigError, match=f"{here}: not seen by worker"):
-        list(run_units(square, [1, 2], Run(scheduler=where(dask).sharing(here))))
+        list(run_units(square, [1, 2], Run(scheduler=where(dask).with_shared_folders(here))))
     assert sorted(here.iterdir()) == before
-    results = dict(run_units(square, [1, 2], Run(scheduler=where(dask).sharing(tmp_path, tmp_path))))
+    results = dict(run_units(square, [1, 2], Run(scheduler=where(dask).with_shared_folders(tmp_path, tmp_path))))
     assert results == {0: 1, 1: 4}
     assert not list(tmp_path.iterdir())
     made = make_small_dataset(tmp_path.with_name(f"{tmp_path.name}-data"))

@@ -67,7 +67,7 @@ class Unit:
 
 def visibility_of(spec: MethodSpec, run: Run) -> Visibility:
     """What a method sees in a run. Raises MethodError."""
-    return Visibility(isolated=run.apart, times=spec.uses_times())
+    return Visibility(isolated=run.in_subprocess, times=spec.uses_times())
 
 
 def units_of(

@@ -147,7 +147,7 @@ def _probe(
             spec,
             task,
             options.out / "answers",
-            run=options.run.sharing(options.out, options.dataset),
+            run=options.run.with_shared_folders(options.out, options.dataset),
             reporter=reporter,
         )
     if not answers:

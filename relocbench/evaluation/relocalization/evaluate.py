@@ -172,7 +172,7 @@ def _evaluate(
             spec,
             results.trackers,
             overwrite=options.overwrite,
-            run=options.run.sharing(options.out, options.dataset),
+            run=options.run.with_shared_folders(options.out, options.dataset),
             seed=options.seed,
             reporter=reporter,
         )

@@ -146,7 +146,7 @@ def _run(
         spec,
         results,
         overwrite=options.overwrite,
-        run=options.run.sharing(options.out, options.dataset),
+        run=options.run.with_shared_folders(options.out, options.dataset),
         seed=options.seed,
         reporter=reporter,
     )
@@ -174,7 +174,7 @@ def _match(
             pair_sets,
             spec,
             folder,
-            run=options.run.sharing(options.out, options.dataset),
+            run=options.run.with_shared_folders(options.out, options.dataset),
             seed=options.seed,
             reporter=reporter,
         )

@@ -67,7 +67,7 @@ def render_missing(
     for (_, condition), group in groupby(order, key=lambda p: (p.town, p.condition)):
         for part in chunks(list(group), _IMAGES_PER_UNIT):
             units.append(PhotoUnit(root, views, conditions[condition], tuple(part)))
-    run = run if len(missing) >= _WORTH_WORKERS else run.alone()
+    run = run if len(missing) >= _WORTH_WORKERS else run.single_process()
     done_before: list[Spent] = []
     with reporter.stage("rendering", len(missing)) as advance:
         for _, spent in run_units(render_unit, units, run):

@@ -115,7 +115,7 @@ def make_views(
     units = [_Unit(writer, recipe, place) for place in places]
     found: dict[int, Made] = {}
     with reporter.stage("keyframes and their queries", len(units)) as advance:
-        for index, made in run_units(_make, units, run if len(units) >= _WORTH_WORKERS else run.alone()):
+        for index, made in run_units(_make, units, run if len(units) >= _WORTH_WORKERS else run.single_process()):
             found[index] = made
             advance(1)
     return [found[index] for index in range(len(units))]

@@ -74,7 +74,7 @@ def write_pair_sets(
             splits.setdefault(reference.split, []).append(unit.name)
             if not is_finished(layout, unit.name, unit.pairs, with_correspondences=unit.count > 0):
                 units.append(unit)
-    run = run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else run.alone()
+    run = run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else run.single_process()
     with reporter.stage("pairs and their correspondences", len(units)) as advance:
         for _ in run_units(write_set, units, run):
             advance(1)

@@ -89,7 +89,7 @@ def render_all(
     steps = [(plan, missing_steps(plan, cameras, layout, seed, kinds)) for plan in plans]
     units = [_unit(plan, part) for plan, missing in steps for part in chunks(missing, _STEPS_A_UNIT)]
     total = sum(unit.images for unit in units)
-    run = run if total >= _WORTH_WORKERS else run.alone()
+    run = run if total >= _WORTH_WORKERS else run.single_process()
     with reporter.stage("rendering", total) as advance:
         if total >= _WORTH_AN_ESTIMATE:
             pilots, units = split_pilots(units, _scene)
