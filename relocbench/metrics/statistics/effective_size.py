@@ -127,10 +127,10 @@ def inflation_of(
     """
     if independent:
         return Inflation(np.ones(1), np.ones(1))
-    return or_prior(measured_inflation(values, errors, roads))
+    return fill_missing_with_prior(measured_inflation(values, errors, roads))
 
 
-def or_prior(inflation: Inflation) -> Inflation:
+def fill_missing_with_prior(inflation: Inflation) -> Inflation:
     """The inflation of :data:`PRIOR_CORRELATION` where one is NaN because nothing varies."""
     return Inflation(*(np.where(np.isnan(i), _PRIOR_INFLATION, i) for i in (inflation.likely, inflation.cautious)))
 

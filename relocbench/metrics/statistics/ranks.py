@@ -29,8 +29,8 @@ from relocbench.arrays import Array, Mask
 from relocbench.metrics.statistics.effective_size import (
     Inflation,
     difference_inflation,
+    fill_missing_with_prior,
     measured_inflation,
-    or_prior,
 )
 from relocbench.metrics.statistics.intervals import LEVEL, MANY_ROADS, mean_of_means, pairs_in_equal_sets
 from relocbench.metrics.statistics.roads import aligned, by_road
@@ -220,7 +220,7 @@ def _with_constant_differences(
         for m in range(len(unknown))
     ]
     likely, cautious = (np.concatenate([getattr(o, name) for o in own]) for name in ("likely", "cautious"))
-    larger = or_prior(Inflation(np.fmax.outer(likely, likely), np.fmax.outer(cautious, cautious)))
+    larger = fill_missing_with_prior(Inflation(np.fmax.outer(likely, likely), np.fmax.outer(cautious, cautious)))
     return Inflation(
         np.where(unknown, larger.likely, inflation.likely), np.where(unknown, larger.cautious, inflation.cautious)
     )
