@@ -18,7 +18,7 @@ from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOption
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.jobs.inputs import stretch_faults
 from relocbench.datasets.groundtruth.odometry.length import LengthRatio, length_ratio
-from relocbench.datasets.groundtruth.registration.lengths import told_of_stretch
+from relocbench.datasets.groundtruth.registration.lengths import length_mismatch_message
 from relocbench.datasets.groundtruth.registration.submap_pair import unregistered
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
@@ -141,7 +141,7 @@ def test_drives_that_differ_in_length_are_told_what_gnss_says_of_each(
         condition = Condition(weather="clear", season="summer", time_of_day="day")
         recording = FieldRecording(name, tmp_path, condition, odometry, (), prior=prior, prior_sigma_m=3.0)
         drives.append(Drive(recording, nodes, tmp_path / name))
-    refused = unregistered((0, 0), np.eye(4), told_of_stretch(LengthRatio(1.08, 0.01)))
+    refused = unregistered((0, 0), np.eye(4), length_mismatch_message(LengthRatio(1.08, 0.01)))
     for found, notes in (([refused], 2), ([], 0)):
         monkeypatch.setattr(two_drives, "register_along", lambda *_, found=found, **__: found)
         said: list[str] = []

@@ -24,7 +24,11 @@ from relocbench.datasets.groundtruth.registration.hypotheses import (
     nearest_node,
     with_alternatives,
 )
-from relocbench.datasets.groundtruth.registration.lengths import may_hold_by_chance, ratio_of_lengths, told_of_stretch
+from relocbench.datasets.groundtruth.registration.lengths import (
+    length_mismatch_message,
+    may_hold_by_chance,
+    ratio_of_lengths,
+)
 from relocbench.datasets.groundtruth.registration.place_recognition import (
     MapPrior,
     guesses_by_features,
@@ -129,7 +133,7 @@ def register_along(
         ratio = registration.ratio_of_lengths()
     if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
         return found
-    told = told_of_stretch(ratio)
+    told = length_mismatch_message(ratio)
     say(told)
     return [replace(one, reason=told) for one in found]
 

@@ -96,7 +96,7 @@ def may_hold_by_chance(found: list[Registration], step_m: float) -> bool:
     return trusted < _FEW * max(compared, 1) or (trusted * step_m < _SHORT_M and trusted < _FEW * len(found))
 
 
-def told_of_stretch(ratio: LengthRatio) -> str:
+def length_mismatch_message(ratio: LengthRatio) -> str:
     """The words about odometry that is longer or shorter than the reference's."""
     return f"{_TOLD} {ratio.told(0)} than the reference's, so that the scale of one of them is wrong"
 
