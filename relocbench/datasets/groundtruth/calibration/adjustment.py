@@ -105,7 +105,7 @@ class Adjustment:
         of_odometry, of_lidars = roots[: len(odometry)], roots[len(odometry) :]
         rows = _Rows()
         at = rows.add(6 * len(edges))
-        T = edges.apart(T_world_node)
+        T = edges.relative_poses(T_world_node)
         rows.put(at[::6], 6 * edges.first, -roots @ adjoint(invert(T)))
         rows.put(at[::6], 6 * edges.second, roots)
         t = odometry.T_first_second

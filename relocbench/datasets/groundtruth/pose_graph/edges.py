@@ -51,13 +51,13 @@ class Edges:
         """The edges of all parts, in their order."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
-    def apart(self, T_world_node: Array) -> Array:
+    def relative_poses(self, T_world_node: Array) -> Array:
         """(E, 4, 4) relative poses ``T_first_second`` by the node poses (N, 4, 4)."""
         return np.asarray(invert(T_world_node[self.first]) @ T_world_node[self.second])
 
     def residuals(self, T_world_node: Array) -> Array:
         """(E, 6) twists from the measured relative poses to those by the node poses (N, 4, 4)."""
-        return np.asarray(se3_log(invert(self.T_first_second) @ self.apart(T_world_node)))
+        return np.asarray(se3_log(invert(self.T_first_second) @ self.relative_poses(T_world_node)))
 
     def chi2(self, T_world_node: Array) -> Array:
         """(E,) squared Mahalanobis norms of the residuals, given node poses (N, 4, 4)."""

@@ -181,7 +181,7 @@ def _verdicts(
 ) -> tuple[str, ...]:
     """Why each registration is not part of the graph, with its distance from the solution; empty if it is."""
     T = found.T_world_node
-    offset = invert(cross.T_first_second) @ cross.apart(T)
+    offset = invert(cross.T_first_second) @ cross.relative_poses(T)
     metres = np.linalg.norm(offset[:, :3, 3], axis=1)
     degrees = np.degrees(rotation_angle(offset[:, :3, :3]))
     out = []

@@ -121,7 +121,7 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
                 T = solve(T, Edges.join([odometry, downweighted(local, factor)]))
                 if noise_converged(assumed, (noise, factor)):
                     break
-            moved = invert(local.apart(before)) @ local.apart(T)
+            moved = invert(local.relative_poses(before)) @ local.relative_poses(T)
             if np.linalg.norm(moved[:, :3, 3], axis=1).max(initial=0.0) < options.settled_m:
                 break
     edges = Edges.join([odometry, downweighted(local, factor)])
