@@ -25,7 +25,7 @@ from relocbench.datasets.groundtruth.calibration.files import (
     write_evidence,
 )
 from relocbench.datasets.groundtruth.calibration.lidar_fits import corrections_of, distances, placed
-from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
+from relocbench.datasets.groundtruth.calibration.messages import open_kinds, report_lines
 from relocbench.datasets.groundtruth.calibration.unknowns import RIG, SIZE, Cause, DriveLidars, Sensors, moves
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
@@ -313,7 +313,7 @@ def test_evidence_and_findings_are_kept_on_disk(tmp_path: Path) -> None:
     file = write_calibration(tmp_path, found, truth, open_kinds(reduced, SENSORS), 1, places)
     assert read_calibration(tmp_path) == file
     assert read_calibration(tmp_path / "none").causes == ()
-    told = list(tell(file, found, 99))
+    told = list(report_lines(file, found, 99))
     assert any("winter/rear was 50.0 ms late" in line for line in told)
     (tmp_path / "calibration.yaml").write_text("causes: 3\n")
     with pytest.raises(DatasetError, match=r"calibration\.yaml"):

@@ -24,7 +24,7 @@ from relocbench.datasets.groundtruth.calibration.files import (
     write_calibration,
     write_evidence,
 )
-from relocbench.datasets.groundtruth.calibration.telling import open_kinds, tell
+from relocbench.datasets.groundtruth.calibration.messages import open_kinds, report_lines
 from relocbench.datasets.groundtruth.calibration.unknowns import (
     EVERY,
     RIG,
@@ -115,7 +115,7 @@ def align(
             continue
         in_metres, removed = found.reduced(), total * unknowns_reduced(len(sensors), enlarged)
         file = write_calibration(folder, in_metres, removed, open_to, corrections, at)
-        for line in tell(file, in_metres, sum(e.count for e in evidence)):
+        for line in report_lines(file, in_metres, sum(e.count for e in evidence)):
             reporter.note(line)
         if corrections and _differ(found, total, _REMAINS):
             after = "a correction" if corrections == 1 else f"{corrections} corrections"

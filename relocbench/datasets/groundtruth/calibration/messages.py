@@ -32,7 +32,7 @@ def open_kinds(reduced: Reduced, sensors: Sensors) -> dict[str, tuple[str, ...]]
     return out
 
 
-def tell(file: CalibrationFile, found: Calibration, fits: int) -> Iterator[str]:
+def report_lines(file: CalibrationFile, found: Calibration, fits: int) -> Iterator[str]:
     """Lines that say what was found, how certainly, and what could not be seen."""
     if not fits:
         yield "calibration: too little is registered to say anything of it; it is taken as it is given"
