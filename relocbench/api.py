@@ -195,12 +195,12 @@ def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequ
 
 def _entries(results: Path, split: str | None, datasets: Sequence[Path | str]) -> list[DatasetEntry]:
     """The results of trackers, rescored with these datasets."""
-    from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+    from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.leaderboard.tracking.load import load_results
 
-    at_hand = DatasetsAtHand(results, [Path(folder) for folder in datasets])
-    entries = load_results(results, split, datasets=at_hand)
-    at_hand.check_used()
+    lookup = DatasetLookup(results, [Path(folder) for folder in datasets])
+    entries = load_results(results, split, datasets=lookup)
+    lookup.check_used()
     return entries
 
 

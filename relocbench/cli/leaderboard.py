@@ -11,7 +11,7 @@ import typer
 from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
-    from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+    from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.leaderboard.relocalization.board import ChainBoard
     from relocbench.leaderboard.retrieval.board import RetrievalBoard
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
@@ -117,7 +117,7 @@ def leaderboard(
     Example: relocbench leaderboard results --out tables --format latex
     """
     from relocbench.cli.console import print_json, reporter
-    from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+    from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard.formats import How, check_formats, write_formats
@@ -130,9 +130,9 @@ def leaderboard(
     check_in_no_dataset(out)
     ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
     told, chosen = reporter(quiet), check_formats(formats, html)
-    at_hand = DatasetsAtHand(results, dataset or (), told)
+    lookup = DatasetLookup(results, dataset or (), told)
     with alone_writing_to(out):
-        board, found, chains = _load(results, at_hand, ranked_by, split, seed, told)
+        board, found, chains = _load(results, lookup, ranked_by, split, seed, told)
         if found is not None:
             note_missing(found, told)
         if chains is not None:
@@ -199,7 +199,7 @@ def report(
     Example: relocbench report results --out report --metric "pose_auc@(0.5m,4deg)"
     """
     from relocbench.cli.console import print_json, reporter
-    from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+    from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard.html.manifest import earlier_files
     from relocbench.leaderboard.html.rows import Boards
@@ -208,9 +208,9 @@ def report(
     ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
     told = reporter(quiet)
     earlier_files(out)  # a folder that is not for pages is refused before the work
-    at_hand = DatasetsAtHand(results, dataset or (), told)
+    lookup = DatasetLookup(results, dataset or (), told)
     with alone_writing_to(out):
-        boards = Boards(*_load(results, at_hand, ranked_by, split, seed, told))
+        boards = Boards(*_load(results, lookup, ranked_by, split, seed, told))
         start = write_site(boards, out, pairs=pairs, reporter=told)
     if json:
         counts = {
@@ -225,7 +225,7 @@ def report(
 
 def _load(
     results: Path,
-    at_hand: DatasetsAtHand,
+    lookup: DatasetLookup,
     ranked_by: Mapping[str, str],
     split: str | None,
     seed: int,
@@ -238,14 +238,14 @@ def _load(
     from relocbench.leaderboard.tracking.tables import ranking_metric
     from relocbench.leaderboard.tracking.write import compare
 
-    asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": at_hand}
+    asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": lookup}
     found = load_retrieval(results, metric=ranked_by["--retrieval-metric"], **asked)
     chains = load_chains(results, metric=ranked_by["--relocalization-metric"], **asked)
     entries = None
     if (found is None and chains is None) or holds_tracking(results):
         ranking_metric(ranked_by["--metric"])  # a mistyped metric is reported before anything is read
-        entries = load_results(results, split, datasets=at_hand)
-    at_hand.check_used()  # before anything is written
+        entries = load_results(results, split, datasets=lookup)
+    lookup.check_used()  # before anything is written
     board = None
     if entries is not None:
         board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=told)

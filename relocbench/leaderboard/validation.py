@@ -12,7 +12,7 @@ from pathlib import Path
 
 from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, folders_with
 from relocbench.evaluation.relocalization.records import SET_FILE as CHAIN_FILE
 from relocbench.evaluation.relocalization.records import ChainSetResults
@@ -75,10 +75,10 @@ def _trackers(root: Path, found: Findings) -> list[MethodResults]:
 def _other_rows(top: Path, dataset: Dataset | None, found: Findings) -> list[tuple[Callable[[], object], Path]]:
     """What checks each retriever and chain, and its folder; a record that cannot be read is a fault."""
     rows: list[tuple[Callable[[], object], Path]] = []
-    at_hand = None if dataset is None else DatasetsAtHand(top, [dataset.root])
+    lookup = None if dataset is None else DatasetLookup(top, [dataset.root])
     for folder in map(SetResults, folders_with(RETRIEVAL_FILE, top)):
         with found.catching():
-            asked, truth = folder.record, None if at_hand is None else truth_of(folder, at_hand)
+            asked, truth = folder.record, None if lookup is None else truth_of(folder, lookup)
             rows += [(partial(load_retriever, row, asked, asked.tasks, truth), row.root) for row in folder.methods()]
     for chains in map(ChainSetResults, folders_with(CHAIN_FILE, top)):
         with found.catching():

@@ -16,7 +16,7 @@ from chains_for_tests import lists
 from small_dataset import ACROSS, make_small_dataset
 from small_views import make_small_views
 
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
@@ -71,9 +71,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def _boards(made: Path, *, at_hand: bool = True) -> Boards:
+def _boards(made: Path, *, lookup: bool = True) -> Boards:
     results = made / "results"
-    asked: dict[str, Any] = {"datasets": DatasetsAtHand(results, [made / "data"] if at_hand else [])}
+    asked: dict[str, Any] = {"datasets": DatasetLookup(results, [made / "data"] if lookup else [])}
     entries = load_results(results, **asked)
     return Boards(make_board(entries), load_retrieval(results, **asked), load_chains(results, **asked))
 
@@ -185,7 +185,7 @@ def test_the_first_image_is_as_far_as_the_poses_say(retrieval: RetrievalBoard) -
 
 
 def test_right_images_are_marked_with_and_without_the_dataset(made: Path, retrieval: RetrievalBoard) -> None:
-    without = _boards(made, at_hand=False).retrieval
+    without = _boards(made, lookup=False).retrieval
     assert without is not None
     for part, task in (("places-pairs", ACROSS), ("views", S2D)):
         known, told = _set(retrieval, part), _set(without, part)
@@ -247,7 +247,7 @@ def test_seconds_of_both_stages_part_only_where_the_rankings_are_those_of_the_ch
     shutil.copytree(made / "results", tmp_path / "results")
     run = next(tmp_path.glob("results/*.places-pairs@*/near/run.yaml"))
     run.write_text(run.read_text().replace("predictions:", "predictions:other/"))
-    changed = load_chains(tmp_path / "results", datasets=DatasetsAtHand(tmp_path / "results"))
+    changed = load_chains(tmp_path / "results", datasets=DatasetLookup(tmp_path / "results"))
     assert changed is not None
     assert boards.relocalization is not None
     for board, there in ((boards.relocalization, True), (changed, False)):

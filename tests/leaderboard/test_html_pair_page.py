@@ -19,7 +19,7 @@ from small_dataset import ACROSS, WITHIN, make_small_dataset
 from test_leaderboard import WINTER, MadeResults, made
 
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import (
     dataset_results,
     write_dataset_record,
@@ -64,7 +64,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _boards(results: Path) -> Boards:
-    return Boards(make_board(load_results(results, datasets=DatasetsAtHand(results))))
+    return Boards(make_board(load_results(results, datasets=DatasetLookup(results))))
 
 
 @pytest.fixture(scope="module")

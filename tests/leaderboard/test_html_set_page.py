@@ -15,7 +15,7 @@ from small_dataset import ACROSS, make_small_dataset
 from test_leaderboard import MadeResults, made
 
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.matching_table import OFFSETS_PX, MatchingRow, OffsetCounts
 from relocbench.evaluation.common.results import dataset_results, write_dataset_record
 from relocbench.evaluation.common.tables import write_rows
@@ -56,7 +56,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     add_answers(root / "results", dataset, "right", "right", lambda pair: pair.T_query_ref)
     add_answers(root / "results", dataset, "wrong", "wrong", wrong)
     _write_probe(root / "results" / "probed", dataset.fingerprint)
-    (entry,) = load_results(root / "results", datasets=DatasetsAtHand(root / "results"))
+    (entry,) = load_results(root / "results", datasets=DatasetLookup(root / "results"))
     counts = [OffsetCounts(offset, 10, 10, 12 // offset // 2, 12 // offset // 2, 0, 0) for offset in OFFSETS_PX]
     rows = tuple(MatchingRow((1, 2), "", each) for each in counts)
     methods = tuple(replace(m, matching={ACROSS: rows}) if m.label == "wrong" else m for m in entry.methods)

@@ -17,7 +17,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists
 from relocbench.evaluation.retrieval.records import (
     METRICS,
@@ -107,7 +107,7 @@ class RetrievalTruth:
         return Confirmed(int(depth[behind].min()) if np.any(behind) else None, _believed(found, depth))
 
 
-def truth_of(folder: SetResults, at_hand: DatasetsAtHand) -> RetrievalTruth | None:
+def truth_of(folder: SetResults, lookup: DatasetLookup) -> RetrievalTruth | None:
     """The truth of a retrieval set; None where its dataset is not at hand.
 
     A copy of the dataset, from another processor, will do where labels or pairs decide which images are right. Where a
@@ -119,7 +119,7 @@ def truth_of(folder: SetResults, at_hand: DatasetsAtHand) -> RetrievalTruth | No
     """
     record = folder.record
     for is_it in (_has_fingerprint, _asks_the_same):
-        places = _found(record, at_hand, is_it)
+        places = _found(record, lookup, is_it)
         if places is not None:
             return RetrievalTruth(folder, places)
     return None
@@ -136,15 +136,15 @@ def belongs(dataset: Dataset | CrossViewSet, record: SetRecord) -> bool:
 
 
 def _found(
-    record: SetRecord, at_hand: DatasetsAtHand, is_it: Callable[[StreetPlaces | CrossViewSet, SetRecord], bool]
+    record: SetRecord, lookup: DatasetLookup, is_it: Callable[[StreetPlaces | CrossViewSet, SetRecord], bool]
 ) -> StreetPlaces | CrossViewSet | None:
     def has_places(dataset: Dataset) -> bool:
         places = _street(dataset, record)
         return places is not None and is_it(places, record)
 
     if not record.options:
-        return at_hand.find_cross_view(lambda one: is_it(one, record))
-    dataset = at_hand.find(has_places)
+        return lookup.find_cross_view(lambda one: is_it(one, record))
+    dataset = lookup.find(has_places)
     return None if dataset is None else _street(dataset, record)
 
 

@@ -12,7 +12,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS
-from relocbench.evaluation.common.datasets_at_hand import check_record
+from relocbench.evaluation.common.dataset_lookup import check_record
 from relocbench.evaluation.common.error_table import ERROR_COLUMNS, read_errors
 from relocbench.evaluation.common.results import PREDICTIONS, DatasetRecord, MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.relocalization.answers import ChainAnswer, errors_of, read_chain
 from relocbench.evaluation.relocalization.records import (
     ORACLE,
@@ -134,7 +134,7 @@ def load_chains(
     metric: str = RANKING,
     split: str | None = None,
     seed: int = 0,
-    datasets: DatasetsAtHand | None = None,
+    datasets: DatasetLookup | None = None,
 ) -> ChainBoard | None:
     """Load the results of all chains in a results folder; None where there is nothing of theirs to show.
 
@@ -162,19 +162,19 @@ def load_chains(
     if there and not found and not holds_tracking(results):
         known = sorted({name for s in there for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    at_hand = datasets or DatasetsAtHand(results)
+    lookup = datasets or DatasetLookup(results)
     named = {(each.record.dataset, each.record.dataset_fingerprint) for each in there}
-    at_hand.acknowledge(lambda one: (one.name, one.fingerprint) in named)
-    boards = [board for s in found if (board := _set(s, metric, split, seed, at_hand)) is not None]
+    lookup.mark_used(lambda one: (one.name, one.fingerprint) in named)
+    boards = [board for s in found if (board := _set(s, metric, split, seed, lookup)) is not None]
     return ChainBoard(tuple(boards), metric, seed, split) if boards else None
 
 
 def _set(
-    folder: ChainSetResults, metric: str, split: str | None, seed: int, at_hand: DatasetsAtHand
+    folder: ChainSetResults, metric: str, split: str | None, seed: int, lookup: DatasetLookup
 ) -> ChainSetBoard | None:
     record = folder.record
     whose = record.dataset, record.dataset_fingerprint
-    dataset = at_hand.find(lambda one: (one.name, one.fingerprint) == whose)
+    dataset = lookup.find(lambda one: (one.name, one.fingerprint) == whose)
     truth = None if dataset is None else ChainTruth(dataset, folder)
     tasks = {n: r for n, r in record.tasks.items() if split is None or n in record.splits[split]}
     chains = tuple(load_chain(each, record, tasks, truth) for each in folder.chains())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.relocalization.score import POSE_METRICS, RANKING
 from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.text import Value, write_records
@@ -28,7 +28,7 @@ def write_relocalization_leaderboard(
     metric: str = RANKING,
     split: str | None = None,
     seed: int = 0,
-    datasets: DatasetsAtHand | None = None,
+    datasets: DatasetLookup | None = None,
     reporter: Reporter,
 ) -> ChainBoard | None:
     """Compare chains and write both files; None where a results folder has no chains to show.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import folders_with
 from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.evaluation.retrieval.records import (
@@ -152,7 +152,7 @@ def load_retrieval(
     metric: str = RANKING,
     split: str | None = None,
     seed: int = 0,
-    datasets: DatasetsAtHand | None = None,
+    datasets: DatasetLookup | None = None,
 ) -> RetrievalBoard | None:
     """Load the results of all retrievers in a results folder; None where there is nothing of theirs to show.
 
@@ -177,16 +177,16 @@ def load_retrieval(
     check_folder(results)
     for folder in found:
         check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
-    at_hand = datasets or DatasetsAtHand(results)
+    lookup = datasets or DatasetLookup(results)
     for folder in found:
-        at_hand.acknowledge(partial(belongs, record=folder.record))
+        lookup.mark_used(partial(belongs, record=folder.record))
     chosen = found if split is None else [s for s in found if split in s.record.splits]
     if not chosen and holds_tracking(results):
         return None  # the split is one of the trackers' datasets
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    sets = tuple(_set(copies, metric, split, seed, at_hand) for copies in _group_copies(chosen))
+    sets = tuple(_set(copies, metric, split, seed, lookup) for copies in _group_copies(chosen))
     return RetrievalBoard(sets, metric, seed, split)
 
 
@@ -240,7 +240,7 @@ def _group_copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
     return list(found.values())
 
 
-def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int, at_hand: DatasetsAtHand) -> SetBoard:
+def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int, lookup: DatasetLookup) -> SetBoard:
     """The board of all copies of a question, of which the first is shown; repeated labels are made distinct."""
     record, *others = (folder.record for folder in copies)
     for folder, other in zip(copies[1:], others, strict=True):
@@ -257,7 +257,7 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
         record = record.model_copy(update={"tasks": {**other.tasks, **record.tasks}})
     names = [n for n in record.tasks if split is None or n in record.splits[split]]
     tasks = {name: record.tasks[name] for name in names}
-    methods, path_of, truth = _methods_of(copies, tasks, at_hand)
+    methods, path_of, truth = _methods_of(copies, tasks, lookup)
     if not methods:
         raise PredictionError(
             "holds no retriever's answers; expected results of `relocbench evaluate-retrieval`", copies[0].root
@@ -290,14 +290,14 @@ def _rule_differs(record: SetRecord, other: SetRecord) -> str:
 
 
 def _methods_of(
-    copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord], at_hand: DatasetsAtHand
+    copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord], lookup: DatasetLookup
 ) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults], RetrievalTruth | None]:
     """The methods by label, the folder of each, and the tasks of the first copy that is at hand."""
     found: dict[str, Retriever] = {}
     folders: dict[str, RetrieverResults] = {}
     first: RetrievalTruth | None = None
     for copy in copies:
-        truth = truth_of(copy, at_hand)
+        truth = truth_of(copy, lookup)
         first = first or truth
         for folder in copy.methods():
             method = load_retriever(folder, copy.record, tasks, truth)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.text import Value, write_records
@@ -27,7 +27,7 @@ def write_retrieval_leaderboard(
     metric: str = RANKING,
     split: str | None = None,
     seed: int = 0,
-    datasets: DatasetsAtHand | None = None,
+    datasets: DatasetLookup | None = None,
     reporter: Reporter,
 ) -> RetrievalBoard | None:
     """Compare retrievers and write both files; None where a results folder has no retrievers to show.

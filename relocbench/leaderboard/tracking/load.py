@@ -17,7 +17,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import ELSEWHERE
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand, Truth
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup, Truth
 from relocbench.evaluation.common.error_table import ErrorTable, read_errors
 from relocbench.evaluation.common.matching_table import ALL, MatchingRow
 from relocbench.evaluation.common.results import (
@@ -166,7 +166,7 @@ class DatasetEntry:
 
 
 def load_results(
-    results: Path, split: str | None = None, *, datasets: DatasetsAtHand | None = None
+    results: Path, split: str | None = None, *, datasets: DatasetLookup | None = None
 ) -> list[DatasetEntry]:
     """Read all results of trackers in a results folder.
 
@@ -187,15 +187,15 @@ def load_results(
     check_folder(results)
     folders = all_results(results)
     _check_apart(folders)
-    at_hand = datasets or DatasetsAtHand(results)
+    lookup = datasets or DatasetLookup(results)
     for folder in folders:
-        at_hand.acknowledge(partial(_belongs, record=folder.record))
+        lookup.mark_used(partial(_belongs, record=folder.record))
     if split is not None:
         known = sorted({name for folder in folders for name in folder.record.splits})
         folders = [folder for folder in folders if split in folder.record.splits]
         if not folders:
             raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    truths = [at_hand.of(folder.record, _yaml(folder)) for folder in folders]
+    truths = [lookup.of(folder.record, _yaml(folder)) for folder in folders]
     entries = merge_copies([_dataset(folder, split, truth) for folder, truth in zip(folders, truths, strict=True)])
     if not any(entry.methods for entry in entries):
         raise PredictionError("holds no method's predictions; expected results of `relocbench evaluate`", results)

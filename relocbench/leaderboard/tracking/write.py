@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.tables import write_rows
 from relocbench.execution import Run, default_workers, run_units
 from relocbench.files import remove_parts, write_bytes, write_text
@@ -36,7 +36,7 @@ def write_leaderboard(
     split: str | None = None,
     seed: int = 0,
     plots: bool = True,
-    datasets: DatasetsAtHand | None = None,
+    datasets: DatasetLookup | None = None,
     reporter: Reporter | None = None,
 ) -> Board:
     """Compare the methods in a results folder, and write the leaderboard.

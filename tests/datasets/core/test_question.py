@@ -18,7 +18,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import DatasetFile
 from relocbench.datasets.cross_view import content
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import dataset_results
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import all_sets
@@ -178,7 +178,7 @@ def test_results_that_claim_a_question_and_hold_other_pairs_are_refused(original
     with pytest.raises(PredictionError, match="answered other pairs of 'summer__winter__cam0'"):
         load_results(results)
     with pytest.raises(PredictionError, match="the entry 'question' is not that of the dataset"):
-        load_results(results, datasets=DatasetsAtHand(results, [other.root]))
+        load_results(results, datasets=DatasetLookup(results, [other.root]))
 
 
 def test_predictions_of_another_question_are_refused(original: Dataset, tmp_path: Path) -> None:

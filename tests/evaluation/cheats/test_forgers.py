@@ -23,7 +23,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, DatasetError, PredictionError
 from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS, read_answers
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.error_table import PairErrors
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
@@ -65,8 +65,8 @@ def method(results: Path, label: str) -> MethodResults:
     return MethodResults(next(results.glob("*@*")) / label)
 
 
-def at_hand(results: Path, *datasets: Path, reporter: Silent | None = None) -> DatasetsAtHand:
-    return DatasetsAtHand(results, datasets, reporter)
+def lookup(results: Path, *datasets: Path, reporter: Silent | None = None) -> DatasetLookup:
+    return DatasetLookup(results, datasets, reporter)
 
 
 def better(row: PairErrors) -> PairErrors:
@@ -82,7 +82,7 @@ def better(row: PairErrors) -> PairErrors:
 
 def rows_of(results: Path, out: Path, *datasets: Path) -> dict[str, dict[str, str]]:
     """The rows of the board on one pair set, by method."""
-    write_leaderboard(results, out, plots=False, datasets=at_hand(results, *datasets))
+    write_leaderboard(results, out, plots=False, datasets=lookup(results, *datasets))
     with (out / "leaderboard.csv").open(newline="", encoding="utf-8") as stream:
         rows = [row for row in csv.DictReader(stream) if row["pair_set"] == ACROSS]
     return {row["method"]: row for row in rows}
@@ -92,7 +92,7 @@ def refused(results: Path, match: str, dataset: Dataset | None = None) -> Path |
     """The file that a leaderboard and ``validate`` refuse with that message."""
     datasets = [] if dataset is None else [dataset.root]
     with pytest.raises(PredictionError, match=match) as bad:
-        load_results(results, datasets=at_hand(results, *datasets))
+        load_results(results, datasets=lookup(results, *datasets))
     faults = validate_results(results, dataset, Silent()).faults
     assert bad.value.path in {fault.path for fault in faults}, "validate finds it too"
     return bad.value.path
@@ -100,7 +100,7 @@ def refused(results: Path, match: str, dataset: Dataset | None = None) -> Path |
 
 def test_honest_results_are_rescored_bit_for_bit(results: Path, dataset: Dataset, tmp_path: Path) -> None:
     claimed = {m.label: m for m in load_results(results)[0].methods}
-    found = {m.label: m for m in load_results(results, datasets=at_hand(results, dataset.root))[0].methods}
+    found = {m.label: m for m in load_results(results, datasets=lookup(results, dataset.root))[0].methods}
     assert {m.rescored for m in claimed.values()} == {False}
     assert {m.rescored for m in found.values()} == {True}
     for label, each in found.items():
@@ -152,7 +152,7 @@ def test_no_column_of_the_errors_escapes_the_truth(results: Path, dataset: Datas
     forge_summary(folder, WITHIN)
     reseal(folder)
     with pytest.raises(PredictionError, match=f"is not what predictions and truth give: pair .* {change}|the {change}"):
-        load_results(results, datasets=at_hand(results, dataset.root))
+        load_results(results, datasets=lookup(results, dataset.root))
 
 
 def test_who_edits_predictions_is_named(results: Path) -> None:
@@ -230,7 +230,7 @@ def test_folders_that_are_swapped_say_as_what_they_ran(results: Path, dataset: D
     good.rename(good.with_name("parked"))
     bad.rename(good)
     good.with_name("parked").rename(bad)
-    write_leaderboard(results, tmp_path / "board", plots=False, datasets=at_hand(results, dataset.root))
+    write_leaderboard(results, tmp_path / "board", plots=False, datasets=lookup(results, dataset.root))
     page = board_pages(tmp_path / "board")
     assert "Folders that are not named as their runs: `orb-pnp` ran as `sift-pnp`, `sift-pnp` ran as `orb-pnp`." in page
 
@@ -263,7 +263,7 @@ def test_scores_of_another_version_of_the_formulas_are_scored_again(results: Pat
     change_yaml(folder.scores_yaml, lambda scores: [scores.pop(k) for k in ("formulas", "errors", "truth", "run")])
     assert refused(results, "does not say what it was computed from") == folder.scores_yaml
     evaluate(dataset, results, "identity", pair_sets=(WITHIN,))
-    assert load_results(results, datasets=at_hand(results, dataset.root))[0].methods[1].rescored, (
+    assert load_results(results, datasets=lookup(results, dataset.root))[0].methods[1].rescored, (
         "both pair sets are scored again"
     )
 
@@ -289,15 +289,15 @@ def test_a_dataset_beside_the_results_is_used_unless_it_is_damaged(
     assert all(m.rescored for m in load_results(next(results.glob("*@*")))[0].methods)
     path = beside / "pairs" / f"{ACROSS}.txt"
     path.write_text(path.read_text().replace(" 0.", " 1.", 1))
-    assert not any(m.rescored for m in load_results(results, datasets=at_hand(results, reporter=Notes()))[0].methods)
+    assert not any(m.rescored for m in load_results(results, datasets=lookup(results, reporter=Notes()))[0].methods)
     assert f"not scored again with {beside}: {path}: content was changed" in notes[0]
     with pytest.raises(DatasetError, match="content was changed"):
-        load_results(results, datasets=at_hand(results, beside))
+        load_results(results, datasets=lookup(results, beside))
 
 
 def test_datasets_are_found_in_a_folder_of_them(results: Path, dataset: Dataset) -> None:
     make_small_dataset(dataset.root.parent / "other", frames=3, name="other")
-    assert all(m.rescored for m in load_results(results, datasets=at_hand(results, dataset.root.parent))[0].methods)
+    assert all(m.rescored for m in load_results(results, datasets=lookup(results, dataset.root.parent))[0].methods)
 
 
 def test_a_dataset_that_no_result_is_of_is_a_users_mistake(results: Path, tmp_path: Path) -> None:
@@ -309,7 +309,7 @@ def test_a_dataset_that_no_result_is_of_is_a_users_mistake(results: Path, tmp_pa
     assert (told.status, "of which the results hold nothing" in told.complaint) == (2, True)
     assert not board.exists() or not list(board.iterdir()), "nothing is written"
     with pytest.raises(DatasetError, match="a folder with datasets in it"):
-        load_results(results, datasets=at_hand(results, tmp_path / "results"))
+        load_results(results, datasets=lookup(results, tmp_path / "results"))
 
 
 def test_the_commands_refuse_a_forgery_with_status_2(results: Path, dataset: Dataset, tmp_path: Path) -> None:
@@ -329,7 +329,7 @@ def test_the_commands_refuse_a_forgery_with_status_2(results: Path, dataset: Dat
 
 def test_rescored_boards_have_the_same_bytes(results: Path, dataset: Dataset, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_leaderboard(results, tmp_path / name, plots=False, datasets=at_hand(results, dataset.root))
+        write_leaderboard(results, tmp_path / name, plots=False, datasets=lookup(results, dataset.root))
     files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file())
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()

@@ -18,7 +18,7 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.relocalization.answers import ChainAnswer, read_chain, write_chain
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 from relocbench.evaluation.relocalization.records import ChainResults
@@ -75,7 +75,7 @@ def forge(results: Path, change: Callable[[ChainAnswer], ChainAnswer]) -> Path:
 
 
 def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], dict[str, str]]:
-    write_relocalization_leaderboard(results, out, datasets=DatasetsAtHand(results, datasets), reporter=Silent())
+    write_relocalization_leaderboard(results, out, datasets=DatasetLookup(results, datasets), reporter=Silent())
     with (out / "relocalization.csv").open(newline="", encoding="utf-8") as stream:
         return {(r["retriever"], r["tracker"]): r for r in csv.DictReader(stream) if r["table"] == ACROSS}
 
@@ -104,7 +104,7 @@ def test_forged_rows_are_exposed_by_the_truth(results: Path, dataset: Path, chan
     path = forge(results, lambda row: replace(row, **change))
     assert load_chains(results) is not None, "nothing without the truth tells it"
     with pytest.raises(PredictionError, match="is not what rankings, answers and truth give; run") as bad:
-        load_chains(results, datasets=DatasetsAtHand(results, [dataset]))
+        load_chains(results, datasets=DatasetLookup(results, [dataset]))
     assert bad.value.path == path
 
 
@@ -129,11 +129,11 @@ def test_a_forged_basin_or_task_is_exposed_by_the_truth(results: Path, dataset: 
 
     change_yaml(chain(results).scores_yaml, wide)
     with pytest.raises(PredictionError, match="is not the reach of the dataset's pairs"):
-        load_chains(results, datasets=DatasetsAtHand(results, [dataset]))
+        load_chains(results, datasets=DatasetLookup(results, [dataset]))
     path = next(results.glob("*@*/relocalization.yaml"))
     change_yaml(path, lambda record: record["tasks"][ACROSS].update(rejected=7))
     with pytest.raises(PredictionError, match="the entry of the task") as bad:
-        load_chains(results, datasets=DatasetsAtHand(results, [dataset]))
+        load_chains(results, datasets=DatasetLookup(results, [dataset]))
     assert bad.value.path == path
 
 

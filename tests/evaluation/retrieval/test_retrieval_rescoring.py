@@ -18,7 +18,7 @@ from small_views import make_small_views
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError, PredictionError
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
@@ -98,14 +98,14 @@ def forge(folder: RetrieverResults, task: str, change: Callable[[QueryAnswer], Q
 
 def refused(results: Path, match: str, *datasets: Path) -> Path | None:
     with pytest.raises(PredictionError, match=match) as bad:
-        load_retrieval(results, datasets=DatasetsAtHand(results, datasets))
+        load_retrieval(results, datasets=DatasetLookup(results, datasets))
     return bad.value.path
 
 
 def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], dict[str, str]]:
-    at_hand = DatasetsAtHand(results, datasets)
-    write_retrieval_leaderboard(results, out, datasets=at_hand, reporter=Silent())
-    at_hand.check_used()
+    lookup = DatasetLookup(results, datasets)
+    write_retrieval_leaderboard(results, out, datasets=lookup, reporter=Silent())
+    lookup.check_used()
     with (out / "retrieval.csv").open(newline="", encoding="utf-8") as stream:
         return {(row["table"], row["method"]): row for row in csv.DictReader(stream)}
 
@@ -232,7 +232,7 @@ def test_places_of_a_street_are_rescored(tmp_path: Path, rule: dict[str, Any]) -
     forge(folder, ACROSS, lambda a: replace(a, ranks=(1, *a.ranks[1:])) if a.query == wrong.query else a)
     refused(results, "has the ranks 1", street.root)
     change_yaml(only_set(results).root / SET_FILE, lambda r: r["options"].clear())
-    assert load_retrieval(results, datasets=DatasetsAtHand(results, [street.root])) is not None, "it has no such set"
+    assert load_retrieval(results, datasets=DatasetLookup(results, [street.root])) is not None, "it has no such set"
 
 
 def test_a_run_on_one_split_leaves_the_others_in_the_record(town: Path, tmp_path: Path) -> None:
@@ -288,7 +288,7 @@ def test_a_copy_with_other_rules_is_refused(results: Path, town: Path) -> None:
         (forged / SET_FILE).write_text(kept)
         change_yaml(forged / SET_FILE, lambda record, c=change: record.update(fingerprint="0" * 64, **c))  # type: ignore[misc]
         with pytest.raises(PredictionError):
-            load_retrieval(results, datasets=DatasetsAtHand(results, [town]))
+            load_retrieval(results, datasets=DatasetLookup(results, [town]))
 
 
 def test_a_plain_set_may_have_another_name(results: Path, town: Path, tmp_path: Path) -> None:
@@ -312,12 +312,12 @@ def test_a_damaged_set_beside_the_results_is_noted_once_and_not_used(results: Pa
         def note(self, message: str) -> None:
             notes.append(message)
 
-    board = load_retrieval(results, datasets=DatasetsAtHand(results, (), Notes()))
+    board = load_retrieval(results, datasets=DatasetLookup(results, (), Notes()))
     assert board is not None
     assert {row.rescored for table in board.sets[0].tables for row in table.rows} == {"no"}
     assert [note.startswith(f"not scored again with {beside}") for note in notes] == [True]
     with pytest.raises(DatasetError):
-        load_retrieval(results, datasets=DatasetsAtHand(results, [beside]))
+        load_retrieval(results, datasets=DatasetLookup(results, [beside]))
 
 
 def test_no_images_kept_and_ranks_without_an_answer_are_refused(results: Path, town: Path) -> None:

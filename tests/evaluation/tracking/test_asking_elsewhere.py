@@ -22,7 +22,7 @@ from relocbench.datasets.learning.training_pairs import DatasetPairs
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.answer_table import Answer, read_answers, write_answers
-from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.error_table import PairErrors, read_errors
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
@@ -121,8 +121,8 @@ def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp
     evaluate(dataset, tmp_path / "out", "identity", "clock")
     evaluate(dataset, tmp_path / "out", predictions=confidently(dataset, tmp_path / "mine"))
     for name, named in (("claimed", ()), ("rescored", (dataset.root,))):
-        at_hand = DatasetsAtHand(tmp_path / "out", named)
-        write_leaderboard(tmp_path / "out", tmp_path / name, plots=False, datasets=at_hand)
+        lookup = DatasetLookup(tmp_path / "out", named)
+        write_leaderboard(tmp_path / "out", tmp_path / name, plots=False, datasets=lookup)
         with (tmp_path / name / "leaderboard.csv").open(newline="", encoding="utf-8") as stream:
             rows = {(r["pair_set"], r["method"]): r for r in csv.DictReader(stream) if r["split"] != "all"}
         for place in (ACROSS, "total"):
@@ -178,7 +178,7 @@ def test_forged_numbers_and_groups_are_refused(dataset: Dataset, tmp_path: Path)
     reseal(errors)
     load_results(tmp_path / "errors")
     with pytest.raises(PredictionError, match=r"confidence 0\.1, expected 0\.9"):
-        load_results(tmp_path / "errors", datasets=DatasetsAtHand(tmp_path / "errors", [dataset.root]))
+        load_results(tmp_path / "errors", datasets=DatasetLookup(tmp_path / "errors", [dataset.root]))
 
     record = copy("record")
     change_yaml(
@@ -195,7 +195,7 @@ def test_results_of_versions_that_knew_no_different_places_are_read(plain: Datas
     change_yaml(
         folder.root.parent / "dataset.yaml", lambda values: [s.pop("elsewhere") for s in values["pair_sets"].values()]
     )
-    (entry,) = load_results(tmp_path / "out", datasets=DatasetsAtHand(tmp_path / "out", [plain.root]))
+    (entry,) = load_results(tmp_path / "out", datasets=DatasetLookup(tmp_path / "out", [plain.root]))
     assert entry.methods[0].rescored
     assert not validate_results(tmp_path / "out", plain, Silent()).faults
 
@@ -226,7 +226,7 @@ def test_matching_is_measured_on_pairs_of_one_place(dataset: Dataset, tmp_path: 
     with folder.matching(ACROSS).open(newline="", encoding="utf-8") as stream:
         keys = {(int(r["ref_timestamp_ns"]), int(r["query_timestamp_ns"])) for r in csv.DictReader(stream)}
     assert keys == {p.key for p in dataset.pair_set(ACROSS).pairs}
-    (entry,) = load_results(tmp_path / "out", datasets=DatasetsAtHand(tmp_path / "out", [dataset.root]))
+    (entry,) = load_results(tmp_path / "out", datasets=DatasetLookup(tmp_path / "out", [dataset.root]))
     assert entry.methods[0].matching
 
 

@@ -43,7 +43,7 @@ class Truth:
     """whether it only asks the same question, with another fingerprint"""
 
 
-class DatasetsAtHand:
+class DatasetLookup:
     """The datasets of a results folder, each opened and checked when it is first asked for.
 
     One object serves all boards of a results folder, so that a dataset is checked once, and one that none of them used
@@ -130,7 +130,7 @@ class DatasetsAtHand:
                 self._damaged(places, bad)
         return None
 
-    def acknowledge(self, is_of: Callable[[Dataset | CrossViewSet], bool]) -> None:
+    def mark_used(self, is_of: Callable[[Dataset | CrossViewSet], bool]) -> None:
         """Count the named datasets as used that results belong to, although others may be the ones looked at."""
         self._used += [one for one in self._named if is_of(one)]
 
