@@ -43,12 +43,12 @@ from baselines.alignment.features.pyramid import level_coordinates
 from baselines.calibration import GN_NET, GN_NET_CONTRASTIVE, GN_NET_FROM_PRIOR, GN_NET_PNP, LM_NET, Calibration
 from baselines.defaults import with_defaults
 from baselines.device import to_device
+from baselines.feature_cache import FeatureCache
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.weights import load_weights
 from baselines.options import Finite
-from baselines.remembered import RememberedImages
 from relocbench.arrays import Array, Image
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
@@ -131,8 +131,8 @@ class GnNet:
         min_points: with fewer points that have depth, tracking fails.
         min_agreement: with a smaller agreement, tracking fails; by default one below which no answer was right on
             validation districts.
-        remember: keep the feature maps of so many images for the pairs that show them again. The answers stay the same,
-            and the seconds of a pair no longer say what one costs.
+        cache_size: number of images whose feature maps are kept for the pairs that show them again. The answers stay
+            the same, and the seconds of a pair no longer include the network where an image came before.
         device: where the network runs; the alignment runs on the CPU.
         seed: of the random choices.
 
@@ -171,7 +171,7 @@ class GnNet:
         kept: tuple[Annotated[int, Field(ge=1)], ...] = (3, 3, 3, 5, 8),
         min_points: Annotated[int, Field(ge=8)] = 30,
         min_agreement: Annotated[float, Field(ge=0, le=1)] = MIN_AGREEMENT,
-        remember: Annotated[int, Field(ge=0)] = 0,
+        cache_size: Annotated[int, Field(ge=0)] = 0,
         device: str = "cpu",
         seed: Annotated[int, Field(ge=0)] = 0,
     ) -> None:
@@ -200,7 +200,7 @@ class GnNet:
         self.device = device
         self.seed = seed
         self._last: tuple[Query, FeaturePyramid] | None = None
-        self._remembered: RememberedImages[Maps] = RememberedImages(remember)
+        self._cache: FeatureCache[Maps] = FeatureCache(cache_size)
         net = weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
         self.net = to_device(net.for_tracking(), device)
 
@@ -270,7 +270,7 @@ class GnNet:
             MethodError: the camera is not pinhole, or the image is too small for the network.
         """
         require_pinhole(camera)
-        features, confidences = self._remembered.get(image, self._maps)
+        features, confidences = self._cache.get(image, self._maps)
         return FeaturePyramid.from_maps(features, level_camera(camera, self.net.options.finest), confidences)
 
     @torch.inference_mode()

@@ -30,10 +30,10 @@ class Aliked(NetworkDetector):
         longest_px: int,
         device: str,
         model: AlikedModel = "n16",
-        remember: int = 0,
+        cache_size: int = 0,
     ) -> None:
         self.model = model
-        super().__init__(weights, features, longest_px, device, remember)
+        super().__init__(weights, features, longest_px, device, cache_size)
 
     def load(self, weights: Path) -> nn.Module:
         # A threshold of 0 selects the strongest maxima.

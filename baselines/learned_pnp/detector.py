@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from baselines.device import to_device
+from baselines.feature_cache import FeatureCache
 from baselines.feature_pnp.features import Features
 from baselines.learned_pnp.images import network_input
-from baselines.remembered import RememberedImages
 
 
 class NetworkDetector(ABC):
@@ -25,7 +25,7 @@ class NetworkDetector(ABC):
         features: largest number of keypoints.
         longest_px: larger images are shrunk to this size of the longer side first.
         device: where the network runs.
-        remember: the features of so many images are kept, those used last, for the next time that one comes.
+        cache_size: number of images whose features are kept, those used last, for the next time that one comes.
 
     Raises:
         MethodError: kornia is needed and not installed, or the weights are missing or of another network.
@@ -36,11 +36,11 @@ class NetworkDetector(ABC):
     multiple: ClassVar[int] = 1
     """both sides of an image are shrunk to multiples of so many pixels"""
 
-    def __init__(self, weights: Path, features: int, longest_px: int, device: str, remember: int = 0) -> None:
+    def __init__(self, weights: Path, features: int, longest_px: int, device: str, cache_size: int = 0) -> None:
         self.features = features
         self.longest_px = longest_px
         self.device = device
-        self._remembered: RememberedImages[Features] = RememberedImages(remember)
+        self._cache: FeatureCache[Features] = FeatureCache(cache_size)
         self.net: Any = to_device(self.load(weights), device)
 
     @abstractmethod
@@ -58,7 +58,7 @@ class NetworkDetector(ABC):
         Raises:
             MethodError: the image is smaller than 64 pixels.
         """
-        return self._remembered.get(image, self._found)
+        return self._cache.get(image, self._found)
 
     @torch.inference_mode()
     def _found(self, image: NDArray[np.uint8]) -> Features:

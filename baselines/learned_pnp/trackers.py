@@ -42,8 +42,8 @@ class NearestPnp(FeaturePnp):
         max_iterations: largest number of minimal samples.
         confidence: the probability of success at which sampling stops early.
         device: where the network runs; the pose is found on the CPU.
-        remember: keep the features of so many images for the pairs that show them again. The answers stay the same,
-            but the seconds of a pair then count no network where an image came before.
+        cache_size: number of images whose features are kept for the pairs that show them again. The answers stay the
+            same, and the seconds of a pair no longer include the network where an image came before.
         seed: of the sampling.
 
     Raises:
@@ -70,7 +70,7 @@ class NearestPnp(FeaturePnp):
         max_iterations: Annotated[int, Field(ge=1)] = 10000,
         confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
         device: str = "cpu",
-        remember: Annotated[int, Field(ge=0)] = 0,
+        cache_size: Annotated[int, Field(ge=0)] = 0,
         seed: Annotated[int, Field(ge=0)] = 0,
     ) -> None:
         super().__init__(
@@ -84,7 +84,9 @@ class NearestPnp(FeaturePnp):
             seed=seed,
         )
         self.ratio = ratio
-        self._detector = self.network(self.files(weights)["weights"], features, longest_px, device, remember=remember)
+        self._detector = self.network(
+            self.files(weights)["weights"], features, longest_px, device, cache_size=cache_size
+        )
 
     @classmethod
     def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:
@@ -121,8 +123,8 @@ class AlikedPnp(FeaturePnp):
         max_iterations: largest number of minimal samples.
         confidence: the probability of success at which sampling stops early.
         device: where the network runs; the pose is found on the CPU.
-        remember: keep the features of so many images for the pairs that show them again. The answers stay the same,
-            but the seconds of a pair then count no network where an image came before.
+        cache_size: number of images whose features are kept for the pairs that show them again. The answers stay the
+            same, and the seconds of a pair no longer include the network where an image came before.
         seed: of the sampling.
 
     Raises:
@@ -147,7 +149,7 @@ class AlikedPnp(FeaturePnp):
         max_iterations: Annotated[int, Field(ge=1)] = 10000,
         confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
         device: str = "cpu",
-        remember: Annotated[int, Field(ge=0)] = 0,
+        cache_size: Annotated[int, Field(ge=0)] = 0,
         seed: Annotated[int, Field(ge=0)] = 0,
     ) -> None:
         super().__init__(
@@ -161,7 +163,7 @@ class AlikedPnp(FeaturePnp):
             seed=seed,
         )
         self.ratio = ratio
-        self._detector = Aliked(self.files(weights, model)["weights"], features, longest_px, device, model, remember)
+        self._detector = Aliked(self.files(weights, model)["weights"], features, longest_px, device, model, cache_size)
 
     @classmethod
     def files(cls, weights: Path | None = None, model: AlikedModel = "n16", **_: Any) -> dict[str, Path]:

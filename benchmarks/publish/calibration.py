@@ -70,16 +70,16 @@ FARTHEST_M, WIDEST_DEG = 14.0, 45.0
 REMEMBERED = 200
 """images whose features a method keeps for the pairs that show them again: those of two districts"""
 METHODS: Mapping[str, Callable[[], Any]] = {
-    "gn-net": lambda: GnNet(min_agreement=0.0, remember=REMEMBERED),
-    "gn-net-pnp": lambda: GnNetPnp(min_agreement=0.0, remember=REMEMBERED),
-    "gn-net-from-prior": lambda: GnNetFromPrior(min_agreement=0.0, remember=REMEMBERED),
-    "gn-net-contrastive": lambda: GnNetContrastive(min_agreement=0.0, remember=REMEMBERED),
-    "lm-net": lambda: LmNet(min_agreement=0.0, remember=REMEMBERED),
+    "gn-net": lambda: GnNet(min_agreement=0.0, cache_size=REMEMBERED),
+    "gn-net-pnp": lambda: GnNetPnp(min_agreement=0.0, cache_size=REMEMBERED),
+    "gn-net-from-prior": lambda: GnNetFromPrior(min_agreement=0.0, cache_size=REMEMBERED),
+    "gn-net-contrastive": lambda: GnNetContrastive(min_agreement=0.0, cache_size=REMEMBERED),
+    "lm-net": lambda: LmNet(min_agreement=0.0, cache_size=REMEMBERED),
     "dso": lambda: Dso(min_correlation=-1.0),
     "dso-multistart": lambda: DsoMultiStart(min_correlation=-1.0),
     "orb-pnp": OrbPnp,
     "sift-pnp": SiftPnp,
-    "aliked-pnp": lambda: AlikedPnp(remember=REMEMBERED),
+    "aliked-pnp": lambda: AlikedPnp(cache_size=REMEMBERED),
 }
 """each without a limit on the evidence of its answers"""
 GIVEN_WEIGHTS = ("aliked-pnp",)

@@ -90,23 +90,23 @@ SETTINGS = (
     f"dso-along.turns_deg={list(TURNS_DEG)}",
     "dso-from-orb-pnp.start=orb-pnp",
     "dso-from-gn-net-pnp.start=gn-net-pnp",
-    "dso-from-gn-net-pnp.start.remember=200",
+    "dso-from-gn-net-pnp.start.cache_size=200",
     *(f"gn-net-one-start.{name}={json.dumps(value)}" for name, value in ONE_START.items()),
-    "gn-net-one-start.remember=200",
-    "gn-net-from-prior.remember=200",
-    "gn-net-pnp.remember=200",
-    "gn-net-contrastive.remember=200",
-    "lm-net.remember=200",
-    "gn-net.remember=200",
-    "aliked-pnp.remember=200",
-    "gn-net-from-aliked-pnp.remember=200",
+    "gn-net-one-start.cache_size=200",
+    "gn-net-from-prior.cache_size=200",
+    "gn-net-pnp.cache_size=200",
+    "gn-net-contrastive.cache_size=200",
+    "lm-net.cache_size=200",
+    "gn-net.cache_size=200",
+    "aliked-pnp.cache_size=200",
+    "gn-net-from-aliked-pnp.cache_size=200",
     "gn-net-from-aliked-pnp.start=aliked-pnp",
-    "gn-net-from-aliked-pnp.start.remember=200",
+    "gn-net-from-aliked-pnp.start.cache_size=200",
     "gn-net-from-aliked-pnp.prior_level=0",
     "gn-net-from-aliked-pnp.min_agreement=0",
 )
 """``dso-along`` starts from the poses of ``gn-net-from-prior``, and ``gn-net-one-start`` from the keyframe's alone. A
-drive has 52 images: ``remember`` saves the network's passes over images that other pair sets of a district showed. No
+drive has 52 images: ``cache_size`` saves the network's passes over images that other pair sets of a district showed. No
 seconds are printed."""
 FLOORS = ("identity", "clock")
 SUBJECTS = ("gn-net", "gn-net-from-prior")

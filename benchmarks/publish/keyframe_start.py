@@ -33,8 +33,8 @@ import torch
 from answers import Answer, in_percent, kept, questions
 from calibration import VALIDATION, build_district, made_by
 
+from baselines.feature_cache import FeatureCache
 from baselines.gn_net.tracker import ONE_START, SHIPPED, GnNet
-from baselines.remembered import RememberedImages
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import se3_exp
@@ -47,7 +47,7 @@ NEAR_M = 1.0
 ONE = "one_start"
 IMAGES = 500
 """whose feature maps are kept: those of all districts"""
-_REMEMBERED: dict[tuple[str, int], RememberedImages[Any]] = {}
+_REMEMBERED: dict[tuple[str, int], FeatureCache[Any]] = {}
 """by the digest of the weights and the halvings of the image"""
 
 GROUPS: Mapping[str, Callable[[Answer], bool]] = {
@@ -100,7 +100,7 @@ def answers_of(asked: str, seed: int, options: argparse.Namespace) -> list[Answe
         ]
         for tracker in trackers:
             # Trackers that differ in their parameters alone take each image through the network once.
-            tracker._remembered = _REMEMBERED.setdefault((digest, tracker.halvings), RememberedImages(IMAGES))
+            tracker._cache = _REMEMBERED.setdefault((digest, tracker.halvings), FeatureCache(IMAGES))
         return ask(*trackers, build_district(options.scratch, seed, options.workers), options.pairs, seed)
 
     return kept(path, make)

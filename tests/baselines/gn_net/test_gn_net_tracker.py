@@ -158,7 +158,7 @@ def test_halved_images_give_coarser_levels(weights: Path) -> None:
 
 
 def test_remembered_maps_are_those_that_the_network_finds(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    forgetful, tracker = (GnNetFromPrior(weights=weights, remember=most, min_agreement=0.0) for most in (0, 2))
+    forgetful, tracker = (GnNetFromPrior(weights=weights, cache_size=most, min_agreement=0.0) for most in (0, 2))
     passed, through = [], tracker.net.with_confidences
 
     def counted(x: torch.Tensor) -> Any:

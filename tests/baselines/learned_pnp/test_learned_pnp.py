@@ -48,7 +48,7 @@ def pattern(height: int, width: int, seed: int = 0) -> Image:
 
 def test_remembered_features_are_those_that_the_network_finds(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = [pattern(96, 128, seed) for seed in (0, 1, 2)]
-    forgetful, detector = (Aliked(drawn, 200, 1280, "cpu", "t16", remember) for remember in (0, 2))
+    forgetful, detector = (Aliked(drawn, 200, 1280, "cpu", "t16", cache_size) for cache_size in (0, 2))
     passed: list[torch.Tensor] = []
     find = detector.find
 
