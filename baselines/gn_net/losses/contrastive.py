@@ -5,8 +5,7 @@ With d = ||F_a(u_a) - F_b(u_b)||_2, GN-Net (von Stumberg et al., RA-L 2020, sect
     positives  mean d^2                negatives  mean max(0, M - d)^2
 
 LM-Reloc (von Stumberg et al., 3DV 2020) has max(0, M - d^2) for negatives. Published reimplementations also have a
-margin
-m within which positives cost nothing: max(0, d - m)^2, or max(0, d^2 - m).
+margin m within which positives cost nothing: max(0, d - m)^2, or max(0, d^2 - m).
 """
 
 from __future__ import annotations

@@ -65,7 +65,8 @@ def summary(answers: Sequence[ChainAnswer], top: int) -> Values:
     """Counts, means over all queries, and their intervals from blocks along the drive.
 
     Args:
-        place: the name of the task; it seeds the generators, so that each number has one of its own.
+        answers: of one task, one for each query, in the order of the drive.
+        top: number of candidates that the tracker was given.
     """
     seconds = np.array([np.nan if a.seconds is None else a.seconds for a in answers])
     confidence = np.array([np.nan if a.confidence is None else a.confidence for a in answers])

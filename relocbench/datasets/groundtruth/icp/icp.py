@@ -192,24 +192,25 @@ def run_icp(
     for k in order:
         level = options.levels[k]
         reach = min(ref.options.reach_m[level], query.options.reach_m[level])
-        converged, laid, there, here = False, scale_error, _sides(ref, level, 0.0), _sides(query, level, scale_error)
+        converged, applied_scale_error = False, scale_error
+        ref_sides, query_sides = _sides(ref, level, 0.0), _sides(query, level, scale_error)
         for iteration in range(options.iterations[k]):
-            if abs(scale_error - laid) >= _RESCALED:
-                here, laid = _sides(query, level, scale_error), scale_error
+            if abs(scale_error - applied_scale_error) >= _RESCALED:
+                query_sides, applied_scale_error = _sides(query, level, scale_error), scale_error
             # The kernel narrows over a level's first iterations, so that large residuals have weight at its start.
             scale = options.scales_m[k] * max(1.0, 2.0 * 0.6**iteration)
-            problem = linearise_both(there, here, T, reach, scale, options)
+            problem = linearise_both(ref_sides, query_sides, T, reach, scale, options)
             if problem.count < options.least_matches:
                 return IcpResult(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, scale_error)
-            xi, longer = _step(problem, laid, options)
-            T, scale_error = T @ se3_exp(xi), laid + longer
+            xi, longer = _step(problem, applied_scale_error, options)
+            T, scale_error = T @ se3_exp(xi), applied_scale_error + longer
             steps += 1
             # A coarser level only has to lead to where the last one converges.
             least = 1.0 if k == last else _COARSER
             still = (
                 np.linalg.norm(xi[:3]) < 2e-4 * least
                 and np.linalg.norm(xi[3:]) < 2e-5 * least
-                and abs(scale_error - laid) < _RESCALED
+                and abs(scale_error - applied_scale_error) < _RESCALED
             )
             if iteration >= 2 and still:
                 converged = True
