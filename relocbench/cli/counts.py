@@ -50,7 +50,7 @@ def of_evaluation(report: Report) -> Counts:
     statuses = _statuses(report.folders, [s.name for s in report.pair_sets])
     return {
         "pair_sets": len(report.pair_sets),
-        "pairs": sum(len(s.asked) for s in report.pair_sets),
+        "pairs": sum(len(s.evaluated) for s in report.pair_sets),
         "rejected": sum(len(s.rejected) for s in report.pair_sets),
         "methods": len(report.folders),
         "answered": statuses["ok"],

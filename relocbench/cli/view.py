@@ -140,7 +140,7 @@ def _write(
     found = _methods(results, dataset, methods)
     answers = {method.label: _answers(dataset, sets, method, reporter) for method in found}
     shown = chosen_pairs(sets, chosen["every"], chosen["limit"])
-    of = sum(len(s.asked) for s in sets)
+    of = sum(len(s.evaluated) for s in sets)
     if len(shown) < of:
         reporter.note(f"{len(shown)} of {of} pairs are shown; --limit 0 and --every 1 show all")
     written = write_recording(dataset, shown, answers, target, points=chosen["points"], reporter=reporter)

@@ -80,7 +80,7 @@ def answers_to(dataset: Dataset, pair_set: PairSet, method: MethodResults) -> Me
     told = read_answers(table) if table.exists() else {}
     errors = {row.key: row for row in score_pair_set(pair_set, method)} if pair_set.has_truth else {}
     out: MethodAnswers = {}
-    for pair in pair_set.asked:
+    for pair in pair_set.evaluated:
         answer, error = told.get(pair.key), errors.get(pair.key)
         out[pair.key] = ShownAnswer(
             # A pose of which no error can be computed counts as none, as on leaderboards.

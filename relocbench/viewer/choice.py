@@ -26,7 +26,7 @@ class ShownPair:
 def chosen_sets(dataset: Dataset, names: Sequence[str]) -> list[PairSet]:
     """The named pair sets, or all. Raises DatasetError for an unknown name, or where there is no pair at all."""
     sets = [dataset.pair_set(name) for name in dict.fromkeys(names)] or dataset.pair_sets()
-    if not any(s.asked for s in sets):
+    if not any(s.evaluated for s in sets):
         raise DatasetError("holds no accepted pairs: there is nothing to show", dataset.root)
     return sets
 
@@ -39,7 +39,7 @@ def chosen_pairs(pair_sets: Sequence[PairSet], every: int, limit: int) -> list[S
     """
     shown: list[ShownPair] = []
     for pair_set in pair_sets:
-        pairs = sorted(pair_set.asked, key=lambda p: (p.query_timestamp_ns, p.ref_timestamp_ns))[::every]
+        pairs = sorted(pair_set.evaluated, key=lambda p: (p.query_timestamp_ns, p.ref_timestamp_ns))[::every]
         if limit and len(pairs) > limit:
             rows = np.rint(np.linspace(0, len(pairs) - 1, limit)).astype(int)
             pairs = [pairs[row] for row in rows]
@@ -72,7 +72,7 @@ def nth_pair(pair_sets: Sequence[PairSet], index: int) -> tuple[PairSet, Pair]:
     if len(pair_sets) != 1:
         names = ", ".join(s.name for s in pair_sets)
         raise DatasetError(f"--pair-index counts within one pair set; choose it by --pair-set from {names}")
-    pairs = pair_sets[0].asked
+    pairs = pair_sets[0].evaluated
     if index >= len(pairs):
         raise DatasetError(f"no pair {index} in {pair_sets[0].name}; its {len(pairs)} pairs count from 0")
     return pair_sets[0], pairs[index]

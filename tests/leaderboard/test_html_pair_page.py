@@ -50,7 +50,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("pairs")
     dataset = make_small_dataset(root / "dataset", frames=8, size=(160, 120))
     write_dataset_record(dataset_results(root / "results", dataset), dataset)
-    failing = {pair_set.asked[0].key for pair_set in dataset.pair_sets()}
+    failing = {pair_set.evaluated[0].key for pair_set in dataset.pair_sets()}
 
     def wrong(pair: Pair) -> NDArray[np.float64] | None:
         assert pair.T_query_ref is not None

@@ -45,7 +45,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fault = make_transform(np.eye(3), [5.0, 0.0, 0.0])
     dataset = make_small_dataset(root / "dataset", frames=8, pose_fault=fault)
     write_dataset_record(dataset_results(root / "results", dataset), dataset)
-    failing = {pair.key for pair in dataset.pair_set(ACROSS).asked[:2]}
+    failing = {pair.key for pair in dataset.pair_set(ACROSS).evaluated[:2]}
 
     def wrong(pair: Pair) -> NDArray[np.float64] | None:
         assert pair.T_query_ref is not None

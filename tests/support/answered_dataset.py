@@ -31,7 +31,7 @@ def add_answers(
     record = RunRecord(method=label, target=target, dataset=dataset.name, fingerprint=dataset.fingerprint)
     write_text(folder.run_yaml, dump_yaml(record.model_dump(mode="json")))
     for pair_set in dataset.pair_sets():
-        poses = {pair.key: answer(pair) for pair in pair_set.asked}
+        poses = {pair.key: answer(pair) for pair in pair_set.evaluated}
         lines = [PoseLine(*key, pose) for key, pose in poses.items() if pose is not None]
         write_pose_lines(folder.predictions(pair_set.name), lines)
         failed = [Answer(key, "failed", 0.5, None, message, info) for key, pose in poses.items() if pose is None]

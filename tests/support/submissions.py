@@ -37,10 +37,10 @@ def guess(pair: Pair) -> NDArray[np.float64]:
 def answer(folder: Path, pair_set: PairSet, pose: Pose = guess, **columns: Callable[[Pair], object]) -> Path:
     """Write ``PAIRSET.txt`` and, where columns are given, ``PAIRSET.csv`` to a folder; returns the former."""
     path = folder / f"{pair_set.name}.txt"
-    write_pose_lines(path, [PoseLine(*pair.key, pose(pair)) for pair in pair_set.asked])
+    write_pose_lines(path, [PoseLine(*pair.key, pose(pair)) for pair in pair_set.evaluated])
     if columns:
         rows = [["ref_timestamp_ns", "query_timestamp_ns", *columns]]
-        rows += [[*map(str, pair.key), *(str(of(pair)) for of in columns.values())] for pair in pair_set.asked]
+        rows += [[*map(str, pair.key), *(str(of(pair)) for of in columns.values())] for pair in pair_set.evaluated]
         path.with_suffix(".csv").write_text("".join(",".join(row) + "\n" for row in rows))
     return path
 

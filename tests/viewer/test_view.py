@@ -46,7 +46,7 @@ def results(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
         answers = folder / "made" / name
         answers.mkdir(parents=True)
         for pair_set in dataset.pair_sets():
-            known = [(p.key, p.T_query_ref) for p in _in_order(pair_set.asked)[first:] if p.T_query_ref is not None]
+            known = [(p.key, p.T_query_ref) for p in _in_order(pair_set.evaluated)[first:] if p.T_query_ref is not None]
             lines = [PoseLine(*key, error @ T_query_ref) for key, T_query_ref in known]
             write_pose_lines(answers / f"{pair_set.name}.txt", lines)
         out = ["--out", folder / "results", "--quiet"]
@@ -116,7 +116,7 @@ def test_poses_of_keyframes_queries_and_answers_are_those_of_the_dataset(dataset
     root = f"/worlds/summer/pairs/{ACROSS}"
     found = {what: poses(recording, f"{root}/{what}") for what in ("keyframe", "query_true", "answers/exact")}
     off = poses(recording, f"{root}/answers/off")
-    pairs = _in_order(dataset.pair_set(ACROSS).asked)
+    pairs = _in_order(dataset.pair_set(ACROSS).evaluated)
     for index, pair in enumerate(pairs, start=FIRST):
         T_world_query = winter.T_world_cam("cam0", pair.query_timestamp_ns)
         for what in ("query_true", "answers/exact"):
@@ -131,7 +131,7 @@ def test_poses_of_keyframes_queries_and_answers_are_those_of_the_dataset(dataset
 
 def test_both_timelines_say_which_pair_it_is(dataset: Dataset, recording: Path) -> None:
     logged = list(rows(recording, f"/told/{ACROSS}"))
-    pairs = _in_order(dataset.pair_set(ACROSS).asked)
+    pairs = _in_order(dataset.pair_set(ACROSS).evaluated)
     assert [row["pair"] for row in logged] == list(range(FIRST, FIRST + len(pairs)))
     assert [nanoseconds(row["query_time"]) for row in logged] == [p.query_timestamp_ns for p in pairs]
     assert all(str(p.ref_timestamp_ns) in row["TextDocument:text"][0] for p, row in zip(pairs, logged, strict=True))
@@ -153,7 +153,7 @@ def test_errors_are_those_of_the_answers_and_none_where_there_is_no_answer(recor
 def test_points_of_a_keyframe_lie_on_its_surfaces(dataset: Dataset, recording: Path) -> None:
     first = next(iter(rows(recording, f"/worlds/summer/pairs/{ACROSS}/points")))
     points = np.array(first["Points3D:positions"])
-    pair = _in_order(dataset.pair_set(ACROSS).asked)[0]
+    pair = _in_order(dataset.pair_set(ACROSS).evaluated)[0]
     reference = dataset.traversal("summer").reference("cam0", pair.ref_timestamp_ns)
     assert reference.depth is not None
     uv, _ = reference.camera.project(points)
@@ -164,7 +164,7 @@ def test_points_of_a_keyframe_lie_on_its_surfaces(dataset: Dataset, recording: P
 
 def test_images_are_those_of_the_dataset(dataset: Dataset, recording: Path) -> None:
     logged = {row["pair"]: row for row in rows(recording, f"/images/{ACROSS}/query_true")}
-    pair = _in_order(dataset.pair_set(ACROSS).asked)[2]
+    pair = _in_order(dataset.pair_set(ACROSS).evaluated)[2]
     blob = np.array(logged[FIRST + 2]["EncodedImage:blob"][0], dtype=np.uint8)
     decoded = cv2.imdecode(blob, cv2.IMREAD_GRAYSCALE)
     image = dataset.traversal("winter").image("cam0", pair.query_timestamp_ns)
@@ -176,9 +176,9 @@ def test_every_and_limit_thin_pairs_out_along_the_drive(dataset: Dataset) -> Non
     sets = dataset.pair_sets()
     every = chosen_pairs(sets, 2, 0)
     assert [one.index for one in every] == list(range(len(every)))
-    assert len(every) == sum((len(s.asked) + 1) // 2 for s in sets)
+    assert len(every) == sum((len(s.evaluated) + 1) // 2 for s in sets)
     limited = [one for one in chosen_pairs(sets, 1, 3) if one.pair_set.name == ACROSS]
-    in_order = _in_order(dataset.pair_set(ACROSS).asked)
+    in_order = _in_order(dataset.pair_set(ACROSS).evaluated)
     assert len(limited) == 3
     assert (limited[0].pair.key, limited[-1].pair.key) == (in_order[0].key, in_order[-1].key)
 
@@ -187,7 +187,7 @@ def test_json_counts_what_was_written_and_what_was_left_out(dataset: Dataset, tm
     out = tmp_path / "a.rrd"
     done = relocbench("view", dataset.root, "--out", out, "--limit", 2, "--json", "--quiet")
     told = json.loads(done.out)["counts"]
-    of = sum(len(s.asked) for s in dataset.pair_sets())
+    of = sum(len(s.evaluated) for s in dataset.pair_sets())
     assert (told["pairs"], told["pair_sets"], told["methods"], told["pairs_left_out"]) == (4, 2, 0, of - 4)
     assert told["bytes"] == out.stat().st_size
     assert done.err == ""
@@ -258,7 +258,7 @@ def test_the_warp_at_the_truth_fits_better_than_at_any_wrong_pose() -> None:
 def test_the_picture_of_a_pair_tells_its_numbers_and_is_the_same_each_time(
     dataset: Dataset, results: Path, tmp_path: Path
 ) -> None:
-    pair = _in_order(dataset.pair_set(ACROSS).asked)[3]
+    pair = _in_order(dataset.pair_set(ACROSS).evaluated)[3]
     asked = ["view", dataset.root, "--pair", *pair.key, "--results", results]
     done = [
         relocbench(*asked, "--method", method, "--out", tmp_path / f"{n}.png", "--json")
@@ -290,14 +290,14 @@ def test_titles_in_any_script_and_of_any_length_are_drawn_without_a_warning(
     monkeypatch.setattr(Axes, "set_title", titled)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        draw_pair(dataset, pair_set, pair_set.asked[0], "m" * 100, ShownAnswer(np.eye(4), 0.0, 0.0, None))
+        draw_pair(dataset, pair_set, pair_set.evaluated[0], "m" * 100, ShownAnswer(np.eye(4), 0.0, 0.0, None))
     assert any("雪" in title for title in drawn)
     assert all(len(line) <= 50 for title in drawn for line in title.splitlines())
 
 
 def test_an_answer_at_the_true_pose_leaves_the_true_camera_in_sight(dataset: Dataset) -> None:
     pair_set = dataset.pair_set(ACROSS)
-    pair = _in_order(pair_set.asked)[3]
+    pair = _in_order(pair_set.evaluated)[3]
     assert pair.T_query_ref is not None
     green = []
     for T in (pair.T_query_ref, OFF @ OFF @ pair.T_query_ref):
@@ -309,7 +309,7 @@ def test_an_answer_at_the_true_pose_leaves_the_true_camera_in_sight(dataset: Dat
 
 
 def test_a_picture_says_where_a_method_did_not_answer(dataset: Dataset, results: Path, tmp_path: Path) -> None:
-    pair = _in_order(dataset.pair_set(ACROSS).asked)[0]
+    pair = _in_order(dataset.pair_set(ACROSS).evaluated)[0]
     asked = ["view", dataset.root, "--pair", *pair.key, "--results", results, "--method", "off"]
     done = relocbench(*asked, "--out", tmp_path / "a.png", "--json")
     assert done.status == 0, done.err

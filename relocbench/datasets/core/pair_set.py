@@ -27,19 +27,19 @@ class PairSet:
         return pairfile.read_pairs(self.layout.pair_file(self.name), self.layout.pair_table(self.name))
 
     @cached_property
-    def asked(self) -> list[Pair]:
-        """The accepted pairs, those of different places among them: what methods are asked and answer."""
+    def evaluated(self) -> list[Pair]:
+        """The accepted pairs, those of different places among them: what methods are evaluated on."""
         return [p for p in self.all_pairs if p.accepted]
 
     @cached_property
     def pairs(self) -> list[Pair]:
         """The accepted pairs of one place: those that errors are scored on, that have correspondences and train."""
-        return [p for p in self.asked if not p.is_elsewhere]
+        return [p for p in self.evaluated if not p.is_elsewhere]
 
     @cached_property
     def elsewhere(self) -> list[Pair]:
         """The accepted pairs of different places, which only confidences are judged by."""
-        return [p for p in self.asked if p.is_elsewhere]
+        return [p for p in self.evaluated if p.is_elsewhere]
 
     @property
     def rejected(self) -> list[Pair]:
@@ -48,10 +48,10 @@ class PairSet:
 
     @property
     def has_truth(self) -> bool:
-        """Whether every pair that is asked has its true pose, which challenges withhold."""
-        return all(p.T_query_ref is not None for p in self.asked)
+        """Whether every evaluated pair has its true pose, which challenges withhold."""
+        return all(p.T_query_ref is not None for p in self.evaluated)
 
     @cached_property
     def by_key(self) -> dict[PairKey, Pair]:
-        """What methods are asked, by the pair's times."""
-        return {p.key: p for p in self.asked}
+        """The evaluated pairs, by their times."""
+        return {p.key: p for p in self.evaluated}

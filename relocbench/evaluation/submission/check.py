@@ -128,7 +128,7 @@ class Checked:
         out = []
         for tracked in self.tracked:
             for a in tracked.pair_sets:
-                asked = len(a.pair_set.asked)
+                asked = len(a.pair_set.evaluated)
                 counts = len(a.poses), a.missing, a.unknown, a.duplicate, a.invalid
                 out.append(Row(tracked.name, a.pair_set.name, asked, *counts))
         for ranked in self.ranked:

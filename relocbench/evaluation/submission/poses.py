@@ -41,7 +41,7 @@ class PairSetAnswers:
 
     @property
     def missing(self) -> int:
-        return len(self.pair_set.asked) - len(self.poses)
+        return len(self.pair_set.evaluated) - len(self.poses)
 
     def complete_answers(self) -> list[Answer]:
         """A row for each pair that is asked, in the pair set's order."""

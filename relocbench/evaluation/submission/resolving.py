@@ -40,7 +40,7 @@ class ResolvedDataset:
             return f"{told}: not keys of the blind export {self.blind.name}; expected one of its pairs"
         if (key[1], key[0]) in pair_set.by_key:
             return f"{told}: keyframe and query are exchanged"
-        return f"{told}; expected one of the {len(pair_set.asked)} pairs of the dataset"
+        return f"{told}; expected one of the {len(pair_set.evaluated)} pairs of the dataset"
 
 
 @dataclass(frozen=True, eq=False)

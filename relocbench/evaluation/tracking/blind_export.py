@@ -42,8 +42,8 @@ def export_blind(dataset: Dataset, out: Path, edition: int, reporter: Reporter) 
     keys = BlindKeys(dataset, edition)
     recipe = {"kind": "blind", "options": {"edition": edition}}
     writer = DatasetWriter(out, str(keys.name), recipe, dataset.file.licence)
-    keyframes = {(s.reference, s.camera, p.ref_timestamp_ns) for s in dataset.pair_sets() for p in s.asked}
-    queries = {(s.query, s.camera, p.query_timestamp_ns) for s in dataset.pair_sets() for p in s.asked}
+    keyframes = {(s.reference, s.camera, p.ref_timestamp_ns) for s in dataset.pair_sets() for p in s.evaluated}
+    queries = {(s.query, s.camera, p.query_timestamp_ns) for s in dataset.pair_sets() for p in s.evaluated}
     images = sorted(keyframes | queries)
     with reporter.stage("blind export", len(images)) as advance:
         for name, camera, time in images:

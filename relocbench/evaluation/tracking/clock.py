@@ -98,7 +98,7 @@ def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetRe
     if folder.run_yaml.exists() and (target := folder.run_record().target) != TARGET:
         raise PredictionError(f"holds predictions of '{target}'; the label '{CLOCK}' is the floor's", folder.run_yaml)
     for pair_set in pair_sets:
-        pairs = pair_set.asked
+        pairs = pair_set.evaluated
         truth = [pair.T_query_ref for pair in pairs if pair.T_query_ref is not None]
         lines: list[PoseLine] = []
         answers = [Answer(pair.key, "failed", message=_WITHHELD) for pair in pairs]

@@ -60,6 +60,6 @@ def read_named_predictions(path: Path, dataset: Dataset, pair_set: PairSet) -> d
     reference = dataset.traversal(pair_set.reference)
     return {
         pair.key: found[pair.query_timestamp_ns] @ reference.T_world_cam(pair_set.camera, pair.ref_timestamp_ns)
-        for pair in pair_set.asked
+        for pair in pair_set.evaluated
         if pair.query_timestamp_ns in found
     }

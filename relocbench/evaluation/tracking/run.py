@@ -199,7 +199,7 @@ def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
     entries = {entry["key"]: entry for entry in _kept_entries(folder, pair_set)}
     entries |= {entry["key"]: entry for entry in journal_entries(journal)}
     lines, answers = [], []
-    for pair in pair_set.asked:
+    for pair in pair_set.evaluated:
         entry = entries[pair.key]
         if entry["pose"] is not None:
             lines.append(" ".join([*map(str, pair.key), *number_fields(entry["pose"])]) + "\n")
@@ -218,7 +218,7 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) 
         answers = read_answers(folder.answers(pair_set.name))
         done = {key for key in done if answers[key].status == "ok"}
     done |= answered_keys(folder.journal(pair_set.name))
-    return [p.key for p in pair_set.asked if p.key not in done]
+    return [p.key for p in pair_set.evaluated if p.key not in done]
 
 
 def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str, Any]]:

@@ -42,7 +42,10 @@ def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
     """
     lines = read_pose_lines(path, PredictionError, allow_non_finite=True)
     align_predictions(
-        [p.key for p in pair_set.asked], [line.key for line in lines], path=path, lines=[line.line for line in lines]
+        [p.key for p in pair_set.evaluated],
+        [line.key for line in lines],
+        path=path,
+        lines=[line.line for line in lines],
     )
     return {line.key: line.T_query_ref for line in lines if line.T_query_ref is not None}
 
@@ -108,7 +111,7 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
     poses = read_predictions(folder.predictions(pair_set.name), pair_set)
     path = folder.answers(pair_set.name)
     answers = read_answers(path) if path.exists() else {}
-    pairs = pair_set.asked
+    pairs = pair_set.evaluated
     align_predictions([p.key for p in pairs], list(answers), path=path)
     T_pred = np.array([poses.get(p.key, np.full((4, 4), np.nan)) for p in pairs]).reshape(-1, 4, 4)
     T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)

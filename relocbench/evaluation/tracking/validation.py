@@ -44,7 +44,7 @@ class _Expected:
     def pair_sets(self) -> dict[str, int] | None:
         """Pair set -> number of pairs; None where neither the dataset nor a record of it is known."""
         if self.dataset is not None:
-            return {s.name: len(s.asked) for s in self.dataset.pair_sets()}
+            return {s.name: len(s.evaluated) for s in self.dataset.pair_sets()}
         return None if self.record is None else {n: p.asked for n, p in self.record.pair_sets.items()}
 
     @property

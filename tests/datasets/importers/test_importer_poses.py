@@ -302,9 +302,9 @@ def test_real_pair_files_and_a_trajectory_of_their_reference_fit_together(tmp_pa
     assert "no pose at" not in outcome.err
     dataset = Dataset(tmp_path / "d")
     (pair_set,) = dataset.pair_sets()
-    assert (len(pair_set.asked), pair_set.has_truth) == (703, False)
+    assert (len(pair_set.evaluated), pair_set.has_truth) == (703, False)
     reference = dataset.traversal(pair_set.reference)
-    assert {p.ref_timestamp_ns for p in pair_set.asked} <= set(reference.poses)
+    assert {p.ref_timestamp_ns for p in pair_set.evaluated} <= set(reference.poses)
     assert [line.key for line in read_pose_lines(source)] == [p.key for p in _as_listed(source, pair_set.by_key)]
     assert relocbench("validate", tmp_path / "d").status == 0
 

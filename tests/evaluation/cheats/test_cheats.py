@@ -346,7 +346,7 @@ def test_nothing_but_pixels_tells_pairs_of_different_places_from_others(tmp_path
     (cheat,) = evaluate(apart, tmp_path / "out", f"cheat={HERE}:Sorter")
     told = {answer.key: json.loads(answer.info)["told"] for answer in answers(cheat)}
     pair_set = apart.pair_set(ACROSS)
-    assert told.keys() == {pair.key for pair in pair_set.asked}
+    assert told.keys() == {pair.key for pair in pair_set.evaluated}
     assert all(words == told[pair_set.pairs[0].key] for words in told.values())
 
 
@@ -354,7 +354,7 @@ def test_whoever_remembers_images_fails_as_many_pairs_of_one_place(tmp_path: Pat
     """A method that calls pairs different whose two images it has seen before is right half of the time."""
     apart = make_small_dataset(tmp_path / "small", frames=12, size=(32, 24), elsewhere=6)
     pair_set = apart.pair_set(ACROSS)
-    keys = [pair.key for pair in pair_set.asked]
+    keys = [pair.key for pair in pair_set.evaluated]
     exchanged = {time for pair in pair_set.elsewhere for time in pair.key}
     called = {True: 0, False: 0}
     for seed in range(400):

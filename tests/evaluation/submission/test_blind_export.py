@@ -33,7 +33,7 @@ def test_the_same_pairs_are_asked_of_the_same_pixels(town: Dataset, blind: Datas
     assert blind.name == str(keys.name)
     for pair_set in town.pair_sets():
         theirs = blind.pair_set(pair_set.name)
-        assert {p.key for p in theirs.asked} == set(keys.pairs(pair_set))
+        assert {p.key for p in theirs.evaluated} == set(keys.pairs(pair_set))
         for shown, (ref, query) in keys.pairs(pair_set).items():
             ours = town.traversal(pair_set.reference).reference(pair_set.camera, ref)
             reference = blind.traversal(pair_set.reference).reference(pair_set.camera, shown[0])
@@ -52,14 +52,14 @@ def test_no_file_tells_a_time_a_pose_or_a_path(town: Dataset, blind: Dataset) ->
             assert not any(time in text for time in times), path
             assert str(town.root) not in text
     assert all(not blind.traversal(name).poses for name in blind.traversal_names)
-    assert all(p.T_query_ref is None and not p.group for s in blind.pair_sets() for p in s.asked)
+    assert all(p.T_query_ref is None and not p.group for s in blind.pair_sets() for p in s.evaluated)
     assert relocbench("validate", blind.root, "-q").status == 0
 
 
 def test_only_keyframes_have_depth(town: Dataset, blind: Dataset) -> None:
     keys, pair_set = BlindKeys(town), town.pair_set(ACROSS)
     winter = blind.traversal(pair_set.query)
-    assert winter.timestamps("cam0") == sorted({keys.key("winter", p.query_timestamp_ns) for p in pair_set.asked})
+    assert winter.timestamps("cam0") == sorted({keys.key("winter", p.query_timestamp_ns) for p in pair_set.evaluated})
     assert winter.keyframe_timestamps("cam0") == []
 
 

@@ -45,7 +45,7 @@ def test_a_sound_submission_has_no_fault_and_is_counted(town: Dataset, tmp_path:
     assert faults(checked) == []
     assert checked.suspicions == []
     assert [(r.asked, r.pairs, r.answered, r.missing) for r in checked.rows] == [
-        (s.name, len(s.asked), len(s.asked), 0) for s in town.pair_sets()
+        (s.name, len(s.evaluated), len(s.evaluated), 0) for s in town.pair_sets()
     ]
 
 

@@ -76,7 +76,7 @@ def test_all_pairs_are_asked_and_no_other_score_counts_those_of_different_places
 ) -> None:
     with_them = evaluate(dataset, tmp_path / "with", "identity", "clock", "orb-pnp")
     without = evaluate(plain, tmp_path / "without", "identity", "clock", "orb-pnp")
-    asked = {p.key for p in dataset.pair_set(ACROSS).asked}
+    asked = {p.key for p in dataset.pair_set(ACROSS).evaluated}
     assert len(asked) == len(plain.pair_set(ACROSS).pairs) + COUNT
     for ours, theirs in zip(with_them, without, strict=True):
         assert read_answers(ours.answers(ACROSS)).keys() == asked
@@ -239,13 +239,13 @@ def test_the_floor_of_times_is_not_fitted_to_them(dataset: Dataset, plain: Datas
 def test_withheld_truth_does_not_say_which_pairs_they_are(tmp_path: Path) -> None:
     withheld = make_small_dataset(tmp_path / "d", frames=8, elsewhere=COUNT, truth=False)
     pair_set = withheld.pair_set(ACROSS)
-    assert {(p.group, p.overlap, p.source, p.distance_m) for p in pair_set.asked} == {
-        ("", None, pair_set.asked[0].source, None)
+    assert {(p.group, p.overlap, p.source, p.distance_m) for p in pair_set.evaluated} == {
+        ("", None, pair_set.evaluated[0].source, None)
     }
-    assert len(pair_set.pairs) == len(pair_set.asked)
+    assert len(pair_set.pairs) == len(pair_set.evaluated)
     assert relocbench("validate", withheld.root).status == 0
     (folder,) = evaluate(withheld, tmp_path / "out", "identity")
-    assert len(read_answers(folder.answers(ACROSS))) == len(pair_set.asked)
+    assert len(read_answers(folder.answers(ACROSS))) == len(pair_set.evaluated)
     table = withheld.layout.pair_table(ACROSS)
     table.write_text(table.read_text().replace(",,", f",{ELSEWHERE},", 1))
     outcome = relocbench("validate", withheld.root)

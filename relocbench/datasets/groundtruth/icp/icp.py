@@ -154,17 +154,17 @@ def linearise_both(
 
     ``T_query_ref`` changes by ``se3_exp(-Ad(T_ref_query) xi)`` when ``T_ref_query`` changes by ``se3_exp(xi)``.
     """
-    there = linearise(ref[0], query[1], T_ref_query, reach, scale_m, options)
-    back = linearise(query[0], ref[1], invert(T_ref_query), reach, scale_m, options, planes_rescaled=True)
+    forward = linearise(ref[0], query[1], T_ref_query, reach, scale_m, options)
+    backward = linearise(query[0], ref[1], invert(T_ref_query), reach, scale_m, options, planes_rescaled=True)
     A = np.eye(7)
     A[:6, :6] = -adjoint(T_ref_query)
     return Linearised(
-        there.H + A.T @ back.H @ A,
-        there.g + A.T @ back.g,
-        np.concatenate([there.residuals, back.residuals]),
-        float(np.hypot(there.lever_length_m, back.lever_length_m) / np.sqrt(2)),
-        np.concatenate([there.surface_share, back.surface_share]),
-        there.count + back.count,
+        forward.H + A.T @ backward.H @ A,
+        forward.g + A.T @ backward.g,
+        np.concatenate([forward.residuals, backward.residuals]),
+        float(np.hypot(forward.lever_length_m, backward.lever_length_m) / np.sqrt(2)),
+        np.concatenate([forward.surface_share, backward.surface_share]),
+        forward.count + backward.count,
     )
 
 
