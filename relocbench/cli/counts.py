@@ -25,7 +25,7 @@ def of_dataset(dataset: Dataset) -> Counts:
         "traversals": len(dataset.traversal_names),
         "pair_sets": len(sets),
         "pairs": sum(len(s.pairs) for s in sets),
-        "pairs_of_different_places": sum(len(s.elsewhere) for s in sets),
+        "pairs_of_different_places": sum(len(s.negative_pairs) for s in sets),
         "rejected": sum(len(s.rejected) for s in sets),
     }
 

@@ -110,7 +110,7 @@ def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[Meth
 
     for pair_set in pair_sets:
         rejected = f", {len(pair_set.rejected)} rejected" if pair_set.rejected else ""
-        elsewhere = f", {len(pair_set.elsewhere)} of different places" if pair_set.elsewhere else ""
+        elsewhere = f", {len(pair_set.negative_pairs)} of different places" if pair_set.negative_pairs else ""
         title = f"{dataset.name}: {pair_set.name} ({len(pair_set.pairs)} pairs{elsewhere}{rejected})"
         rows = []
         for folder in folders:
@@ -120,7 +120,7 @@ def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[Meth
             print_table(title, [METHOD, "group", *(heading(m, metric_named(m).unit) for m in COLUMNS)], rows)
         elif not pair_set.has_truth:
             typer.echo(f"{pair_set.name}: ground truth is withheld; predictions are kept, not scored", err=True)
-        if pair_set.elsewhere:
+        if pair_set.negative_pairs:
             _print_elsewhere(f"{dataset.name}: {pair_set.name}", pair_set.name, folders)
         if matching:
             _print_matching(f"{dataset.name}: {pair_set.name}", pair_set.name, folders)

@@ -236,7 +236,7 @@ def _write_numbers(
         lines.append(f"keyframe off by    {pair.distance_m:.3f} m, {pair.angle_deg:.3f}°")
     if pair.sigma_translation_m:
         lines.append(f"sigma of the truth {pair.sigma_translation_m:.3g} m")
-    if pair.is_elsewhere:
+    if pair.is_negative:
         lines.append("a pair of different places")
     lines.append(f"residual, truth    {_levels(truth)}")
     if method is None or answer is None:

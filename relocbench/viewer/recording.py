@@ -348,7 +348,7 @@ class _Work:
         ]
         if pair.distance_m is not None:
             facts.append(("keyframe off by", f"{pair.distance_m:.3f} m, {pair.angle_deg:.2f}°"))
-        if pair.is_elsewhere:
+        if pair.is_negative:
             facts.append(("different places", "nothing in the images tells the pose"))
         if self.worlds[pair_set.query] != world:
             facts.append(("poses of the query's traversal", "in another world: not shown here"))

@@ -28,18 +28,18 @@ class PairSet:
 
     @cached_property
     def evaluated(self) -> list[Pair]:
-        """The accepted pairs, those of different places among them: what methods are evaluated on."""
+        """The accepted pairs, negative pairs among them: what methods are evaluated on."""
         return [p for p in self.all_pairs if p.accepted]
 
     @cached_property
     def pairs(self) -> list[Pair]:
         """The accepted pairs of one place: those that errors are scored on, that have correspondences and train."""
-        return [p for p in self.evaluated if not p.is_elsewhere]
+        return [p for p in self.evaluated if not p.is_negative]
 
     @cached_property
-    def elsewhere(self) -> list[Pair]:
-        """The accepted pairs of different places, which only confidences are judged by."""
-        return [p for p in self.evaluated if p.is_elsewhere]
+    def negative_pairs(self) -> list[Pair]:
+        """The accepted negative pairs, of two different places: only confidences are judged by them."""
+        return [p for p in self.evaluated if p.is_negative]
 
     @property
     def rejected(self) -> list[Pair]:

@@ -108,7 +108,7 @@ class Pair:
         return self.ref_timestamp_ns, self.query_timestamp_ns
 
     @property
-    def is_elsewhere(self) -> bool:
+    def is_negative(self) -> bool:
         """Whether keyframe and query show different places: nothing in the images tells the pose."""
         return self.group == ELSEWHERE
 
@@ -268,7 +268,7 @@ def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> Non
     Where the truth of a pair of different places is withheld, groups and overlaps of the whole set are left blank: they
     would tell which pairs these are.
     """
-    hidden = any(p.is_elsewhere and p.T_query_ref is None for p in pairs)
+    hidden = any(p.is_negative and p.T_query_ref is None for p in pairs)
     by_axis = any(s is not None for p in pairs for s in p.axis_sigmas)
     with atomic_write(pair_table) as stream:
         table = csv.writer(stream, lineterminator="\n")

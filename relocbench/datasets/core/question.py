@@ -93,7 +93,7 @@ def _pairs(pair_set: PairSet) -> list[Any]:
     poses[[p.T_query_ref is not None for p in pairs]] = _signed(pose_numbers([p.T_query_ref for p in pairs]))
     asked = [[[*p.key, p.accepted, p.T_query_ref is not None] for p in pairs], _digest(poses)]
     # Which pairs are of different places changes what is scored. Sets without any keep the digest of earlier versions.
-    elsewhere = [[*p.key] for p in pairs if p.is_elsewhere]
+    elsewhere = [[*p.key] for p in pairs if p.is_negative]
     return [*asked, elsewhere] if elsewhere else asked
 
 

@@ -151,7 +151,7 @@ class DatasetWriter:
         splits = splits if splits is not None else {"test": everything} if everything else {}
         plain = {split: tuple(names) for split, names in splits.items()}
         fingerprint.write_manifest(self.layout)
-        elsewhere = any(PairSet(self.layout, name).elsewhere for name in everything)
+        elsewhere = any(PairSet(self.layout, name).negative_pairs for name in everything)
         version = ELSEWHERE_VERSION if elsewhere else FORMAT_VERSION
         if any(self.layout.traversals.glob("*/intrinsics/*.csv")):
             version = INTRINSICS_VERSION

@@ -141,7 +141,7 @@ def summarize_pair_set(dataset: Dataset, pair_set: PairSet) -> PairSetInventory:
         pairs=len(pairs),
         rejected=dict(Counter(p.reason or "no reason given" for p in pair_set.rejected)),
         groups=dict(Counter(p.group for p in pairs if p.group)),
-        elsewhere=len(pair_set.elsewhere),
+        elsewhere=len(pair_set.negative_pairs),
         has_truth=pair_set.has_truth,
         sources=dict(Counter(p.source for p in pairs if p.source)),
         distance_m=Spread.of([p.distance_m for p in pairs]),

@@ -69,7 +69,7 @@ def write_pair_set(job: Build[ImportOptions], reference: str, query: str, camera
         return
     if is_finished(layout, name, ordered, with_correspondences=count > 0):
         return
-    measured = [p for p in ordered if p.accepted and p.T_query_ref is not None and not p.is_elsewhere]
+    measured = [p for p in ordered if p.accepted and p.T_query_ref is not None and not p.is_negative]
     units = [_Unit(traversals[0], traversals[1], camera, pair, count, job.options.seed) for pair in measured]
     run = job.run if len(units) >= _WORTH_WORKERS else job.run.single_process()
     with job.reporter.stage(f"correspondences of {name}", len(units)) as advance:

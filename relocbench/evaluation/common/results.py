@@ -356,7 +356,7 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
         reference_condition=str(dataset.traversal(pair_set.reference).condition),
         query_condition=str(dataset.traversal(pair_set.query).condition),
         pairs=len(pairs),
-        elsewhere=len(pair_set.elsewhere),
+        elsewhere=len(pair_set.negative_pairs),
         rejected=len(pair_set.rejected),
         has_truth=pair_set.has_truth,
         groups=tuple(dict.fromkeys(p.group for p in pairs if p.group)),

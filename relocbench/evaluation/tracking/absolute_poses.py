@@ -64,7 +64,7 @@ def answered_lines(pair_set: PairSet, predictions: Sequence[PoseLine]) -> list[P
     for line in predictions:
         if line.key not in pair_set.by_key:
             raise PredictionError(f"pair {line.key[0]} {line.key[1]} is not in the pair set '{pair_set.name}'")
-    return [line for line in predictions if line.T_query_ref is not None and not pair_set.by_key[line.key].is_elsewhere]
+    return [line for line in predictions if line.T_query_ref is not None and not pair_set.by_key[line.key].is_negative]
 
 
 def points_in_world(traversal: Traversal, camera: str, time: int, T_world_cam: Array) -> tuple[Array, Array]:

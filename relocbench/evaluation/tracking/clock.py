@@ -105,7 +105,7 @@ def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetRe
         if pairs and len(truth) == len(pairs):
             ref, query = zip(*(pair.key for pair in pairs), strict=True)
             # Pairs of different places are drawn at random, so that fitting them would only spoil the floor.
-            fitted = np.array([not pair.is_elsewhere for pair in pairs])
+            fitted = np.array([not pair.is_negative for pair in pairs])
             poses = clock_poses(ref, query, np.array(truth), fitted)
             lines = [PoseLine(*pair.key, pose) for pair, pose in zip(pairs, poses, strict=True)]
             answers = [Answer(pair.key, "ok") for pair in pairs]

@@ -81,7 +81,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         errors[pair_set.name] = errors_hash(folder, pair_set.name)
         truth[pair_set.name] = truth_hash(pair_set)
         scores[pair_set.name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
-        if pair_set.elsewhere:
+        if pair_set.negative_pairs:
             elsewhere[pair_set.name] = rows.different_places.to_dict()
         if folder.matching(pair_set.name).exists():
             matching[pair_set.name] = matching_scores(pair_set, folder)

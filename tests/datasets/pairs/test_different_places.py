@@ -51,7 +51,7 @@ def test_they_are_far_apart_and_their_truth_is_known(seed: int, count: int) -> N
     assert len(found) == count
     assert len({p.key for p in (*plain, *found)}) == len(plain) + count
     for pair in found:
-        assert pair.is_elsewhere
+        assert pair.is_negative
         assert (pair.source, pair.sigma_translation_m, pair.overlap) == ("test poses", 0.0, None)
         T_world_ref = reference.T_world_cam[reference.timestamps.index(pair.ref_timestamp_ns)]
         T_world_query = query.T_world_cam[query.timestamps.index(pair.query_timestamp_ns)]

@@ -440,8 +440,8 @@ def test_pairs_of_different_places_change_nothing_else(tmp_path: Path) -> None:
     assert (plain.file.format_version, made.file.format_version) == (1, 2)
     assert "elsewhere" not in plain.file.made_by["options"]
     (name,) = made.pair_set_names
-    assert len(made.pair_set(name).elsewhere) == 4
-    assert all((p.distance_m or 0) >= 12 for p in made.pair_set(name).elsewhere)
+    assert len(made.pair_set(name).negative_pairs) == 4
+    assert all((p.distance_m or 0) >= 12 for p in made.pair_set(name).negative_pairs)
     files = {p.relative_to(plain.root): p.read_bytes() for p in plain.root.rglob("*") if p.is_file()}
     changed = {str(path) for path, content in files.items() if (made.root / path).read_bytes() != content}
     assert changed == {"build.yaml", "dataset.yaml", "manifest.csv", f"pairs/{name}.csv", f"pairs/{name}.txt"}

@@ -355,7 +355,7 @@ def test_whoever_remembers_images_fails_as_many_pairs_of_one_place(tmp_path: Pat
     apart = make_small_dataset(tmp_path / "small", frames=12, size=(32, 24), elsewhere=6)
     pair_set = apart.pair_set(ACROSS)
     keys = [pair.key for pair in pair_set.evaluated]
-    exchanged = {time for pair in pair_set.elsewhere for time in pair.key}
+    exchanged = {time for pair in pair_set.negative_pairs for time in pair.key}
     called = {True: 0, False: 0}
     for seed in range(400):
         keyframes: set[int] = set()
@@ -363,7 +363,7 @@ def test_whoever_remembers_images_fails_as_many_pairs_of_one_place(tmp_path: Pat
         units = units_of(apart, pair_set, MethodSpec("m", "identity"), tmp_path, keys, Visibility(), seed)
         for ref, query in (key for unit in units for key in unit.keys):
             if ref in keyframes and query in queries and {ref, query} <= exchanged:
-                called[pair_set.by_key[ref, query].is_elsewhere] += 1
+                called[pair_set.by_key[ref, query].is_negative] += 1
             keyframes.add(ref)
             queries.add(query)
     assert called[True] > 300, "some are called different"

@@ -205,7 +205,7 @@ def _poses(listed: Sequence[_Listed], placed: Mapping[str, Path], job: Build[Opt
             continue
         for pair in one.pairs:
             known = pair.accepted and pair.T_query_ref is not None and pair.ref_timestamp_ns in reference
-            if known and not pair.is_elsewhere and pair.query_timestamp_ns not in query:
+            if known and not pair.is_negative and pair.query_timestamp_ns not in query:
                 assert pair.T_query_ref is not None
                 query[pair.query_timestamp_ns] = reference[pair.ref_timestamp_ns] @ invert(pair.T_query_ref)
     return poses

@@ -146,7 +146,7 @@ def write_set(unit: PairSetUnit) -> None:
 
     def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
         for pair in unit.pairs:
-            if pair.is_elsewhere:
+            if pair.is_negative:
                 continue
             assert pair.T_query_ref is not None
             rng = np.random.default_rng([unit.seed, 8, *pair.key])

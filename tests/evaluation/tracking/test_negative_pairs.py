@@ -58,7 +58,7 @@ def confidently(dataset: Dataset, folder: Path, *, right: int = 0) -> Path:
     confidences = {0: 0.9, 1: 0.5, 2: 0.49, 3: None}
     pair_set = dataset.pair_set(ACROSS)
     lines, answers = [], []
-    for place, pair in enumerate(pair_set.elsewhere):
+    for place, pair in enumerate(pair_set.negative_pairs):
         if place not in confidences:
             answers.append(Answer(pair.key, "failed"))
             continue
@@ -201,11 +201,11 @@ def test_results_of_versions_that_knew_no_different_places_are_read(plain: Datas
 
 
 def test_nothing_else_uses_them(dataset: Dataset, tmp_path: Path) -> None:
-    apart = {p.key for p in dataset.pair_set(ACROSS).elsewhere}
+    apart = {p.key for p in dataset.pair_set(ACROSS).negative_pairs}
     assert len(apart) == COUNT
     rows = read_correspondences(dataset.layout.correspondence_file(ACROSS))
     assert not apart & set(zip(rows.ref_timestamp_ns.tolist(), rows.query_timestamp_ns.tolist(), strict=True))
-    assert all(p.overlap is None for p in dataset.pair_set(ACROSS).elsewhere)
+    assert all(p.overlap is None for p in dataset.pair_set(ACROSS).negative_pairs)
     splits = {"train": [ACROSS]}
     train = make_small_dataset(tmp_path / "d", frames=8, elsewhere=COUNT, correspondences=50, splits=splits)
     assert len(DatasetPairs([train.root], "train")) == len(train.pair_set(ACROSS).pairs)
@@ -270,7 +270,7 @@ def test_the_question_covers_which_pairs_they_are(dataset: Dataset, tmp_path: Pa
     layout = Dataset(tmp_path / "d").layout
     table = layout.pair_table(ACROSS)
     pairs = Dataset(tmp_path / "d").pair_set(ACROSS).all_pairs
-    place = next(i for i, p in enumerate(pairs) if p.is_elsewhere)
+    place = next(i for i, p in enumerate(pairs) if p.is_negative)
     renamed = [*pairs]
     object.__setattr__(renamed[place], "group", "")
     write_pairs(layout.pair_file(ACROSS), table, renamed)
