@@ -3,7 +3,7 @@
 In each district that no training saw (test split, ``--seeds``) drives in several conditions are rendered; all are
 localized in the map of the first one, with the front camera. ``relocbench evaluate-relocalization`` runs every
 retriever with every tracker: retrievers that need no training, the oracle that knows the nearest keyframes, and a
-random order. ``relocbench leaderboard`` writes the page. Printed are means over all tasks, and by how much the chain
+random order. ``relocbench leaderboard`` writes the page. Printed are means over all tasks, and by how much the pipeline
 with the oracle is ahead of that with each retriever, which is what better retrieval could gain for the tracker.
 
 Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made.
@@ -30,7 +30,7 @@ import numpy as np
 
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.score import FAILURES, RANKING, per_query
-from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, load_chains
+from relocbench.leaderboard.relocalization.board import Pipeline, PipelineBoard, load_pipelines
 from relocbench.metrics import Difference, paired_difference
 
 CONDITIONS = ("WetNoon", "SoftRainNoon", "Overcast", "Night")
@@ -48,7 +48,7 @@ def main() -> None:
             _evaluate(_build(scratch, seed, options), scratch / "results", options)
         page = options.out or scratch / "page"
         _run("leaderboard", scratch / "results", "--out", page, "-q")
-        board = load_chains(scratch / "results", split=options.split)
+        board = load_pipelines(scratch / "results", split=options.split)
         assert board is not None
         rows = _rows(page / "relocalization.csv")
         ahead = _ahead(board)
@@ -107,14 +107,14 @@ def _run(*words: object) -> None:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    """For each chain, the means over the districts of the means over a district's single tasks."""
+    """For each pipeline, the means over the districts of the means over a district's single tasks."""
     with path.open(encoding="utf-8") as stream:
         single = [row for row in csv.DictReader(stream) if " " not in row["tasks"] and not row["missing"]]
-    chains: dict[tuple[str, str, str], list[dict[str, str]]] = {}
+    pipelines: dict[tuple[str, str, str], list[dict[str, str]]] = {}
     for row in single:
-        chains.setdefault((row["retriever"], row["tracker"], row["top"]), []).append(row)
+        pipelines.setdefault((row["retriever"], row["tracker"], row["top"]), []).append(row)
     out = []
-    for (retriever, tracker, top), of in chains.items():
+    for (retriever, tracker, top), of in pipelines.items():
         districts: dict[str, list[dict[str, str]]] = {}
         for row in of:
             districts.setdefault(row["dataset"], []).append(row)
@@ -131,16 +131,16 @@ def _mean(values: Sequence[str | float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _ahead(board: ChainBoard) -> dict[tuple[str, str], Difference]:
-    """By how much the oracle's chain is ahead of each retriever's, by (tracker, retriever)."""
+def _ahead(board: PipelineBoard) -> dict[tuple[str, str], Difference]:
+    """By how much the oracle's pipeline is ahead of each retriever's, by (tracker, retriever)."""
     out = {}
-    labels = dict.fromkeys((c.run.tracker, c.run.retriever) for of in board.sets for c in of.chains)
+    labels = dict.fromkeys((c.run.tracker, c.run.retriever) for of in board.sets for c in of.pipelines)
     for tracker, retriever in labels:
         if retriever == ORACLE or tracker == KEYFRAME:
             continue
         a, b, roads = [], [], []
         for of in board.sets:
-            known = {(c.run.tracker, c.run.retriever): c for c in of.chains}
+            known = {(c.run.tracker, c.run.retriever): c for c in of.pipelines}
             for task in (t.tasks[0] for t in of.tables if len(t.tasks) == 1):
                 both = known.get((tracker, ORACLE)), known.get((tracker, retriever))
                 if all(c is not None and task in c.answers for c in both):
@@ -152,9 +152,9 @@ def _ahead(board: ChainBoard) -> dict[tuple[str, str], Difference]:
     return out
 
 
-def _values(chain: Chain | None, task: str) -> np.ndarray:
-    assert chain is not None
-    return per_query(chain.answers[task], RANKING)
+def _values(pipeline: Pipeline | None, task: str) -> np.ndarray:
+    assert pipeline is not None
+    return per_query(pipeline.answers[task], RANKING)
 
 
 def _table(rows: list[dict[str, Any]]) -> str:

@@ -72,8 +72,8 @@ def of_retrieval(report: RetrievalReport) -> Counts:
     }
 
 
-def of_chains(report: RelocalizationReport) -> Counts:
-    """Queries of all tasks, and how many of them each chain did not answer, together."""
+def of_pipelines(report: RelocalizationReport) -> Counts:
+    """Queries of all tasks, and how many of them each pipeline did not answer, together."""
     values = [v for folder in report.folders for v in report.scores(folder).values()]
     tasks = report.tasks.record.tasks
     return {

@@ -83,8 +83,8 @@ def evaluate_relocalization(
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
-    from relocbench.cli.counts import of_chains
-    from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
+    from relocbench.cli.counts import of_pipelines
+    from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 
     chosen = common.given(
         dataset=dataset,
@@ -106,9 +106,9 @@ def evaluate_relocalization(
         scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
     )
     options = merged(RelocalizationOptions, config, chosen)
-    report = evaluate_chains(options, reporter(quiet))
+    report = evaluate_pipelines(options, reporter(quiet))
     if json:
-        print_json(report.to_dict(), of_chains(report))
+        print_json(report.to_dict(), of_pipelines(report))
     else:
         _print_report(report)
         for label, message in report.broken:

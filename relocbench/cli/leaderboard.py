@@ -12,7 +12,7 @@ from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-    from relocbench.leaderboard.relocalization.board import ChainBoard
+    from relocbench.leaderboard.relocalization.board import PipelineBoard
     from relocbench.leaderboard.retrieval.board import RetrievalBoard
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
     from relocbench.progress import Reporter
@@ -122,8 +122,8 @@ def leaderboard(
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard.formats import How, check_formats, write_formats
     from relocbench.leaderboard.html.rows import Boards
-    from relocbench.leaderboard.relocalization.write import chain_rows
-    from relocbench.leaderboard.relocalization.write import note_missing as note_missing_chains
+    from relocbench.leaderboard.relocalization.write import note_missing as note_missing_pipelines
+    from relocbench.leaderboard.relocalization.write import pipeline_rows
     from relocbench.leaderboard.retrieval.write import note_missing, retrieval_rows
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
@@ -132,16 +132,16 @@ def leaderboard(
     told, chosen = reporter(quiet), check_formats(formats, html)
     lookup = DatasetLookup(results, dataset or (), told)
     with alone_writing_to(out):
-        board, found, chains = _load(results, lookup, ranked_by, split, seed, told)
+        board, found, pipelines = _load(results, lookup, ranked_by, split, seed, told)
         if found is not None:
             note_missing(found, told)
-        if chains is not None:
-            note_missing_chains(chains, told)
-        files = write_formats(Boards(board, found, chains), out, chosen, How(plots, pairs, told))
+        if pipelines is not None:
+            note_missing_pipelines(pipelines, told)
+        files = write_formats(Boards(board, found, pipelines), out, chosen, How(plots, pairs, told))
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
-        if chains is not None:
-            retrieval |= {"relocalization_metric": chains.metric, "relocalization": chain_rows(chains)}
+        if pipelines is not None:
+            retrieval |= {"relocalization_metric": pipelines.metric, "relocalization": pipeline_rows(pipelines)}
         rows = [] if board is None else leaderboard_rows(board)
         counts = {
             "rows": len(rows) + sum(len(v) for v in retrieval.values() if isinstance(v, list)),
@@ -155,8 +155,8 @@ def leaderboard(
             print_leaderboard(board)
         if found is not None:
             _print_retrieval(found)
-        if chains is not None:
-            _print_chains(chains)
+        if pipelines is not None:
+            _print_pipelines(pipelines)
         if not quiet:
             for path in _first_pages(files):
                 typer.echo(f"written: {path}", err=True)
@@ -230,9 +230,9 @@ def _load(
     split: str | None,
     seed: int,
     told: Reporter,
-) -> tuple[Board | None, RetrievalBoard | None, ChainBoard | None]:
+) -> tuple[Board | None, RetrievalBoard | None, PipelineBoard | None]:
     """The boards of trackers, retrievers and chains; None where the folder holds nothing of a task."""
-    from relocbench.leaderboard.relocalization.board import load_chains
+    from relocbench.leaderboard.relocalization.board import load_pipelines
     from relocbench.leaderboard.retrieval.board import holds_tracking, load_retrieval
     from relocbench.leaderboard.tracking.load import load_results
     from relocbench.leaderboard.tracking.tables import ranking_metric
@@ -240,16 +240,16 @@ def _load(
 
     asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": lookup}
     found = load_retrieval(results, metric=ranked_by["--retrieval-metric"], **asked)
-    chains = load_chains(results, metric=ranked_by["--relocalization-metric"], **asked)
+    pipelines = load_pipelines(results, metric=ranked_by["--relocalization-metric"], **asked)
     entries = None
-    if (found is None and chains is None) or holds_tracking(results):
+    if (found is None and pipelines is None) or holds_tracking(results):
         ranking_metric(ranked_by["--metric"])  # a mistyped metric is reported before anything is read
         entries = load_results(results, split, datasets=lookup)
     lookup.check_used()  # before anything is written
     board = None
     if entries is not None:
         board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=told)
-    return board, found, chains
+    return board, found, pipelines
 
 
 def _ranked_by(
@@ -265,14 +265,14 @@ def _ranked_by(
 def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None:
     """Raise ConfigError if a metric is given for a task of which the folder holds no results, but some of others."""
     from relocbench.errors import ConfigError
-    from relocbench.evaluation.relocalization.records import all_chain_sets
+    from relocbench.evaluation.relocalization.records import all_pipeline_sets
     from relocbench.evaluation.retrieval.records import all_sets
     from relocbench.leaderboard.retrieval.board import holds_tracking
 
     held = {
         "--metric": holds_tracking(results),
         "--retrieval-metric": bool(all_sets(results)),
-        "--relocalization-metric": bool(all_chain_sets(results)),
+        "--relocalization-metric": bool(all_pipeline_sets(results)),
     }
     made_by = dict(zip(held, ("evaluate", "evaluate-retrieval", "evaluate-relocalization"), strict=True))
     for option, name in given.items():
@@ -301,7 +301,7 @@ def _print_retrieval(board: RetrievalBoard) -> None:
             print_table(title, columns, [*([name, *row] for name, row in zip(names, rows, strict=True)), chance])
 
 
-def _print_chains(board: ChainBoard) -> None:
+def _print_pipelines(board: PipelineBoard) -> None:
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import RANK, RETRIEVER, TOP, TRACKER, heading
     from relocbench.leaderboard.common.text import number
@@ -313,9 +313,9 @@ def _print_chains(board: ChainBoard) -> None:
             title = f"{asked.title}: {table.name} ({table.queries} queries)"
             rows = [
                 [
-                    row.chain.run.retriever,
-                    row.chain.run.tracker,
-                    str(row.chain.run.top),
+                    row.pipeline.run.retriever,
+                    row.pipeline.run.tracker,
+                    str(row.pipeline.run.top),
                     "" if row.rank is None else str(row.rank),
                     *(number(row.values.get(m), "share") for m in dict.fromkeys(metrics)),
                     number(row.values.get(median), "m"),

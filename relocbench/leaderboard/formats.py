@@ -12,8 +12,8 @@ from relocbench.files import write_text
 from relocbench.leaderboard.html.manifest import earlier_files
 from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
-from relocbench.leaderboard.relocalization import latex as chain_latex
-from relocbench.leaderboard.relocalization.write import write_chain_page, write_chain_table
+from relocbench.leaderboard.relocalization import latex as pipeline_latex
+from relocbench.leaderboard.relocalization.write import write_pipeline_page, write_pipeline_table
 from relocbench.leaderboard.retrieval import latex as retrieval_latex
 from relocbench.leaderboard.retrieval.write import write_retrieval_page, write_retrieval_table
 from relocbench.leaderboard.tracking import latex as tracking_latex
@@ -39,20 +39,22 @@ Writer = Callable[[Boards, Path, How], list[Path]]
 def _csv(boards: Boards, out: Path, how: How) -> list[Path]:
     files = [] if boards.tracking is None else write_tables(boards.tracking, out)
     files += [] if boards.retrieval is None else write_retrieval_table(boards.retrieval, out)
-    return files + ([] if boards.relocalization is None else write_chain_table(boards.relocalization, out))
+    return files + ([] if boards.relocalization is None else write_pipeline_table(boards.relocalization, out))
 
 
 def _markdown(boards: Boards, out: Path, how: How) -> list[Path]:
     files = [] if boards.tracking is None else write_pages(boards.tracking, out, plots=how.plots, reporter=how.reporter)
     files += [] if boards.retrieval is None else write_retrieval_page(boards.retrieval, out)
-    return files + ([] if boards.relocalization is None else write_chain_page(boards.relocalization, out))
+    return files + ([] if boards.relocalization is None else write_pipeline_page(boards.relocalization, out))
 
 
 def _latex(boards: Boards, out: Path, how: How) -> list[Path]:
     texts = {
         "leaderboard.tex": None if boards.tracking is None else tracking_latex.latex_page(boards.tracking),
         "retrieval.tex": None if boards.retrieval is None else retrieval_latex.latex_page(boards.retrieval),
-        "relocalization.tex": None if boards.relocalization is None else chain_latex.latex_page(boards.relocalization),
+        "relocalization.tex": None
+        if boards.relocalization is None
+        else pipeline_latex.latex_page(boards.relocalization),
     }
     files = []
     for name, text in texts.items():

@@ -1,6 +1,6 @@
-"""Checking results as leaderboards read them: retrievers, chains, and the cards of what was submitted.
+"""Checking results as leaderboards read them: retrievers, pipelines, and the cards of what was submitted.
 
-Of a retriever or a chain the first fault is found, of each tracker's files every one
+Of a retriever or a pipeline the first fault is found, of each tracker's files every one
 (:mod:`relocbench.evaluation.tracking.validation`).
 """
 
@@ -15,14 +15,14 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, folders_with
 from relocbench.evaluation.relocalization.records import SET_FILE as CHAIN_FILE
-from relocbench.evaluation.relocalization.records import ChainSetResults
-from relocbench.evaluation.relocalization.rescoring import ChainTruth
+from relocbench.evaluation.relocalization.records import PipelineSetResults
+from relocbench.evaluation.relocalization.rescoring import PipelineTruth
 from relocbench.evaluation.retrieval.records import SET_FILE as RETRIEVAL_FILE
 from relocbench.evaluation.retrieval.records import SetResults
 from relocbench.evaluation.retrieval.rescoring import truth_of
 from relocbench.evaluation.submission.kept import kept_card
 from relocbench.evaluation.tracking.validation import is_tracking_folder, validate_results
-from relocbench.leaderboard.relocalization.board import load_chain
+from relocbench.leaderboard.relocalization.board import load_pipeline
 from relocbench.leaderboard.retrieval.board import load_retriever
 from relocbench.progress import Reporter
 
@@ -49,7 +49,7 @@ def validate_all_results(root: Path, dataset: Dataset | None, reporter: Reporter
             with found.catching():
                 kept_card(tracker.root, tracker.run_record())
     checks = [check for check, row in _other_rows(top, dataset, found) if not is_row or row == root]
-    with reporter.stage("checking retrievers and chains", len(checks)) as advance:
+    with reporter.stage("checking retrievers and pipelines", len(checks)) as advance:
         for check in checks:
             with found.catching():
                 check()
@@ -73,17 +73,19 @@ def _trackers(root: Path, found: Findings) -> list[MethodResults]:
 
 
 def _other_rows(top: Path, dataset: Dataset | None, found: Findings) -> list[tuple[Callable[[], object], Path]]:
-    """What checks each retriever and chain, and its folder; a record that cannot be read is a fault."""
+    """What checks each retriever and pipeline, and its folder; a record that cannot be read is a fault."""
     rows: list[tuple[Callable[[], object], Path]] = []
     lookup = None if dataset is None else DatasetLookup(top, [dataset.root])
     for folder in map(SetResults, folders_with(RETRIEVAL_FILE, top)):
         with found.catching():
             asked, truth = folder.record, None if lookup is None else truth_of(folder, lookup)
             rows += [(partial(load_retriever, row, asked, asked.tasks, truth), row.root) for row in folder.methods()]
-    for chains in map(ChainSetResults, folders_with(CHAIN_FILE, top)):
+    for pipelines in map(PipelineSetResults, folders_with(CHAIN_FILE, top)):
         with found.catching():
-            record = chains.record
+            record = pipelines.record
             of_it = dataset is not None and dataset.fingerprint == record.dataset_fingerprint
-            known = ChainTruth(dataset, chains) if dataset is not None and of_it else None
-            rows += [(partial(load_chain, row, record, record.tasks, known), row.root) for row in chains.chains()]
+            known = PipelineTruth(dataset, pipelines) if dataset is not None and of_it else None
+            rows += [
+                (partial(load_pipeline, row, record, record.tasks, known), row.root) for row in pipelines.pipelines()
+            ]
     return rows

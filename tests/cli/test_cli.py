@@ -337,5 +337,5 @@ def test_exported_truth_is_read_by_evo(dataset: Dataset, tmp_path: Path) -> None
         assert np.allclose(pose, winter.T_world_cam("cam0", query), atol=1e-6)
     pair = pair_set.pairs[0]
     assert pair.T_query_ref is not None
-    chain = summer.T_world_cam("cam0", pair.ref_timestamp_ns) @ invert(pair.T_query_ref)
-    assert np.allclose(chain, winter.T_world_cam("cam0", pair.query_timestamp_ns), atol=1e-9)
+    pipeline = summer.T_world_cam("cam0", pair.ref_timestamp_ns) @ invert(pair.T_query_ref)
+    assert np.allclose(pipeline, winter.T_world_cam("cam0", pair.query_timestamp_ns), atol=1e-9)

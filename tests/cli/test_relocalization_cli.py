@@ -7,16 +7,16 @@ import json
 from pathlib import Path
 
 import pytest
-from chains_for_tests import lists
 from command_line import relocbench
 from latex_parser import check_latex
+from pipelines_for_tests import lists
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.leaderboard.relocalization.board import load_chains
+from relocbench.leaderboard.relocalization.board import load_pipelines
 
-KNOWS = "chains_for_tests:Knows"
+KNOWS = "pipelines_for_tests:Knows"
 THUMBNAIL = "thumb=retrievers_for_tests:Thumbnail"
 CHAIN = ("evaluate-relocalization",)
 
@@ -40,8 +40,8 @@ def results(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert "\x1b" not in done.out + done.err
     assert "12 queries, 12 keyframes, pairs reach 0.192 m, 2°" in done.out
     first = {tuple(line.strip("│ ").split("│")[:2]) for line in done.out.splitlines() if line.startswith("│")}
-    chains = {(retriever.strip(), tracker.strip()) for retriever, tracker in first}
-    assert chains == {(r, t) for r in ("far", "near", "oracle") for t in ("good", "bad", "keyframe-pose")}
+    pipelines = {(retriever.strip(), tracker.strip()) for retriever, tracker in first}
+    assert pipelines == {(r, t) for r in ("far", "near", "oracle") for t in ("good", "bad", "keyframe-pose")}
     assert "good on small: 48/48" in done.err  # near, far and what the oracle asks beyond them
     return root / "r"
 
@@ -79,9 +79,9 @@ def test_both_tasks_are_tables_for_papers_too(results: Path, tmp_path: Path) -> 
     assert shown.status == 0, shown.err
     assert sorted(p.name for p in (tmp_path / "t").iterdir()) == ["relocalization.tex", "retrieval.tex"]
     assert json.loads(shown.out)["counts"]["files_written"] == 2
-    chains = check_latex((tmp_path / "t" / "relocalization.tex").read_text())
-    assert [len(table) for table in chains] == [10]
-    assert chains[0][0][:5] == ["retriever", "tracker", "top", "rank", r"recall@(0.25m,2deg), \% $\uparrow$"]
+    pipelines = check_latex((tmp_path / "t" / "relocalization.tex").read_text())
+    assert [len(table) for table in pipelines] == [10]
+    assert pipelines[0][0][:5] == ["retriever", "tracker", "top", "rank", r"recall@(0.25m,2deg), \% $\uparrow$"]
     rankings = check_latex((tmp_path / "t" / "retrieval.tex").read_text())
     assert [row[0] for row in rankings[0]][-1] == r"\textit{(chance)}"
 
@@ -109,7 +109,7 @@ def test_one_json_object(results: Path, dataset: Dataset) -> None:
     assert page["rows"] == []
 
 
-def test_a_configuration_file_can_ask_for_chains(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_configuration_file_can_ask_for_pipelines(dataset: Dataset, tmp_path: Path) -> None:
     config = tmp_path / "run.yaml"
     config.write_text(
         f"dataset: {dataset.root}\nretriever: ['{THUMBNAIL}']\nmethods: ['g={KNOWS}']\n"
@@ -151,7 +151,7 @@ def test_mistakes_in_one_line(dataset: Dataset, tmp_path: Path, words: tuple[obj
     assert not (tmp_path / "r").exists()
 
 
-def test_options_of_chains_mean_nothing_elsewhere(dataset: Dataset, tmp_path: Path) -> None:
+def test_options_of_pipelines_mean_nothing_elsewhere(dataset: Dataset, tmp_path: Path) -> None:
     done = relocbench("evaluate", "-d", dataset.root, "-m", "identity", "-r", "oracle", "-o", tmp_path / "r")
     assert done.status == 2
     assert "No such option: -r; it is an option of relocbench evaluate-relocalization" in done.complaint
@@ -159,10 +159,10 @@ def test_options_of_chains_mean_nothing_elsewhere(dataset: Dataset, tmp_path: Pa
 
 def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be ranked by 'R@1'"):
-        load_chains(results, metric="R@1")
+        load_pipelines(results, metric="R@1")
     with pytest.raises(ConfigError, match="no split 'nowhere'; there is all, test"):
-        load_chains(results, split="nowhere")
-    board = load_chains(results, split="test")
+        load_pipelines(results, split="nowhere")
+    board = load_pipelines(results, split="test")
     assert board is not None
     assert [t.tasks for t in board.sets[0].tables] == [(ACROSS,)]
     table = next(results.glob("*/near+good.top2")) / f"{ACROSS}.csv"
@@ -170,6 +170,6 @@ def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
     try:
         table.write_text(before.replace("right", "choice", 1))
         with pytest.raises(PredictionError, match="changed since it was scored"):
-            load_chains(results)
+            load_pipelines(results)
     finally:
         table.write_text(before)

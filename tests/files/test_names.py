@@ -17,7 +17,7 @@ from relocbench.datasets.cross_view.content import read_conditions
 from relocbench.datasets.sensors.trajectories import timed_files, traversal_names
 from relocbench.errors import ConfigError, DatasetError, MethodError, PredictionError
 from relocbench.evaluation.common.results import DatasetRecord, DatasetResults, MethodResults, RunRecord, ScoreRecord
-from relocbench.evaluation.relocalization.records import ChainRun, ChainSet
+from relocbench.evaluation.relocalization.records import PipelineRun, PipelineSet
 from relocbench.evaluation.retrieval.records import SetRecord
 from relocbench.files import (
     check_distinct,
@@ -173,8 +173,8 @@ READ = {
     "the dataset of run.yaml": (RunRecord, OF_DATASET),
     "scores.yaml": (ScoreRecord, SCORES),
     "retrieval.yaml": (SetRecord, SET),
-    "relocalization.yaml": (ChainSet, CHAINS),
-    "run.yaml of a chain": (ChainRun, CHAIN),
+    "relocalization.yaml": (PipelineSet, CHAINS),
+    "run.yaml of a chain": (PipelineRun, CHAIN),
 }
 
 

@@ -30,7 +30,7 @@ from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS
 from relocbench.evaluation.common.answer_table import read_answers as read_pair_answers
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import read_matching
-from relocbench.evaluation.relocalization.answers import read_chain
+from relocbench.evaluation.relocalization.answers import read_pipeline
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.files import (
@@ -54,7 +54,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "answers of a tracker": read_pair_answers,
     "errors": read_errors,
     "matching": read_matching,
-    "a chain": read_chain,
+    "a chain": read_pipeline,
     "answers of a retriever": read_answers,
     "radii": read_basins,
     "poses": read_poses,

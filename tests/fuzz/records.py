@@ -10,7 +10,7 @@ from fuzz.datasets import ACROSS
 from fuzz.parser import Parser, Place, Read
 
 _RETRIEVAL = ("evaluate-retrieval", "--radius", 0.2)
-_CHAIN = ("evaluate-relocalization", "-r", "oracle", "-m", "good=chains_for_tests:Knows", "--top", 1)
+_CHAIN = ("evaluate-relocalization", "-r", "oracle", "-m", "good=pipelines_for_tests:Knows", "--top", 1)
 
 
 def write_records(root: Path) -> None:
@@ -52,9 +52,9 @@ def _reads(name: str) -> Read:
     """A reader of one file, imported when it is used."""
 
     def run(place: Place) -> None:
-        from relocbench.evaluation.relocalization import answers as chain_answers
+        from relocbench.evaluation.relocalization import answers as pipeline_answers
         from relocbench.evaluation.relocalization.basin import read_basins
-        from relocbench.evaluation.relocalization.records import ChainResults, ChainSetResults
+        from relocbench.evaluation.relocalization.records import PipelineResults, PipelineSetResults
         from relocbench.evaluation.retrieval import answers as retrieval_answers
         from relocbench.evaluation.retrieval.records import RetrieverResults, SetResults
 
@@ -65,10 +65,10 @@ def _reads(name: str) -> Read:
             "run": lambda: RetrieverResults(folder).run_record(),
             "scores": lambda: RetrieverResults(folder).retrieval_scores(),
             "answers": lambda: retrieval_answers.read_answers(place.target),
-            "chain-set": lambda: ChainSetResults(folder).record,
-            "chain-run": lambda: ChainResults(folder).run_record(),
-            "chain-scores": lambda: ChainResults(folder).scores(),
-            "chain": lambda: chain_answers.errors_of(chain_answers.read_chain(place.target)),
+            "chain-set": lambda: PipelineSetResults(folder).record,
+            "chain-run": lambda: PipelineResults(folder).run_record(),
+            "chain-scores": lambda: PipelineResults(folder).scores(),
+            "chain": lambda: pipeline_answers.errors_of(pipeline_answers.read_pipeline(place.target)),
             "basins": lambda: read_basins(place.target),
             "tables": lambda: _tables(page),
         }
@@ -97,7 +97,7 @@ def _retrieval_board(place: Place) -> Iterable[str]:
     return ()
 
 
-def _chain_board(place: Place) -> None:
+def _pipeline_board(place: Place) -> None:
     from relocbench.leaderboard.relocalization.write import write_relocalization_leaderboard
     from relocbench.progress import Silent
 
@@ -129,7 +129,9 @@ PARSERS = (
         names=True,
         brief=False,
     ),
-    Parser("chain-leaderboard", "records", ("chains/*/*.yaml", f"{_CHAINS}/*"), _chain_board, names=True, brief=False),
+    Parser(
+        "chain-leaderboard", "records", ("chains/*/*.yaml", f"{_CHAINS}/*"), _pipeline_board, names=True, brief=False
+    ),
     Parser(
         "records-command",
         "records",

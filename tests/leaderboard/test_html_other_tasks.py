@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 from browser_pages import needs_browser, serious_faults
-from chains_for_tests import lists
+from pipelines_for_tests import lists
 from small_dataset import ACROSS, make_small_dataset
 from small_views import make_small_views
 
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
+from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.chain_pages.payloads import chains_payload, id_of_chains
-from relocbench.leaderboard.html.chain_pages.stages import retrieval_seconds
+from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, pipelines_payload
+from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds
 from relocbench.leaderboard.html.retrieval_pages.distances import distances_of
 from relocbench.leaderboard.html.retrieval_pages.lists import kept_lists
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, ranks_payload
@@ -31,7 +31,7 @@ from relocbench.leaderboard.html.retrieval_pages.queries import chosen_queries
 from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 from relocbench.leaderboard.html.thumbnails import small, thumbnail_name
-from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, load_chains
+from relocbench.leaderboard.relocalization.board import Pipeline, PipelineBoard, load_pipelines
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, Retriever, load_retrieval
 from relocbench.metrics import chance_level
 from relocbench.progress import Silent
@@ -57,12 +57,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         dataset=dataset.root,
         out=root / "results",
         retriever=("oracle", f"near=predictions:{near}"),
-        methods=("knows=chains_for_tests:Knows",),
+        methods=("knows=pipelines_for_tests:Knows",),
         set=("knows.reach=0", "knows.beyond=fail"),
         top=2,
         workers=0,
     )
-    evaluate_chains(ask, Silent())
+    evaluate_pipelines(ask, Silent())
     named = {"dataset": dataset.root, "out": root / "results", "workers": 0}
     evaluate_methods(EvaluateOptions(**named, methods=("identity",), pair_sets=(ACROSS,)), Silent())
     evaluate_retrievers(RetrievalOptions(**named, methods=(f"thumb={HERE}:Thumbnail",), radius=0.2), Silent())
@@ -75,7 +75,7 @@ def _boards(made: Path, *, lookup: bool = True) -> Boards:
     results = made / "results"
     asked: dict[str, Any] = {"datasets": DatasetLookup(results, [made / "data"] if lookup else [])}
     entries = load_results(results, **asked)
-    return Boards(make_board(entries), load_retrieval(results, **asked), load_chains(results, **asked))
+    return Boards(make_board(entries), load_retrieval(results, **asked), load_pipelines(results, **asked))
 
 
 def _hostile(boards: Boards) -> Boards:
@@ -90,12 +90,15 @@ def _hostile(boards: Boards) -> Boards:
     for asked in boards.retrieval.sets:
         tables = [replace(t, rows=tuple(replace(r, method=renamed(r.method)) for r in t.rows)) for t in asked.tables]
         sets.append(replace(asked, methods=tuple(map(renamed, asked.methods)), tables=tuple(tables)))
-    chained = []
+    pipelineed = []
     for of in boards.relocalization.sets:
-        rows = [replace(t, rows=tuple(replace(r, chain=renamed(r.chain)) for r in t.rows)) for t in of.tables]
-        chained.append(replace(of, chains=tuple(map(renamed, of.chains)), tables=tuple(rows)))
-    retrieval, chains = replace(boards.retrieval, sets=tuple(sets)), replace(boards.relocalization, sets=tuple(chained))
-    return Boards(boards.tracking, retrieval, chains)
+        rows = [replace(t, rows=tuple(replace(r, pipeline=renamed(r.pipeline)) for r in t.rows)) for t in of.tables]
+        pipelineed.append(replace(of, pipelines=tuple(map(renamed, of.pipelines)), tables=tuple(rows)))
+    retrieval, pipelines = (
+        replace(boards.retrieval, sets=tuple(sets)),
+        replace(boards.relocalization, sets=tuple(pipelineed)),
+    )
+    return Boards(boards.tracking, retrieval, pipelines)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +113,7 @@ def retrieval(boards: Boards) -> RetrievalBoard:
 
 
 @pytest.fixture(scope="module")
-def chains(boards: Boards) -> ChainBoard:
+def pipelines(boards: Boards) -> PipelineBoard:
     assert boards.relocalization is not None
     return boards.relocalization
 
@@ -220,20 +223,22 @@ def test_each_picture_is_written_once_and_is_small(site: Path, retrieval: Retrie
     assert thumbnail_name(PLACE) != thumbnail_name(PLACE + "2")
 
 
-def test_shares_of_a_chain_add_up(chains: ChainBoard) -> None:
-    (asked,) = chains.sets
-    payload = chains_payload(chains, asked, {})
+def test_shares_of_a_pipeline_add_up(pipelines: PipelineBoard) -> None:
+    (asked,) = pipelines.sets
+    payload = pipelines_payload(pipelines, asked, {})
     place = {metric["name"]: index for index, metric in enumerate(payload["metrics"])}
     for table in payload["tables"]:
         for row in table["rows"]:
             assert sum(row["values"][place[name]] for name in payload["losses"]) == pytest.approx(1.0)
 
 
-def test_the_keyframes_of_a_chain_and_their_errors_are_those_of_its_table(site: Path, chains: ChainBoard) -> None:
-    (asked,) = chains.sets
-    chain: Chain = next(c for c in asked.chains if c.label == NEAR)
-    told = _payload(site, f"candidates/{id_of_chains(asked)}/{ACROSS}")["chains"][NEAR]
-    for answer, keyframes in zip(chain.answers[ACROSS], told, strict=True):
+def test_the_keyframes_of_a_pipeline_and_their_errors_are_those_of_its_table(
+    site: Path, pipelines: PipelineBoard
+) -> None:
+    (asked,) = pipelines.sets
+    pipeline: Pipeline = next(c for c in asked.pipelines if c.label == NEAR)
+    told = _payload(site, f"candidates/{id_of_pipelines(asked)}/{ACROSS}")["chains"][NEAR]
+    for answer, keyframes in zip(pipeline.answers[ACROSS], told, strict=True):
         assert len(keyframes) == answer.asked == 2
         hits = [rank for rank, one in enumerate(keyframes, start=1) if one[3]]
         assert (hits[0] if hits else None) == answer.hit_rank
@@ -241,20 +246,20 @@ def test_the_keyframes_of_a_chain_and_their_errors_are_those_of_its_table(site: 
         assert [float(one[6]) for one in kept] == pytest.approx([answer.translation_error_m] * len(kept))
 
 
-def test_seconds_of_both_stages_part_only_where_the_rankings_are_those_of_the_chain(
+def test_seconds_of_both_stages_part_only_where_the_rankings_are_those_of_the_pipeline(
     made: Path, boards: Boards, tmp_path: Path
 ) -> None:
     shutil.copytree(made / "results", tmp_path / "results")
     run = next(tmp_path.glob("results/*.places-pairs@*/near/run.yaml"))
     run.write_text(run.read_text().replace("predictions:", "predictions:other/"))
-    changed = load_chains(tmp_path / "results", datasets=DatasetLookup(tmp_path / "results"))
+    changed = load_pipelines(tmp_path / "results", datasets=DatasetLookup(tmp_path / "results"))
     assert changed is not None
     assert boards.relocalization is not None
     for board, there in ((boards.relocalization, True), (changed, False)):
         (asked,) = board.sets
-        chain = next(c for c in asked.chains if c.label == NEAR)
-        oracle = next(c for c in asked.chains if c.run.retriever == "oracle")
-        assert (retrieval_seconds(asked, chain, ACROSS) is not None) == there
+        pipeline = next(c for c in asked.pipelines if c.label == NEAR)
+        oracle = next(c for c in asked.pipelines if c.run.retriever == "oracle")
+        assert (retrieval_seconds(asked, pipeline, ACROSS) is not None) == there
         assert retrieval_seconds(asked, oracle, ACROSS) is None
 
 
@@ -264,7 +269,7 @@ def test_sets_and_methods_of_all_tasks_are_counted(boards: Boards, site: Path) -
     assert len([*site.glob("method-*")]) == len(boards.methods)
 
 
-def test_a_method_page_has_its_results_as_a_retriever_and_in_chains(site: Path) -> None:
+def test_a_method_page_has_its_results_as_a_retriever_and_in_pipelines(site: Path) -> None:
     page = (site / "method-near.html").read_text(encoding="utf-8")
     assert "As a retriever" in page
     assert "In retrieval followed by tracking" in page

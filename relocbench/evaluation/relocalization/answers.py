@@ -43,7 +43,7 @@ _INTEGERS = ("rank", "hit_rank", "right_rank", "asked")
 
 
 @dataclass(frozen=True)
-class ChainAnswer:
+class PipelineAnswer:
     """A row of ``TASK.csv``."""
 
     query_timestamp_ns: int
@@ -69,7 +69,7 @@ class ChainAnswer:
     message: str = ""
 
 
-def errors_of(answers: Sequence[ChainAnswer]) -> PoseErrors:
+def errors_of(answers: Sequence[PipelineAnswer]) -> PoseErrors:
     """The errors of the rows, as arrays."""
     return PoseErrors(
         rotation_error_deg=np.array([a.rotation_error_deg for a in answers], dtype=np.float64),
@@ -78,20 +78,20 @@ def errors_of(answers: Sequence[ChainAnswer]) -> PoseErrors:
     )
 
 
-def write_chain(path: Path, answers: Sequence[ChainAnswer]) -> None:
+def write_pipeline(path: Path, answers: Sequence[PipelineAnswer]) -> None:
     """Write ``TASK.csv``, in the order given."""
     values = ([getattr(a, name) for name in COLUMNS] for a in answers)
     texts = (["" if v is None else repr(v) if isinstance(v, float) else v for v in row] for row in values)
     write_rows(path, [COLUMNS, *texts])
 
 
-def read_chain(path: Path) -> list[ChainAnswer]:
+def read_pipeline(path: Path) -> list[PipelineAnswer]:
     """Read ``TASK.csv``.
 
     Raises:
         PredictionError: with file and line: wrong columns, an invalid status, outcome or number, or a query twice.
     """
-    out: dict[int, ChainAnswer] = {}
+    out: dict[int, PipelineAnswer] = {}
     for row in read_rows(path, COLUMNS):
         answer = _answer(row)
         if answer.query_timestamp_ns in out:
@@ -100,13 +100,13 @@ def read_chain(path: Path) -> list[ChainAnswer]:
     return list(out.values())
 
 
-def _answer(row: TableRow) -> ChainAnswer:
+def _answer(row: TableRow) -> PipelineAnswer:
     status = row.status()
     outcome = next((known for known in OUTCOMES if known == row["outcome"]), None)
     if outcome is None:
         raise row.fault(f"outcome is '{row['outcome']}', expected {', '.join(OUTCOMES)}")
     rank, hit_rank, right_rank, asked = (row.count(name) if row[name] else None for name in _INTEGERS)
-    return ChainAnswer(
+    return PipelineAnswer(
         query_timestamp_ns=row.timestamp("query_timestamp_ns"),
         status=status,
         outcome=outcome,

@@ -18,24 +18,24 @@ from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
 from relocbench.evaluation.relocalization.candidates import read_tracked, track_candidates
-from relocbench.evaluation.relocalization.chain import Retrieved, keyframe_poses
-from relocbench.evaluation.relocalization.parsing import parse_chain
+from relocbench.evaluation.relocalization.parsing import parse_pipeline
+from relocbench.evaluation.relocalization.pipeline import Retrieved, keyframe_poses
 from relocbench.evaluation.relocalization.rankings import RankingSource, run_retrievers
 from relocbench.evaluation.relocalization.records import (
     KEYFRAME,
     ORACLE,
-    ChainBasin,
-    ChainResults,
-    ChainRun,
-    ChainScores,
-    ChainSetResults,
-    chain_results,
+    PipelineBasin,
+    PipelineResults,
+    PipelineRun,
+    PipelineScores,
+    PipelineSetResults,
+    pipeline_results,
     write_set,
 )
 from relocbench.evaluation.relocalization.score import Values
-from relocbench.evaluation.relocalization.tasks import ChainTasks, chain_tasks
+from relocbench.evaluation.relocalization.tasks import PipelineTasks, pipeline_tasks
 from relocbench.evaluation.relocalization.truth import MapTruth
-from relocbench.evaluation.relocalization.writing import broken_queries, write_chain_results
+from relocbench.evaluation.relocalization.writing import broken_queries, write_pipeline_results
 from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
@@ -83,22 +83,22 @@ class RelocalizationOptions(ExecutionOptions):
 class RelocalizationReport:
     """The results of an evaluation of chains."""
 
-    tasks: ChainTasks
-    folders: list[ChainResults]
+    tasks: PipelineTasks
+    folders: list[PipelineResults]
     results: Path
     broken: list[tuple[str, str]] = field(default_factory=list)
     """chain and message of each chain that broke on queries"""
 
     @cached_property
-    def _scores(self) -> dict[str, ChainScores]:
+    def _scores(self) -> dict[str, PipelineScores]:
         return {folder.label: folder.scores() for folder in self.folders}
 
-    def scores(self, folder: ChainResults) -> dict[str, Values]:
+    def scores(self, folder: PipelineResults) -> dict[str, Values]:
         """A chain's scores on the evaluated tasks."""
         tasks = self._scores[folder.label].tasks
         return {name: values for name, values in tasks.items() if name in self.tasks.names}
 
-    def basins(self, folder: ChainResults) -> dict[str, ChainBasin]:
+    def basins(self, folder: PipelineResults) -> dict[str, PipelineBasin]:
         """A chain's basins on the evaluated tasks."""
         return {name: basin for name, basin in self._scores[folder.label].basins.items() if name in self.tasks.names}
 
@@ -126,19 +126,19 @@ class RelocalizationReport:
         }
 
 
-def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> RelocalizationReport:
+def evaluate_pipelines(options: RelocalizationOptions, reporter: Reporter) -> RelocalizationReport:
     """Run and score every retriever with every tracker, and with the floor that takes the first keyframe's pose.
 
     Raises:
         RelocbenchError: a bad dataset, method, option or list.
     """
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
-    retrievers, trackers = parse_chain(options.retriever, options.methods, options.set, options.seed)
+    retrievers, trackers = parse_pipeline(options.retriever, options.methods, options.set, options.seed)
     check_blind([*(one for one in retrievers if not isinstance(one, str)), *trackers], options.dataset)
     basins = _basins(options, trackers, reporter)
     dataset = open_for_evaluation(options.dataset, options.out)
     places = SetOptions(options.split, options.pair_sets, positives="pairs")
-    tasks = chain_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
+    tasks = pipeline_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
     with kept_workers():
         return _evaluate(options, dataset, tasks, retrievers, trackers, basins, reporter)
 
@@ -146,7 +146,7 @@ def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> Reloc
 def _evaluate(
     options: RelocalizationOptions,
     dataset: Dataset,
-    tasks: ChainTasks,
+    tasks: PipelineTasks,
     retrievers: Sequence[MethodSpec | str],
     trackers: Sequence[MethodSpec],
     basins: Basins,
@@ -161,7 +161,7 @@ def _evaluate(
         seed=options.seed,
         reporter=reporter,
     )
-    results = chain_results(options.out, tasks.record.name, tasks.record.fingerprint)
+    results = pipeline_results(options.out, tasks.record.name, tasks.record.fingerprint)
     write_set(results, tasks.record)
     found = {each.label: _found(each, tasks, options.top) for each in ranked}
     wanted = {name: _pairs(tasks.truth[name], [of[name] for of in found.values()]) for name in tasks.names}
@@ -184,10 +184,10 @@ def _evaluate(
         of = found[each.label]
         floor = {name: keyframe_poses(tasks.truth[name], of[name]) for name in tasks.names}
         run = _run(tasks, each, KEYFRAME, 1, None)
-        folders.append(write_chain_results(_folder(results, run), run, tasks, of, floor, basins))
+        folders.append(write_pipeline_results(_folder(results, run), run, tasks, of, floor, basins))
         for folder in answered:
             run = _run(tasks, each, folder.label, options.top, folder)
-            folders.append(write_chain_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
+            folders.append(write_pipeline_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
     told = [each for folder in folders for each in broken_queries(folder, tasks.names)]
     return RelocalizationReport(tasks, folders, results.root, told)
 
@@ -201,7 +201,7 @@ def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], repo
     return basins
 
 
-def _found(ranking: RankingSource, tasks: ChainTasks, top: int) -> dict[str, list[Retrieved]]:
+def _found(ranking: RankingSource, tasks: PipelineTasks, top: int) -> dict[str, list[Retrieved]]:
     """The keyframes that a retriever found, by task."""
     return {task.name: ranking.of(task, tasks.truth[task.name], top) for task in tasks.asked.chosen}
 
@@ -216,8 +216,10 @@ def _pairs(truth: MapTruth, found: Sequence[Sequence[Retrieved]]) -> set[PairKey
     }
 
 
-def _run(tasks: ChainTasks, ranking: RankingSource, tracker: str, top: int, folder: MethodResults | None) -> ChainRun:
-    return ChainRun(
+def _run(
+    tasks: PipelineTasks, ranking: RankingSource, tracker: str, top: int, folder: MethodResults | None
+) -> PipelineRun:
+    return PipelineRun(
         retriever=ranking.label,
         tracker=tracker,
         top=top,
@@ -228,5 +230,5 @@ def _run(tasks: ChainTasks, ranking: RankingSource, tracker: str, top: int, fold
     )
 
 
-def _folder(results: ChainSetResults, run: ChainRun) -> ChainResults:
-    return results.chain(run.retriever, run.tracker, run.top)
+def _folder(results: PipelineSetResults, run: PipelineRun) -> PipelineResults:
+    return results.pipeline(run.retriever, run.tracker, run.top)

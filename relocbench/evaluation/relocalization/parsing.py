@@ -13,7 +13,7 @@ from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec
 from relocbench.methods.discovery import parse_method, setting_label
 
 
-def parse_chain(
+def parse_pipeline(
     retrievers: Sequence[str], trackers: Sequence[str], settings: Sequence[str], seed: int
 ) -> tuple[list[MethodSpec | str], list[MethodSpec]]:
     """Parse retrievers and trackers, in the order given.
@@ -33,7 +33,7 @@ def parse_chain(
     floors = [one for one in of_retrievers if one == ORACLE]
     for label in labels:
         if "+" in label:
-            raise ConfigError(f"label '{label}': '+' joins the two halves of a chain; choose another")
+            raise ConfigError(f"label '{label}': '+' joins the two halves of a pipeline; choose another")
         if label == KEYFRAME or (label == ORACLE and not floors):
             raise ConfigError(f"'{label}' is the name of a floor; give the method another label: LABEL=METHOD")
         if labels.count(label) > 1:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from relocbench.evaluation.common.results import PREDICTIONS
-from relocbench.evaluation.relocalization.chain import Retrieved
+from relocbench.evaluation.relocalization.pipeline import Retrieved
 from relocbench.evaluation.relocalization.records import ORACLE
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists

@@ -1,8 +1,8 @@
-"""The records of chains on one dataset.
+"""The records of pipelines on one dataset.
 
 ``RESULTS/DATASET.relocalization@FINGERPRINT/`` holds ``relocalization.yaml`` (which describes the tasks),
 ``answers/TRACKER/`` (every answer of a tracker, as in its own results, whichever retriever proposed the keyframe) and,
-for each chain, ``RETRIEVER+TRACKER.topK/``: the poses that were kept (``TASK.txt``), one row for each query
+for each pipeline, ``RETRIEVER+TRACKER.topK/``: the poses that were kept (``TASK.txt``), one row for each query
 (``TASK.csv``), ``run.yaml`` and ``scores.yaml``.
 """
 
@@ -31,7 +31,7 @@ KEYFRAME = "keyframe-pose"
 """the tracker that always answers the pose of the first keyframe"""
 
 
-class ChainTask(Strict):
+class PipelineTask(Strict):
     """What a leaderboard must know about a task when the dataset is not at hand."""
 
     queries: int
@@ -56,7 +56,7 @@ class ChainTask(Strict):
     median_sigma_rotation_deg: float | None = None
 
 
-class ChainSet(Strict):
+class PipelineSet(Strict):
     """``relocalization.yaml``: the tasks of one dataset."""
 
     name: FolderName
@@ -64,11 +64,11 @@ class ChainSet(Strict):
     dataset_fingerprint: Fingerprint
     fingerprint: Fingerprint
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
-    tasks: dict[JoinedName, ChainTask]
+    tasks: dict[JoinedName, PipelineTask]
 
 
-class ChainRun(Strict):
-    """``run.yaml`` of a chain: how both halves were made."""
+class PipelineRun(Strict):
+    """``run.yaml`` of a pipeline: how both halves were made."""
 
     task: Literal["relocalization"] = "relocalization"
     retriever: Name
@@ -83,77 +83,77 @@ class ChainRun(Strict):
     """None where no tracker ran"""
 
 
-class ChainBasin(Strict):
-    """The basin of a chain's tracker on one task: how far a keyframe may be from the query to be in it."""
+class PipelineBasin(Strict):
+    """The basin of a pipeline's tracker on one task: how far a keyframe may be from the query to be in it."""
 
     metres: float
     degrees: float
     source: Source
 
 
-class ChainScores(Strict):
-    """``scores.yaml`` of a chain."""
+class PipelineScores(Strict):
+    """``scores.yaml`` of a pipeline."""
 
     relocbench: str
     run: str = ""
     """SHA-256 of ``run.yaml``; empty in results of versions that did not record it"""
     answers: dict[JoinedName, str]
     """task -> SHA-256 of its table"""
-    basins: dict[str, ChainBasin]
+    basins: dict[str, PipelineBasin]
     tasks: dict[str, dict[str, float | int | None]]
     """task -> counts, metrics, and ``METRIC_low`` and ``METRIC_high`` of their 95 % intervals"""
 
 
 @dataclass(frozen=True)
-class ChainResults(AnswerFolder):
-    """The folder of one chain."""
+class PipelineResults(AnswerFolder):
+    """The folder of one pipeline."""
 
-    def run_record(self) -> ChainRun:
+    def run_record(self) -> PipelineRun:
         """Read ``run.yaml``. Raises PredictionError with file and line."""
-        return load_yaml(self.run_yaml, ChainRun, "the record of a chain", PredictionError)
+        return load_yaml(self.run_yaml, PipelineRun, "the record of a pipeline", PredictionError)
 
-    def scores(self) -> ChainScores:
+    def scores(self) -> PipelineScores:
         """Read ``scores.yaml``. Raises PredictionError with file and line."""
-        return load_yaml(self.scores_yaml, ChainScores, "the scores of a chain", PredictionError)
+        return load_yaml(self.scores_yaml, PipelineScores, "the scores of a pipeline", PredictionError)
 
 
 @dataclass(frozen=True)
-class ChainSetResults:
-    """The folder of one dataset's chains."""
+class PipelineSetResults:
+    """The folder of one dataset's pipelines."""
 
     root: Path
 
     @cached_property
-    def record(self) -> ChainSet:
+    def record(self) -> PipelineSet:
         """The content of ``relocalization.yaml``. Raises PredictionError with file and line."""
-        return load_yaml(self.root / SET_FILE, ChainSet, "the record of chains", PredictionError)
+        return load_yaml(self.root / SET_FILE, PipelineSet, "the record of pipelines", PredictionError)
 
     @property
     def trackers(self) -> DatasetResults:
-        """The answers of trackers, which chains share."""
+        """The answers of trackers, which pipelines share."""
         return DatasetResults(self.root / ANSWERS)
 
-    def chain(self, retriever: str, tracker: str, top: int) -> ChainResults:
-        return ChainResults(self.root / f"{retriever}+{tracker}.top{top}")
+    def pipeline(self, retriever: str, tracker: str, top: int) -> PipelineResults:
+        return PipelineResults(self.root / f"{retriever}+{tracker}.top{top}")
 
-    def chains(self) -> list[ChainResults]:
-        """Every chain that has a run record, sorted by name."""
-        return [ChainResults(p.parent) for p in sorted(self.root.glob("*.top*/run.yaml"))]
-
-
-def chain_results(results: Path, name: str, fingerprint: str) -> ChainSetResults:
-    """The folder for a set's chains; nothing is created."""
-    return ChainSetResults(results / f"{name}@{fingerprint[:SHORT]}")
+    def pipelines(self) -> list[PipelineResults]:
+        """Every pipeline that has a run record, sorted by name."""
+        return [PipelineResults(p.parent) for p in sorted(self.root.glob("*.top*/run.yaml"))]
 
 
-def write_set(folder: ChainSetResults, new: ChainSet) -> None:
+def pipeline_results(results: Path, name: str, fingerprint: str) -> PipelineSetResults:
+    """The folder for a set's pipelines; nothing is created."""
+    return PipelineSetResults(results / f"{name}@{fingerprint[:SHORT]}")
+
+
+def write_set(folder: PipelineSetResults, new: PipelineSet) -> None:
     """Write ``relocalization.yaml`` with these tasks, and those that it holds already."""
     path = folder.root / SET_FILE
-    known = ChainSetResults(folder.root).record.tasks if path.exists() else {}
+    known = PipelineSetResults(folder.root).record.tasks if path.exists() else {}
     tasks = dict(sorted({**known, **new.tasks}.items()))
     write_record(path, new.model_copy(update={"tasks": tasks}))
 
 
-def all_chain_sets(results: Path) -> list[ChainSetResults]:
-    """Every folder of chains below a results folder; empty where there is none."""
-    return list(map(ChainSetResults, folders_with(SET_FILE, results)))
+def all_pipeline_sets(results: Path) -> list[PipelineSetResults]:
+    """Every folder of pipelines below a results folder; empty where there is none."""
+    return list(map(PipelineSetResults, folders_with(SET_FILE, results)))

@@ -9,13 +9,19 @@ from pathlib import Path
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError
-from relocbench.evaluation.relocalization.answers import ChainAnswer
+from relocbench.evaluation.relocalization.answers import PipelineAnswer
 from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.candidates import read_tracked
-from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers, keyframe_poses
+from relocbench.evaluation.relocalization.pipeline import Retrieved, Tracked, keyframe_poses, pipeline_answers
 from relocbench.evaluation.relocalization.rankings import Oracle, StoredRankings
-from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainBasin, ChainRun, ChainSetResults
-from relocbench.evaluation.relocalization.tasks import ChainTasks, chain_tasks
+from relocbench.evaluation.relocalization.records import (
+    KEYFRAME,
+    ORACLE,
+    PipelineBasin,
+    PipelineRun,
+    PipelineSetResults,
+)
+from relocbench.evaluation.relocalization.tasks import PipelineTasks, pipeline_tasks
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
@@ -24,10 +30,10 @@ from relocbench.progress import Silent
 AGAIN = "run `relocbench evaluate-relocalization` again to score"
 
 
-class ChainTruth:
+class PipelineTruth:
     """The truth of a dataset's chains, with the rankings and answers that their results folder holds."""
 
-    def __init__(self, dataset: Dataset, folder: ChainSetResults) -> None:
+    def __init__(self, dataset: Dataset, folder: PipelineSetResults) -> None:
         """Open the tasks of the dataset.
 
         Raises:
@@ -37,7 +43,7 @@ class ChainTruth:
         results = folder.root.parent
         asked = open_set(dataset.root, results, SetOptions(positives="pairs"), Silent())
         self._dataset, self._folder = dataset, folder
-        self._tasks: ChainTasks = chain_tasks(dataset, asked, Silent())
+        self._tasks: PipelineTasks = pipeline_tasks(dataset, asked, Silent())
         self._rankings = set_results(results, self._tasks.asked)
         self._check_record()
 
@@ -50,7 +56,7 @@ class ChainTruth:
         """The true poses of a task's queries against its keyframes."""
         return self._tasks.truth[name]
 
-    def asked(self, run: ChainRun, name: str) -> tuple[list[Retrieved], Tracked] | None:
+    def asked(self, run: PipelineRun, name: str) -> tuple[list[Retrieved], Tracked] | None:
         """What a chain's halves said on a task: the keyframes of each query, and the tracker's answers.
 
         Returns:
@@ -60,7 +66,9 @@ class ChainTruth:
         tracked = None if found is None else self._tracked(run, name, found)
         return None if found is None or tracked is None else (found, tracked)
 
-    def rescored(self, run: ChainRun, name: str, basin: ChainBasin, claimed: Sequence[ChainAnswer], path: Path) -> bool:
+    def rescored(
+        self, run: PipelineRun, name: str, basin: PipelineBasin, claimed: Sequence[PipelineAnswer], path: Path
+    ) -> bool:
         """Whether the rows of a chain on a task follow from rankings, answers and truth.
 
         Args:
@@ -82,7 +90,7 @@ class ChainTruth:
             return False
         found, tracked = both
         try:
-            rows, _ = chain_answers(truth, found, tracked, run.top, Basin(basin.metres, basin.degrees, basin.source))
+            rows, _ = pipeline_answers(truth, found, tracked, run.top, Basin(basin.metres, basin.degrees, basin.source))
         except KeyError:
             raise PredictionError(f"the tracker was not asked what '{name}' ranks; {AGAIN}", path) from None
         by_query = {row.query_timestamp_ns: row for row in rows}
@@ -93,7 +101,7 @@ class ChainTruth:
                 raise PredictionError(f"{told}; {AGAIN}", path)
         return True
 
-    def _found(self, run: ChainRun, name: str) -> list[Retrieved] | None:
+    def _found(self, run: PipelineRun, name: str) -> list[Retrieved] | None:
         task = next(task for task in self._tasks.asked.chosen if task.name == name)
         truth = self._tasks.truth[name]
         if run.retriever == ORACLE:
@@ -101,7 +109,7 @@ class ChainTruth:
         folder = self._rankings.method(run.retriever)
         return StoredRankings(folder).of(task, truth, run.top) if folder.complete(name) else None
 
-    def _tracked(self, run: ChainRun, name: str, found: Sequence[Retrieved]) -> Tracked | None:
+    def _tracked(self, run: PipelineRun, name: str, found: Sequence[Retrieved]) -> Tracked | None:
         if run.tracker == KEYFRAME:
             return keyframe_poses(self._tasks.truth[name], found)
         folder = self._folder.trackers.method(run.tracker)
@@ -117,7 +125,7 @@ class ChainTruth:
                 )
 
 
-def _same(claimed: ChainAnswer, expected: ChainAnswer) -> bool:
+def _same(claimed: PipelineAnswer, expected: PipelineAnswer) -> bool:
     """Whether two rows agree, their errors to the last digits that another processor explains."""
     errors = [(r.rotation_error_deg, r.translation_error_m, r.mlad_translation_error_m) for r in (claimed, expected)]
     rotation, translation, mlad = errors[0]

@@ -1,4 +1,4 @@
-"""The scores of a chain on a task: pose recall, basin recall, and the share of each kind of failure."""
+"""The scores of a pipeline on a task: pose recall, basin recall, and the share of each kind of failure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
-from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer, errors_of
+from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer, errors_of
 from relocbench.metrics import METRICS, mean_interval, metric_named, summarize
 
 Array = NDArray[np.float64]
@@ -25,13 +25,13 @@ def basin_recall(count: int) -> str:
     return f"basin_recall@{count}"
 
 
-def chain_metrics(top: int) -> tuple[str, ...]:
-    """The names of all metrics of a chain that are means over queries."""
+def pipeline_metrics(top: int) -> tuple[str, ...]:
+    """The names of all metrics of a pipeline that are means over queries."""
     shares = (HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
     return (*POSE_METRICS, *(basin_recall(k) for k in range(1, top + 1)), *shares)
 
 
-def per_query(answers: Sequence[ChainAnswer], metric: str) -> Array:
+def per_query(answers: Sequence[PipelineAnswer], metric: str) -> Array:
     """(Q,) values whose mean is the metric. Raises ConfigError for an unknown metric."""
     if metric in POSE_METRICS:
         compute = metric_named(metric).per_pair
@@ -50,18 +50,18 @@ def per_query(answers: Sequence[ChainAnswer], metric: str) -> Array:
         count = int(metric.partition("@")[2])
         shares[metric] = np.array([a.hit_rank is not None and a.hit_rank <= count for a in answers])
     if metric not in shares:
-        raise ConfigError(f"chains have no metric '{metric}'; expected one of {', '.join((*POSE_METRICS, *shares))}")
+        raise ConfigError(f"pipelines have no metric '{metric}'; expected one of {', '.join((*POSE_METRICS, *shares))}")
     out: Array = shares[metric].astype(np.float64)
     return out
 
 
-def pose_errors_of(answers: Sequence[ChainAnswer]) -> Array:
+def pose_errors_of(answers: Sequence[PipelineAnswer]) -> Array:
     """(2, N) the translation and rotation errors: by them, intervals know how alike neighbouring queries are."""
     errors = errors_of(answers)
     return np.stack([errors.translation_error_m, errors.rotation_error_deg])
 
 
-def summary(answers: Sequence[ChainAnswer], top: int) -> Values:
+def summary(answers: Sequence[PipelineAnswer], top: int) -> Values:
     """Counts, means over all queries, and their intervals from blocks along the drive.
 
     Args:
@@ -78,7 +78,7 @@ def summary(answers: Sequence[ChainAnswer], top: int) -> Values:
         "broke": statuses.count("error"),
         **{name: whole[name] for name in whole if name not in ("pairs", "answered")},
     }
-    for metric in chain_metrics(top):
+    for metric in pipeline_metrics(top):
         each = per_query(answers, metric)
         interval = mean_interval([each], [pose_errors_of(answers)])
         values[metric] = float(np.mean(each))

@@ -11,7 +11,7 @@ from pathlib import Path
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.results import rounded_median
-from relocbench.evaluation.relocalization.records import ChainSet, ChainTask
+from relocbench.evaluation.relocalization.records import PipelineSet, PipelineTask
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.progress import Reporter
@@ -22,20 +22,20 @@ _VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
-class ChainTasks:
+class PipelineTasks:
     """The chosen tasks of chains on one dataset."""
 
     asked: OpenedSet
     """the tasks as retrievers see them"""
     truth: Mapping[str, MapTruth]
-    record: ChainSet
+    record: PipelineSet
 
     @property
     def names(self) -> list[str]:
         return [task.name for task in self.asked.chosen]
 
 
-def chain_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> ChainTasks:
+def pipeline_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> PipelineTasks:
     """The tasks whose pairs have true poses; the others are reported.
 
     Args:
@@ -52,7 +52,7 @@ def chain_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> Chain
         raise ConfigError("no pair set with ground truth is left to evaluate", dataset.root)
     truth = {task.name: _truth(dataset, task) for task in known}
     text = json.dumps({"dataset": dataset.fingerprint, "version": _VERSION, "task": "relocalization"}, sort_keys=True)
-    record = ChainSet(
+    record = PipelineSet(
         name=f"{dataset.name}.relocalization",
         dataset=dataset.name,
         dataset_fingerprint=dataset.fingerprint,
@@ -60,7 +60,7 @@ def chain_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> Chain
         splits=dict(dataset.splits),
         tasks={task.name: _record(dataset, task, truth[task.name]) for task in known},
     )
-    return ChainTasks(replace(asked, chosen=known), truth, record)
+    return PipelineTasks(replace(asked, chosen=known), truth, record)
 
 
 def _truth(dataset: Dataset, task: RetrievalTask) -> MapTruth:
@@ -72,12 +72,12 @@ def _times(images: tuple[ImageView, ...]) -> list[int]:
     return [int(Path(image.key).stem) for image in images]
 
 
-def _record(dataset: Dataset, task: RetrievalTask, truth: MapTruth) -> ChainTask:
+def _record(dataset: Dataset, task: RetrievalTask, truth: MapTruth) -> PipelineTask:
     pair_set = truth.pair_set
     traversal = dataset.traversal(pair_set.reference)
     images = len(dataset.traversal(pair_set.query).timestamps(pair_set.camera))
     metres, degrees = truth.reach
-    return ChainTask(
+    return PipelineTask(
         queries=len(task.queries),
         gallery=len(task.gallery),
         pairs=len(pair_set.pairs),

@@ -1,4 +1,4 @@
-"""Writing the files of one chain: poses, rows, run record and scores."""
+"""Writing the files of one pipeline: poses, rows, run record and scores."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from relocbench import version
 from relocbench.datasets.core.pairfile import write_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import first_breakage, write_record
-from relocbench.evaluation.relocalization.answers import read_chain, write_chain
+from relocbench.evaluation.relocalization.answers import read_pipeline, write_pipeline
 from relocbench.evaluation.relocalization.basin import Basins
-from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers
+from relocbench.evaluation.relocalization.pipeline import Retrieved, Tracked, pipeline_answers
 from relocbench.evaluation.relocalization.records import (
-    ChainBasin,
-    ChainResults,
-    ChainRun,
-    ChainScores,
+    PipelineBasin,
+    PipelineResults,
+    PipelineRun,
+    PipelineScores,
 )
 from relocbench.evaluation.relocalization.score import summary
-from relocbench.evaluation.relocalization.tasks import ChainTasks
+from relocbench.evaluation.relocalization.tasks import PipelineTasks
 from relocbench.files import sha256_file
 
 
-def write_chain_results(
-    folder: ChainResults,
-    run: ChainRun,
-    tasks: ChainTasks,
+def write_pipeline_results(
+    folder: PipelineResults,
+    run: PipelineRun,
+    tasks: PipelineTasks,
     found: Mapping[str, Sequence[Retrieved]],
     tracked: Mapping[str, Tracked],
     basins: Basins,
-) -> ChainResults:
+) -> PipelineResults:
     """Choose, judge and score answers and write the results; tasks of earlier runs are kept.
 
     No method runs here: the same rankings and answers give the same bytes.
@@ -38,7 +38,7 @@ def write_chain_results(
         found, tracked: by task.
 
     Raises:
-        PredictionError: the folder holds a chain on another set.
+        PredictionError: the folder holds a pipeline on another set.
     """
     _drop_other(folder, run, tasks)
     before = folder.scores() if folder.scores_yaml.exists() else None
@@ -48,14 +48,14 @@ def write_chain_results(
         truth, record = tasks.truth[name], tasks.record.tasks[name]
         conditions = record.condition_gallery, record.condition_query
         basin = basins.of(run.tracker, *conditions, truth.reach)
-        rows, lines = chain_answers(truth, found[name], tracked[name], run.top, basin)
+        rows, lines = pipeline_answers(truth, found[name], tracked[name], run.top, basin)
         write_pose_lines(folder.predictions(name), lines)
-        write_chain(folder.answers(name), rows)
+        write_pipeline(folder.answers(name), rows)
         hashes[name] = sha256_file(folder.answers(name))
-        used[name] = ChainBasin(metres=basin.metres, degrees=basin.degrees, source=basin.source)
+        used[name] = PipelineBasin(metres=basin.metres, degrees=basin.degrees, source=basin.source)
         scores[name] = summary(rows, run.top)
     write_record(folder.run_yaml, run)
-    record_of_scores = ChainScores(
+    record_of_scores = PipelineScores(
         relocbench=version.__version__,
         run=sha256_file(folder.run_yaml),
         answers=dict(sorted(hashes.items())),
@@ -66,15 +66,15 @@ def write_chain_results(
     return folder
 
 
-def broken_queries(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
+def broken_queries(folder: PipelineResults, names: Sequence[str]) -> list[tuple[str, str]]:
     """The label and a message if a method broke, rather than failed, on any query; else nothing."""
-    rows = [row for name in names for row in read_chain(folder.answers(name))]
+    rows = [row for name in names for row in read_pipeline(folder.answers(name))]
     broken = [(row.query_timestamp_ns, row.message) for row in rows if row.status == "error"]
     return first_breakage(folder.label, f"no answer to {len(broken)} of {len(rows)} queries for an error", broken)
 
 
-def _drop_other(folder: ChainResults, run: ChainRun, tasks: ChainTasks) -> None:
-    """Remove the results of a chain of the same labels that was made differently: results are never mixed.
+def _drop_other(folder: PipelineResults, run: PipelineRun, tasks: PipelineTasks) -> None:
+    """Remove the results of a pipeline of the same labels that was made differently: results are never mixed.
 
     Mixed answers of either half are refused elsewhere; what remains is a half that was made anew
     (``--overwrite always``) under the same label since.
@@ -90,7 +90,7 @@ def _drop_other(folder: ChainResults, run: ChainRun, tasks: ChainTasks) -> None:
         path.unlink(missing_ok=True)
 
 
-def _made(run: ChainRun) -> list[object]:
+def _made(run: PipelineRun) -> list[object]:
     return [
         None if half is None else (half.target, half.parameters, half.files)
         for half in (run.retriever_run, run.tracker_run)

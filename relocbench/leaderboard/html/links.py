@@ -78,9 +78,9 @@ def query_link(of_set: str, task: str, query: str, method: str) -> str:
     return f"{QUERY_PAGE}#{hash_of({'set': of_set, 'task': task, 'query': query, 'method': method})}"
 
 
-def located_link(of_set: str, task: str, query_ns: int, chain: str) -> str:
+def located_link(of_set: str, task: str, query_ns: int, pipeline: str) -> str:
     """The link to a query of chains: ``located.html#set=ID&task=TASK&query=TIMESTAMP&chain=LABEL``."""
-    return f"{LOCATED_PAGE}#{hash_of({'set': of_set, 'task': task, 'query': str(query_ns), 'chain': chain})}"
+    return f"{LOCATED_PAGE}#{hash_of({'set': of_set, 'task': task, 'query': str(query_ns), 'chain': pipeline})}"
 
 
 def hash_of(state: dict[str, str]) -> str:

@@ -7,11 +7,11 @@ from typing import Any
 
 from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.chain_pages.payloads import is_floor_chain
 from relocbench.leaderboard.html.looks import looks
+from relocbench.leaderboard.html.pipeline_pages.payloads import is_floor_pipeline
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
-from relocbench.leaderboard.html.rows import Boards, chain_line, retriever_line
-from relocbench.leaderboard.relocalization.board import ChainBoard, ChainSetBoard
+from relocbench.leaderboard.html.rows import Boards, pipeline_line, retriever_line
+from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineSetBoard
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, Retriever, SetBoard
 from relocbench.leaderboard.retrieval.page import evaluate_command
 from relocbench.leaderboard.tracking.load import machine_words
@@ -24,9 +24,9 @@ def with_other_tasks(payload: Mapping[str, Any], boards: Boards) -> dict[str, An
     retriever that is called as a tracker looks as that one does.
     """
     retrievers = [m for asked in _sets(boards.retrieval) for m in asked.methods]
-    chains = [c for asked in _chains(boards.relocalization) for c in asked.chains]
+    pipelines = [c for asked in _pipelines(boards.relocalization) for c in asked.pipelines]
     labels = {m.label for m in retrievers}
-    added = looks({c.label for c in chains}, {c.label for c in chains if is_floor_chain(c)})
+    added = looks({c.label for c in pipelines}, {c.label for c in pipelines if is_floor_pipeline(c)})
     added |= looks(labels, {m.label for m in retrievers if is_random(m)})
     pages = {label: links.method_page(label) for label in sorted(labels)}
     return {**payload, "looks": {**added, **payload["looks"]}, "pages": {**pages, **payload["pages"]}}
@@ -41,13 +41,13 @@ def results_of(label: str, boards: Boards) -> dict[str, Any]:
     """What the page of a method has besides its results as a tracker: those as a retriever, and in chains."""
     retrieval = boards.retrieval
     own = [(asked, m) for asked in _sets(retrieval) for m in asked.methods if m.label == label]
-    chained = [
-        chain_line(board, asked, table, row)
+    in_pipelines = [
+        pipeline_line(board, asked, table, row)
         for board in ([boards.relocalization] if boards.relocalization is not None else [])
         for asked in board.sets
         for table in asked.tables
         for row in table.rows
-        if label in (row.chain.run.retriever, row.chain.run.tracker)
+        if label in (row.pipeline.run.retriever, row.pipeline.run.tracker)
     ]
     rows = [
         retriever_line(retrieval, asked, table, row)
@@ -62,7 +62,7 @@ def results_of(label: str, boards: Boards) -> dict[str, Any]:
         "retrieved": rows,
         "retrieval_runs": [_run(asked, m) for asked, m in own],
         "chain_metric": None if boards.relocalization is None else boards.relocalization.metric,
-        "chained": chained,
+        "chained": in_pipelines,
     }
 
 
@@ -70,7 +70,7 @@ def _sets(board: RetrievalBoard | None) -> Iterable[SetBoard]:
     return () if board is None else board.sets
 
 
-def _chains(board: ChainBoard | None) -> Iterable[ChainSetBoard]:
+def _pipelines(board: PipelineBoard | None) -> Iterable[PipelineSetBoard]:
     return () if board is None else board.sets
 
 

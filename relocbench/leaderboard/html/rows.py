@@ -9,10 +9,10 @@ from typing import Any
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.chain_pages.payloads import id_of_chains, is_floor_chain, marks_of_row
 from relocbench.leaderboard.html.payloads import id_of, is_floor, marks_of, table_title
+from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, is_floor_pipeline, marks_of_row
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
-from relocbench.leaderboard.relocalization.board import ChainBoard, ChainRow, ChainSetBoard, ChainTable
+from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineRow, PipelineSetBoard, PipelineTable
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.retrieval.page import CHANCE, not_above_chance
 from relocbench.leaderboard.tracking.cells import level_with_floor, share_a_rank, without_intervals
@@ -29,7 +29,7 @@ class Boards:
 
     tracking: Board | None = None
     retrieval: RetrievalBoard | None = None
-    relocalization: ChainBoard | None = None
+    relocalization: PipelineBoard | None = None
 
     @property
     def sets(self) -> int:
@@ -57,7 +57,7 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
     if boards.retrieval is not None:
         sections.append(_retrievers(boards.retrieval))
     if boards.relocalization is not None:
-        sections.append(_chains(boards.relocalization))
+        sections.append(_pipelines(boards.relocalization))
     return sections
 
 
@@ -76,10 +76,10 @@ def _retrievers(board: RetrievalBoard) -> dict[str, Any]:
     return {"title": "Retrievers", "metric": board.metric, "what": "queries", "rows": rows, "notes": notes}
 
 
-def _chains(board: ChainBoard) -> dict[str, Any]:
+def _pipelines(board: PipelineBoard) -> dict[str, Any]:
     """The means of each dataset."""
     rows = [
-        chain_line(board, asked, table, row)
+        pipeline_line(board, asked, table, row)
         for asked in board.sets
         for table in asked.tables
         if _is_first(table, asked.tables)
@@ -133,12 +133,14 @@ def retriever_line(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable
     return _other(asked.title, table, method.label, row, board.metric) | own | _linked(page, state) | {"marks": marks}
 
 
-def chain_line(board: ChainBoard, asked: ChainSetBoard, table: ChainTable, row: ChainRow) -> dict[str, Any]:
+def pipeline_line(
+    board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, row: PipelineRow
+) -> dict[str, Any]:
     """The row of a chain in a table of a dataset."""
-    page = links.relocalization_page(id_of_chains(asked))
-    own = {"page": page, "floor": is_floor_chain(row.chain), "marks": marks_of_row(row)}
-    state = {"table": table.name, "method": row.chain.label}
-    return _other(asked.title, table, row.chain.label, row, board.metric) | own | _linked(page, state)
+    page = links.relocalization_page(id_of_pipelines(asked))
+    own = {"page": page, "floor": is_floor_pipeline(row.pipeline), "marks": marks_of_row(row)}
+    state = {"table": table.name, "method": row.pipeline.label}
+    return _other(asked.title, table, row.pipeline.label, row, board.metric) | own | _linked(page, state)
 
 
 def _linked(page: str, state: dict[str, str]) -> dict[str, str]:

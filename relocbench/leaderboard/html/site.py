@@ -12,7 +12,6 @@ from relocbench.files import remove_parts
 from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.assets import asset_files, write_assets
-from relocbench.leaderboard.html.chain_pages.write import write_chain_pages
 from relocbench.leaderboard.html.data import write_data
 from relocbench.leaderboard.html.manifest import earlier_files, write_manifest
 from relocbench.leaderboard.html.other_tasks import results_of, retriever_labels, with_other_tasks
@@ -25,6 +24,7 @@ from relocbench.leaderboard.html.payloads import (
     set_payload,
     site_payload,
 )
+from relocbench.leaderboard.html.pipeline_pages.write import write_pipeline_pages
 from relocbench.leaderboard.html.retrieval_pages.write import write_retrieval_pages
 from relocbench.leaderboard.html.rows import Boards, line, sections
 from relocbench.leaderboard.html.set_page.write import write_charts
@@ -45,7 +45,7 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
         site: its folder, which is empty or holds an earlier site. Pages and payloads of that one that are no longer
             needed are removed, and no other file.
         pairs: in each pair set, so many worst pairs of each method, and so many drawn at random, have pictures where
-            the dataset is at hand; so have queries in each task of retrievers and of chains.
+            the dataset is at hand; so have queries in each task of retrievers and of pipelines.
         reporter: receives the number of sets and of pictures that are done.
 
     Raises:
@@ -74,7 +74,7 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
         written |= write_retrieval_pages(boards.retrieval, site, queries=pairs, reporter=reporter or Silent())
     if boards.relocalization is not None:
         told = reporter or Silent()
-        written |= write_chain_pages(boards.relocalization, board, site, queries=pairs, reporter=told)
+        written |= write_pipeline_pages(boards.relocalization, board, site, queries=pairs, reporter=told)
     _page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
     marks = [(mark.name, _code_spans(mark.words)) for mark in MARKS]
     _page(site / READING, "reading.html.j2", page="reading", metric=board.metric if board else None, marks=marks)

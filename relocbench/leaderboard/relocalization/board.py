@@ -1,4 +1,4 @@
-"""Comparing chains of a retriever and a tracker: on each task, by conditions, and with shared ranks."""
+"""Comparing pipelines of a retriever and a tracker: on each task, by conditions, and with shared ranks."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.relocalization.answers import ChainAnswer, errors_of, read_chain
+from relocbench.evaluation.relocalization.answers import PipelineAnswer, errors_of, read_pipeline
 from relocbench.evaluation.relocalization.records import (
     ORACLE,
     SET_FILE,
-    ChainBasin,
-    ChainResults,
-    ChainRun,
-    ChainSet,
-    ChainSetResults,
-    ChainTask,
-    all_chain_sets,
+    PipelineBasin,
+    PipelineResults,
+    PipelineRun,
+    PipelineSet,
+    PipelineSetResults,
+    PipelineTask,
+    all_pipeline_sets,
 )
-from relocbench.evaluation.relocalization.rescoring import AGAIN, ChainTruth
+from relocbench.evaluation.relocalization.rescoring import AGAIN, PipelineTruth
 from relocbench.evaluation.relocalization.score import (
     FAILURES,
     HIT,
@@ -44,13 +44,13 @@ WITH_INTERVAL = (RANKING, "recall@(1m,5deg)", HIT)
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
-    """The results of one chain on one set."""
+class Pipeline:
+    """The results of one pipeline on one set."""
 
     label: str
-    run: ChainRun
-    basins: Mapping[str, ChainBasin]
-    answers: Mapping[str, Sequence[ChainAnswer]]
+    run: PipelineRun
+    basins: Mapping[str, PipelineBasin]
+    answers: Mapping[str, Sequence[PipelineAnswer]]
     """by task; tasks without results are absent"""
     rescored: frozenset[str] = frozenset()
     """the tasks whose rows were computed anew from rankings, trackers' answers and truth"""
@@ -66,20 +66,20 @@ class Chain:
 
     @property
     def is_ranked(self) -> bool:
-        """Whether the chain takes part in ranks: neither does one that knows the truth nor one that is shown times."""
+        """Whether the pipeline is ranked: one that knows the truth or sees times is not."""
         return not (self.knows_truth or self.uses_times)
 
 
 @dataclass(frozen=True, eq=False)
-class ChainRow:
-    """A row for one chain; it has no values if the chain misses a task."""
+class PipelineRow:
+    """A row for one pipeline; it has no values if the pipeline misses a task."""
 
-    chain: Chain
+    pipeline: Pipeline
     values: Mapping[str, float | None]
     """means over the tasks of means over queries; medians are over all queries together"""
     intervals: Mapping[str, Interval | None]
     rank: int | None
-    """None if a task is missing, and for a chain that uses the truth or times"""
+    """None if a task is missing, and for a pipeline that uses the truth or times"""
     failed: int | None = None
     broke: int | None = None
     missing: tuple[str, ...] = ()
@@ -88,14 +88,14 @@ class ChainRow:
 
 
 @dataclass(frozen=True, eq=False)
-class ChainTable:
-    """A row for each chain, on one task or for the mean over several tasks."""
+class PipelineTable:
+    """A row for each pipeline, on one task or for the mean over several tasks."""
 
     name: str
     tasks: tuple[str, ...]
-    records: tuple[ChainTask, ...]
-    rows: tuple[ChainRow, ...]
-    """best first; chains without a value come last"""
+    records: tuple[PipelineTask, ...]
+    rows: tuple[PipelineRow, ...]
+    """best first; pipelines without a value come last"""
 
     @property
     def queries(self) -> int:
@@ -103,14 +103,14 @@ class ChainTable:
 
 
 @dataclass(frozen=True, eq=False)
-class ChainSetBoard:
+class PipelineSetBoard:
     """All tables of one dataset."""
 
-    record: ChainSet
-    chains: tuple[Chain, ...]
-    tables: tuple[ChainTable, ...]
-    folder: ChainSetResults | None = None
-    truth: ChainTruth | None = None
+    record: PipelineSet
+    pipelines: tuple[Pipeline, ...]
+    tables: tuple[PipelineTable, ...]
+    folder: PipelineSetResults | None = None
+    truth: PipelineTruth | None = None
     """None where the dataset is not at hand"""
 
     @property
@@ -119,27 +119,27 @@ class ChainSetBoard:
 
 
 @dataclass(frozen=True, eq=False)
-class ChainBoard:
-    """Everything that a leaderboard of chains shows."""
+class PipelineBoard:
+    """Everything that a leaderboard of pipelines shows."""
 
-    sets: tuple[ChainSetBoard, ...]
+    sets: tuple[PipelineSetBoard, ...]
     metric: str
     seed: int
     split: str | None = None
 
 
-def load_chains(
+def load_pipelines(
     results: Path,
     *,
     metric: str = RANKING,
     split: str | None = None,
     seed: int = 0,
     datasets: DatasetLookup | None = None,
-) -> ChainBoard | None:
-    """Load the results of all chains in a results folder; None where there is nothing of theirs to show.
+) -> PipelineBoard | None:
+    """Load the results of all pipelines in a results folder; None where there is nothing of theirs to show.
 
     Args:
-        metric: the metric that ranks chains, a mean over queries.
+        metric: the metric that ranks pipelines, a mean over queries.
         split: only the tasks of this split; sets without such a split are left out.
         seed: of the draws that decide ranks.
         datasets: the datasets at hand; without them, those in folders beside ``RESULTS``. Where the dataset of a set is
@@ -148,12 +148,12 @@ def load_chains(
     Raises:
         PredictionError: with file and line: a bad file, scores that are missing or stale, or rows that do not follow
             from rankings, answers and truth.
-        ConfigError: a metric that chains do not have, or a split that no set has.
+        ConfigError: a metric that pipelines do not have, or a split that no set has.
         DatasetError: a dataset that was named is damaged.
     """
     if metric not in (*POSE_METRICS, *SHARES):
-        raise ConfigError(f"chains cannot be ranked by '{metric}'; expected one of {', '.join(POSE_METRICS)}")
-    there = all_chain_sets(results)
+        raise ConfigError(f"pipelines cannot be ranked by '{metric}'; expected one of {', '.join(POSE_METRICS)}")
+    there = all_pipeline_sets(results)
     if there:
         check_folder(results)
     for folder in there:
@@ -166,33 +166,33 @@ def load_chains(
     named = {(each.record.dataset, each.record.dataset_fingerprint) for each in there}
     lookup.mark_used(lambda one: (one.name, one.fingerprint) in named)
     boards = [board for s in found if (board := _set(s, metric, split, seed, lookup)) is not None]
-    return ChainBoard(tuple(boards), metric, seed, split) if boards else None
+    return PipelineBoard(tuple(boards), metric, seed, split) if boards else None
 
 
 def _set(
-    folder: ChainSetResults, metric: str, split: str | None, seed: int, lookup: DatasetLookup
-) -> ChainSetBoard | None:
+    folder: PipelineSetResults, metric: str, split: str | None, seed: int, lookup: DatasetLookup
+) -> PipelineSetBoard | None:
     record = folder.record
     whose = record.dataset, record.dataset_fingerprint
     dataset = lookup.find(lambda one: (one.name, one.fingerprint) == whose)
-    truth = None if dataset is None else ChainTruth(dataset, folder)
+    truth = None if dataset is None else PipelineTruth(dataset, folder)
     tasks = {n: r for n, r in record.tasks.items() if split is None or n in record.splits[split]}
-    chains = tuple(load_chain(each, record, tasks, truth) for each in folder.chains())
-    used = {n: r for n, r in tasks.items() if any(n in chain.answers for chain in chains)}
+    pipelines = tuple(load_pipeline(each, record, tasks, truth) for each in folder.pipelines())
+    used = {n: r for n, r in tasks.items() if any(n in pipeline.answers for pipeline in pipelines)}
     if not used:
         return None
     tables_of_tasks = (
-        (task, c.label, [a.query_timestamp_ns for a in answers], ChainResults(folder.root / c.label).answers(task))
-        for c in chains
+        (task, c.label, [a.query_timestamp_ns for a in answers], PipelineResults(folder.root / c.label).answers(task))
+        for c in pipelines
         for task, answers in c.answers.items()
     )
     check_same_queries(tables_of_tasks, "queries")
     plans = {**_means(used), **{name: (name,) for name in used}}
-    tables = tuple(_table(record, name, of, chains, metric, seed) for name, of in plans.items())
-    return ChainSetBoard(record, chains, tables, folder, truth)
+    tables = tuple(_table(record, name, of, pipelines, metric, seed) for name, of in plans.items())
+    return PipelineSetBoard(record, pipelines, tables, folder, truth)
 
 
-def _means(tasks: Mapping[str, ChainTask]) -> dict[str, tuple[str, ...]]:
+def _means(tasks: Mapping[str, PipelineTask]) -> dict[str, tuple[str, ...]]:
     """The tables of means: over all tasks, across conditions, within conditions, and for each pair of conditions."""
     out = {"mean over all tasks": list(tasks), "mean across conditions": [], "mean within a condition": []}
     for name, record in tasks.items():
@@ -204,10 +204,10 @@ def _means(tasks: Mapping[str, ChainTask]) -> dict[str, tuple[str, ...]]:
     return {name: of for name, of in kept.items() if name == "mean over all tasks" or of != whole}
 
 
-def load_chain(
-    folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask], truth: ChainTruth | None
-) -> Chain:
-    """Read the results of one chain. Raises PredictionError unless they are whole, scored and follow from files."""
+def load_pipeline(
+    folder: PipelineResults, asked: PipelineSet, tasks: Mapping[str, PipelineTask], truth: PipelineTruth | None
+) -> Pipeline:
+    """Read the results of one pipeline. Raises PredictionError unless they are whole, scored and follow from files."""
     run = folder.run_record()
     if run.fingerprint != asked.fingerprint:
         raise PredictionError(
@@ -215,7 +215,7 @@ def load_chain(
             f"{asked.name}@{asked.fingerprint[:12]}",
             folder.run_yaml,
         )
-    answers: dict[str, Sequence[ChainAnswer]] = {}
+    answers: dict[str, Sequence[PipelineAnswer]] = {}
     rescored: set[str] = set()
     scores = folder.scores() if folder.scores_yaml.exists() else None
     if scores is not None and scores.run != sha256_file(folder.run_yaml):
@@ -228,43 +228,43 @@ def load_chain(
             raise PredictionError(f"is not scored; {AGAIN}", path)
         if scores.answers[name] != sha256_file(path):
             raise PredictionError(f"changed since it was scored; {AGAIN}", path)
-        answers[name] = read_chain(path)
+        answers[name] = read_pipeline(path)
         if len(answers[name]) != record.queries:
             raise PredictionError(f"{len(answers[name])} rows, expected one for each of {record.queries} queries", path)
         if truth is not None and truth.rescored(run, name, scores.basins[name], answers[name], path):
             rescored.add(name)
-    return Chain(folder.label, run, scores.basins if scores else {}, answers, frozenset(rescored))
+    return Pipeline(folder.label, run, scores.basins if scores else {}, answers, frozenset(rescored))
 
 
 def _table(
-    record: ChainSet, name: str, tasks: tuple[str, ...], chains: Sequence[Chain], metric: str, seed: int
-) -> ChainTable:
+    record: PipelineSet, name: str, tasks: tuple[str, ...], pipelines: Sequence[Pipeline], metric: str, seed: int
+) -> PipelineTable:
     place = f"{record.fingerprint} {name}"
     ranked = {
         c.label: [per_query(c.answers[t], metric) if t in c.answers else None for t in tasks]
-        for c in chains
+        for c in pipelines
         if c.is_ranked
     }
     better = not metric.startswith("failed_")
     errors = {
         c.label: [pose_errors_of(c.answers[t]) if t in c.answers else None for t in tasks]
-        for c in chains
+        for c in pipelines
         if not c.knows_truth
     }
     ranks = rank_with_ties(ranked, generator(seed, place, metric), errors, higher_is_better=better) if ranked else {}
-    rows = [_row(chain, tasks, metric, ranks.get(chain.label)) for chain in chains]
+    rows = [_row(pipeline, tasks, metric, ranks.get(pipeline.label)) for pipeline in pipelines]
     sign = -1 if better else 1
-    rows.sort(key=lambda r: (r.values[metric] is None, sign * (r.values[metric] or 0.0), r.chain.label))
-    return ChainTable(name, tasks, tuple(record.tasks[t] for t in tasks), tuple(rows))
+    rows.sort(key=lambda r: (r.values[metric] is None, sign * (r.values[metric] or 0.0), r.pipeline.label))
+    return PipelineTable(name, tasks, tuple(record.tasks[t] for t in tasks), tuple(rows))
 
 
-def _row(chain: Chain, tasks: tuple[str, ...], metric: str, rank: int | None) -> ChainRow:
-    missing = tuple(task for task in tasks if task not in chain.answers)
+def _row(pipeline: Pipeline, tasks: tuple[str, ...], metric: str, rank: int | None) -> PipelineRow:
+    missing = tuple(task for task in tasks if task not in pipeline.answers)
     if missing:
-        return ChainRow(chain, dict.fromkeys((*POSE_METRICS, *SHARES)), {}, None, missing=missing)
-    given = [a for task in tasks for a in chain.answers[task]]
+        return PipelineRow(pipeline, dict.fromkeys((*POSE_METRICS, *SHARES)), {}, None, missing=missing)
+    given = [a for task in tasks for a in pipeline.answers[task]]
     means: dict[str, list[Array]] = {
-        m: [per_query(chain.answers[task], m) for task in tasks] for m in (*POSE_METRICS, *SHARES)
+        m: [per_query(pipeline.answers[task], m) for task in tasks] for m in (*POSE_METRICS, *SHARES)
     }
     values: dict[str, float | None] = {m: float(np.mean([np.mean(v) for v in sets])) for m, sets in means.items()}
     hit, both = values[HIT], values["right_and_hit"]
@@ -274,15 +274,15 @@ def _row(chain: Chain, tasks: tuple[str, ...], metric: str, rank: int | None) ->
     values["median_rotation_error_deg"] = float(np.median(errors.rotation_error_deg))
     seconds = [a.seconds for a in given if a.seconds is not None]
     values["median_seconds"] = float(np.median(seconds)) if seconds else None
-    of_tasks = [pose_errors_of(chain.answers[task]) for task in tasks]
+    of_tasks = [pose_errors_of(pipeline.answers[task]) for task in tasks]
     intervals = {m: mean_interval(means[m], of_tasks) for m in dict.fromkeys((*WITH_INTERVAL, metric))}
     statuses = [a.status for a in given]
-    return ChainRow(
-        chain,
+    return PipelineRow(
+        pipeline,
         values,
         intervals,
         rank,
         statuses.count("failed"),
         statuses.count("error"),
-        rescored=chain.rescored.issuperset(tasks),
+        rescored=pipeline.rescored.issuperset(tasks),
     )

@@ -6,7 +6,7 @@ from relocbench.evaluation.relocalization.records import KEYFRAME
 from relocbench.evaluation.relocalization.score import HIT, basin_recall
 from relocbench.leaderboard.common.headings import RETRIEVER, SECONDS, TOP, TRACKER, heading
 from relocbench.leaderboard.common.latex import Column, LatexTable, Line, document, intervals_of
-from relocbench.leaderboard.relocalization.board import ChainBoard, ChainRow, ChainSetBoard, ChainTable
+from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineRow, PipelineSetBoard, PipelineTable
 from relocbench.leaderboard.relocalization.page import MEDIANS
 from relocbench.metrics import metric_named
 
@@ -17,12 +17,12 @@ _SHARES = {
 }
 
 
-def latex_page(board: ChainBoard) -> str:
+def latex_page(board: PipelineBoard) -> str:
     """All tables."""
     return document([_table(board, asked, table) for asked in board.sets for table in asked.tables])
 
 
-def _table(board: ChainBoard, asked: ChainSetBoard, table: ChainTable) -> LatexTable:
+def _table(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable) -> LatexTable:
     poses = dict.fromkeys((board.metric, "recall@(1m,5deg)"))
     definitions = {name: metric_named(name).description.replace("pairs", "queries") for name in poses} | _SHARES
     columns = [Column(heading(name), "share", True, definition) for name, definition in definitions.items()]
@@ -39,12 +39,12 @@ def _table(board: ChainBoard, asked: ChainSetBoard, table: ChainTable) -> LatexT
     )
 
 
-def _line(board: ChainBoard, row: ChainRow, names: list[str]) -> Line:
-    run = row.chain.run
+def _line(board: PipelineBoard, row: PipelineRow, names: list[str]) -> Line:
+    run = row.pipeline.run
     return Line(
         (run.retriever, run.tracker, str(run.top)),
         row.rank,
         tuple(row.values.get(name) for name in names),
         intervals_of(names, {board.metric: row.intervals.get(board.metric)}),
-        competes=row.chain.is_ranked and run.tracker != KEYFRAME,
+        competes=row.pipeline.is_ranked and run.tracker != KEYFRAME,
     )

@@ -8,13 +8,19 @@ from collections.abc import Sequence
 
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
 from relocbench.evaluation.relocalization.basin import SAID
-from relocbench.evaluation.relocalization.chain import RIGHT
-from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainRun
+from relocbench.evaluation.relocalization.pipeline import RIGHT
+from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineRun
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, RANKING
 from relocbench.leaderboard.common.commands import labelled_target, settings_of
 from relocbench.leaderboard.common.headings import BASIN, COUNTS, RANK, RETRIEVER, SECONDS, TOP, TRACKER, heading
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
-from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
+from relocbench.leaderboard.relocalization.board import (
+    Pipeline,
+    PipelineBoard,
+    PipelineRow,
+    PipelineSetBoard,
+    PipelineTable,
+)
 from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere, not_isolated
 from relocbench.metrics import LEVEL, MIN_EFFECTIVE
@@ -26,11 +32,11 @@ POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)",
 MEDIANS = ("median_translation_error_m", "median_rotation_error_deg")
 
 
-def relocalization_page(board: ChainBoard) -> str:
+def relocalization_page(board: PipelineBoard) -> str:
     """The whole page."""
     metres, degrees = RIGHT
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
-    rescored = any(chain.rescored for asked in board.sets for chain in asked.chains)
+    rescored = any(pipeline.rescored for asked in board.sets for pipeline in asked.pipelines)
     dataset = " --dataset DATASET" if rescored else ""
     return render(
         __name__,
@@ -44,37 +50,37 @@ def relocalization_page(board: ChainBoard) -> str:
         number=number,
         marks=MARKS,
         sets=[_set(board, asked) for asked in board.sets],
-        commands=[(asked.title, evaluate_commands(asked.chains)) for asked in board.sets],
+        commands=[(asked.title, evaluate_commands(asked.pipelines)) for asked in board.sets],
         page_command=f"relocbench leaderboard RESULTS --out DIR{dataset} --relocalization-metric '{board.metric}' "
         f"--seed {board.seed}{split}",
     )
 
 
-def evaluate_commands(chains: Sequence[Chain]) -> list[str]:
+def evaluate_commands(pipelines: Sequence[Pipeline]) -> list[str]:
     """The commands that run or resume chains, one for all chains that can share it."""
-    groups: dict[tuple[object, ...], list[Chain]] = {}
-    for chain in chains:
-        floor = chain.run.tracker == KEYFRAME  # every command evaluates it
-        tops = {c.run.top for c in chains if c.run.retriever == chain.run.retriever and c.run.tracker != KEYFRAME}
+    groups: dict[tuple[object, ...], list[Pipeline]] = {}
+    for pipeline in pipelines:
+        floor = pipeline.run.tracker == KEYFRAME  # every command evaluates it
+        tops = {c.run.top for c in pipelines if c.run.retriever == pipeline.run.retriever and c.run.tracker != KEYFRAME}
         if not floor or not tops:
-            groups.setdefault((chain.run.top, *_basin_words(chain)), []).append(chain)
+            groups.setdefault((pipeline.run.top, *_basin_words(pipeline)), []).append(pipeline)
     return [line for group in groups.values() for line in _commands(group)]
 
 
-def _commands(chains: Sequence[Chain]) -> list[str]:
+def _commands(pipelines: Sequence[Pipeline]) -> list[str]:
     """One command if methods of the same name are the same in all chains, otherwise one for each chain."""
     halves: dict[str, RunRecord | None] = {}
-    for chain in chains:
-        for name, half in _halves(chain.run):
-            if name in halves and not _same(halves[name], half) and len(chains) > 1:
-                return [line for each in chains for line in _commands([each])]
+    for pipeline in pipelines:
+        for name, half in _halves(pipeline.run):
+            if name in halves and not _same(halves[name], half) and len(pipelines) > 1:
+                return [line for each in pipelines for line in _commands([each])]
             halves[name] = half
     words = ["relocbench", "evaluate-relocalization", "--dataset", "DATASET", "--out", "RESULTS"]
     settings: list[str] = []
     seeds = {half.seed for half in halves.values() if half is not None and half.seed}
     for option, names in (
-        ("--retriever", dict.fromkeys(c.run.retriever for c in chains)),
-        ("--method", dict.fromkeys(c.run.tracker for c in chains if c.run.tracker_run)),
+        ("--retriever", dict.fromkeys(c.run.retriever for c in pipelines)),
+        ("--method", dict.fromkeys(c.run.tracker for c in pipelines if c.run.tracker_run)),
     ):
         for name in names:
             half = halves[name]
@@ -82,11 +88,11 @@ def _commands(chains: Sequence[Chain]) -> list[str]:
             if half is not None and not half.target.startswith(PREDICTIONS):
                 settings += settings_of(name, half)
     words += [word for setting in settings for word in ("--set", setting)]
-    words += ["--top", str(chains[0].run.top), *_basin_words(chains[0])]
+    words += ["--top", str(pipelines[0].run.top), *_basin_words(pipelines[0])]
     return [shlex.join([*words, "--seed", str(max(seeds))] if seeds else words)]
 
 
-def _halves(run: ChainRun) -> list[tuple[str, RunRecord | None]]:
+def _halves(run: PipelineRun) -> list[tuple[str, RunRecord | None]]:
     return [(run.retriever, run.retriever_run), (run.tracker, run.tracker_run)]
 
 
@@ -96,17 +102,17 @@ def _same(a: RunRecord | None, b: RunRecord | None) -> bool:
     return (a.target, a.parameters, a.files, a.seed) == (b.target, b.parameters, b.files, b.seed)
 
 
-def _basin_words(chain: Chain) -> list[str]:
+def _basin_words(pipeline: Pipeline) -> list[str]:
     """The options that define the basin."""
-    sources = {b.source for b in chain.basins.values()}
+    sources = {b.source for b in pipeline.basins.values()}
     if sources == {"given"}:
-        basin = next(iter(chain.basins.values()))
+        basin = next(iter(pipeline.basins.values()))
         metres = ["--radius", f"{basin.metres:g}"] if math.isfinite(basin.metres) else []
         return [*metres, "--heading", f"{basin.degrees:g}"]
     return ["--probe", "PROBE"] if "probe" in sources else []
 
 
-def _set(board: ChainBoard, asked: ChainSetBoard) -> dict[str, object]:
+def _set(board: PipelineBoard, asked: PipelineSetBoard) -> dict[str, object]:
     halves, differing = _methods(asked)
     return {
         "record": asked.record,
@@ -116,14 +122,14 @@ def _set(board: ChainBoard, asked: ChainSetBoard) -> dict[str, object]:
             if any(name in table.tasks for table in asked.tables)
         ],
         "sections": [_section(board, table) for table in asked.tables],
-        "missing": [(row.chain.label, row.missing) for row in asked.tables[0].rows if row.missing],
+        "missing": [(row.pipeline.label, row.missing) for row in asked.tables[0].rows if row.missing],
         "halves": [(name, part, half, machine_words(half)) for (part, name), half in halves],
         "parameters": [(name, json_text(half.parameters)) for (_, name), half in halves if half.parameters],
         "differing": differing,
     }
 
 
-def _section(board: ChainBoard, table: ChainTable) -> dict[str, object]:
+def _section(board: PipelineBoard, table: PipelineTable) -> dict[str, object]:
     sigmas = [r.median_sigma_translation_m for r in table.records if r.median_sigma_translation_m is not None]
     sigma = max(sigmas, default=0.0)
     return {
@@ -138,7 +144,7 @@ def _section(board: ChainBoard, table: ChainTable) -> dict[str, object]:
     }
 
 
-def _pose_table(board: ChainBoard, table: ChainTable) -> str:
+def _pose_table(board: PipelineBoard, table: PipelineTable) -> str:
     poses = list(dict.fromkeys((board.metric, *POSES)))
     columns = [RANK, RETRIEVER, TRACKER, TOP, *map(heading, poses), *MEDIANS, SECONDS]
     rows = []
@@ -151,7 +157,7 @@ def _pose_table(board: ChainBoard, table: ChainTable) -> str:
     return table_text(columns, rows, left=3)
 
 
-def _loss_table(table: ChainTable) -> str:
+def _loss_table(table: PipelineTable) -> str:
     lost = [share for share in FAILURES if any(row.values[share] for row in table.rows)]
     shares = ("basin_recall@1", HIT, "right_given_hit", "right_without_hit", "right_among_K", *lost)
     columns = [RETRIEVER, TRACKER, TOP, BASIN, *map(heading, shares), COUNTS]
@@ -167,23 +173,23 @@ def _loss_table(table: ChainTable) -> str:
     return table_text(columns, rows, left=2)
 
 
-def _head(row: ChainRow) -> list[str]:
-    run = row.chain.run
+def _head(row: PipelineRow) -> list[str]:
+    run = row.pipeline.run
     names = [f"*{name}*" if name in (ORACLE, KEYFRAME) else escaped(name) for name in (run.retriever, run.tracker)]
-    times = ["(uses times)"] if row.chain.uses_times else []
+    times = ["(uses times)"] if row.pipeline.uses_times else []
     told = " ".join([names[1], *times, *_signs(row)])
     return ["" if row.rank is None else str(row.rank), names[0], told, str(run.top)]
 
 
-def _signs(row: ChainRow) -> list[str]:
-    names = marks_of_chain(row)
+def _signs(row: PipelineRow) -> list[str]:
+    names = marks_of_pipeline(row)
     return [mark.sign for mark in MARKS if mark.name in names]
 
 
-def marks_of_chain(row: ChainRow) -> list[str]:
+def marks_of_pipeline(row: PipelineRow) -> list[str]:
     """The names of the marks that apply to a row."""
-    halves = [half for half in (row.chain.run.retriever_run, row.chain.run.tracker_run) if half is not None]
-    tracker = row.chain.run.tracker_run
+    halves = [half for half in (row.pipeline.run.retriever_run, row.pipeline.run.tracker_run) if half is not None]
+    tracker = row.pipeline.run.tracker_run
     signs = {
         "not isolated": tracker is not None and not_isolated(tracker),
         "made elsewhere": any(map(made_elsewhere, halves)),
@@ -192,13 +198,13 @@ def marks_of_chain(row: ChainRow) -> list[str]:
     return [mark.name for mark in MARKS if signs[mark.name]]
 
 
-def _cell(row: ChainRow, metric: str) -> str:
+def _cell(row: PipelineRow, metric: str) -> str:
     return with_bounds(row.values.get(metric), row.intervals.get(metric), "share")
 
 
-def basin_words(row: ChainRow, table: ChainTable) -> str:
+def basin_words(row: PipelineRow, table: PipelineTable) -> str:
     """The size of the basin if it is the same on all tasks, else its source in words."""
-    basins = [row.chain.basins[task] for task in table.tasks if task in row.chain.basins]
+    basins = [row.pipeline.basins[task] for task in table.tasks if task in row.pipeline.basins]
     if not basins:
         return ""
     sizes = {(round(b.metres, 3), round(b.degrees, 3)) for b in basins}
@@ -209,13 +215,13 @@ def basin_words(row: ChainRow, table: ChainTable) -> str:
 
 
 def _methods(
-    asked: ChainSetBoard,
+    asked: PipelineSetBoard,
 ) -> tuple[list[tuple[tuple[str, str], RunRecord]], list[tuple[str, str, str]]]:
     """The methods by half and name, and where a chain has another of the same name: name, chain and parameters."""
     halves: dict[tuple[str, str], RunRecord] = {}
     differing = []
-    for chain in asked.chains:
-        for part, (name, half) in zip(("retriever", "tracker"), _halves(chain.run), strict=True):
+    for pipeline in asked.pipelines:
+        for part, (name, half) in zip(("retriever", "tracker"), _halves(pipeline.run), strict=True):
             if half is not None and not _same(halves.setdefault((part, name), half), half):
-                differing.append((name, chain.label, json_text(half.parameters, ascii_only=True)))
+                differing.append((name, pipeline.label, json_text(half.parameters, ascii_only=True)))
     return sorted(halves.items()), differing

@@ -11,11 +11,11 @@ from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.relocalization.board import (
     SHARES,
     WITH_INTERVAL,
-    ChainBoard,
-    ChainRow,
-    ChainSetBoard,
-    ChainTable,
-    load_chains,
+    PipelineBoard,
+    PipelineRow,
+    PipelineSetBoard,
+    PipelineTable,
+    load_pipelines,
 )
 from relocbench.leaderboard.relocalization.page import relocalization_page
 from relocbench.progress import Reporter
@@ -30,7 +30,7 @@ def write_relocalization_leaderboard(
     seed: int = 0,
     datasets: DatasetLookup | None = None,
     reporter: Reporter,
-) -> ChainBoard | None:
+) -> PipelineBoard | None:
     """Compare chains and write both files; None where a results folder has no chains to show.
 
     Args:
@@ -41,49 +41,49 @@ def write_relocalization_leaderboard(
         ConfigError: an unknown metric or split.
         DatasetError: a dataset that was named is damaged.
     """
-    board = load_chains(results, metric=metric, split=split, seed=seed, datasets=datasets)
+    board = load_pipelines(results, metric=metric, split=split, seed=seed, datasets=datasets)
     if board is not None:
-        write_chain_board(board, out, reporter)
+        write_pipeline_board(board, out, reporter)
     return board
 
 
-def write_chain_board(board: ChainBoard, out: Path, reporter: Reporter) -> None:
+def write_pipeline_board(board: PipelineBoard, out: Path, reporter: Reporter) -> None:
     """Write ``relocalization.csv`` and ``relocalization.md``, and note which results are missing."""
     note_missing(board, reporter)
-    write_chain_table(board, out)
-    write_chain_page(board, out)
+    write_pipeline_table(board, out)
+    write_pipeline_page(board, out)
 
 
-def note_missing(board: ChainBoard, reporter: Reporter) -> None:
+def note_missing(board: PipelineBoard, reporter: Reporter) -> None:
     """Tell which chains have no result on a task."""
     for asked in board.sets:
-        for chain in asked.chains:
-            for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in chain.answers):
-                reporter.note(f"{asked.title}: {chain.label} has no result on {name}")
+        for pipeline in asked.pipelines:
+            for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in pipeline.answers):
+                reporter.note(f"{asked.title}: {pipeline.label} has no result on {name}")
 
 
-def write_chain_table(board: ChainBoard, out: Path) -> list[Path]:
+def write_pipeline_table(board: PipelineBoard, out: Path) -> list[Path]:
     """Write ``relocalization.csv``; returns the files."""
     remove_parts(out, deep=False)
-    write_records(out / "relocalization.csv", chain_rows(board))
+    write_records(out / "relocalization.csv", pipeline_rows(board))
     return [out / "relocalization.csv"]
 
 
-def write_chain_page(board: ChainBoard, out: Path) -> list[Path]:
+def write_pipeline_page(board: PipelineBoard, out: Path) -> list[Path]:
     """Write ``relocalization.md``; returns the files."""
     remove_parts(out, deep=False)
     write_text(out / "relocalization.md", relocalization_page(board))
     return [out / "relocalization.md"]
 
 
-def chain_rows(board: ChainBoard) -> list[dict[str, Value]]:
+def pipeline_rows(board: PipelineBoard) -> list[dict[str, Value]]:
     """The rows of ``relocalization.csv``: shares 0..1, metres, degrees, seconds; None where there is no value."""
     return [_row(board, asked, t, row) for asked in board.sets for t in asked.tables for row in t.rows]
 
 
-def _row(board: ChainBoard, asked: ChainSetBoard, table: ChainTable, row: ChainRow) -> dict[str, Value]:
-    run = row.chain.run
-    basin = row.chain.basins.get(table.tasks[0]) if len(table.tasks) == 1 else None
+def _row(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, row: PipelineRow) -> dict[str, Value]:
+    run = row.pipeline.run
+    basin = row.pipeline.basins.get(table.tasks[0]) if len(table.tasks) == 1 else None
     place: dict[str, Value] = {
         "dataset": asked.record.dataset,
         "fingerprint": asked.record.dataset_fingerprint,

@@ -27,7 +27,7 @@ from relocbench.evaluation.common.isolation import _answers as as_answers
 from relocbench.evaluation.common.matching_table import OFFSETS_PX, read_matching
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.common.worker import Visibility, units_of
-from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
+from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.check import check
@@ -231,7 +231,7 @@ def test_the_other_evaluations_do_not_give_it_either(dataset: Dataset, tmp_path:
     )
     with refused(MethodError, "", None, "mine", "mark"):
         evaluate_retrievers(options, Silent())
-    chain = RelocalizationOptions(
+    pipeline = RelocalizationOptions(
         dataset=dataset.root,
         out=tmp_path / "out",
         retriever=("oracle",),
@@ -239,7 +239,7 @@ def test_the_other_evaluations_do_not_give_it_either(dataset: Dataset, tmp_path:
         set=(f"cheat.weights={dataset.root}",),
     )
     with refused(MethodError, "", None, "cheat", "weights"):
-        evaluate_chains(chain, Silent())
+        evaluate_pipelines(pipeline, Silent())
 
 
 def test_other_paths_and_words_are_taken(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

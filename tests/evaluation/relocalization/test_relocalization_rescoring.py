@@ -11,19 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from chains_for_tests import lists
 from command_line import relocbench
 from forgery import change_yaml
+from pipelines_for_tests import lists
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.relocalization.answers import ChainAnswer, read_chain, write_chain
-from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
-from relocbench.evaluation.relocalization.records import ChainResults
+from relocbench.evaluation.relocalization.answers import PipelineAnswer, read_pipeline, write_pipeline
+from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
+from relocbench.evaluation.relocalization.records import PipelineResults
 from relocbench.files import sha256_file
-from relocbench.leaderboard.relocalization.board import load_chains
+from relocbench.leaderboard.relocalization.board import load_pipelines
 from relocbench.leaderboard.relocalization.write import write_relocalization_leaderboard
 from relocbench.progress import Silent
 
@@ -41,12 +41,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         dataset=dataset.root,
         out=root / "results",
         retriever=("oracle", f"near=predictions:{near}"),
-        methods=("knows=chains_for_tests:Knows",),
+        methods=("knows=pipelines_for_tests:Knows",),
         set=("knows.beyond=fail",),
         top=2,
         workers=0,
     )
-    evaluate_chains(asked, Silent())
+    evaluate_pipelines(asked, Silent())
     return root
 
 
@@ -61,15 +61,15 @@ def dataset(made: Path) -> Path:
     return made / "elsewhere" / "small"
 
 
-def chain(results: Path) -> ChainResults:
-    return ChainResults(next(results.glob(f"*@*/{CHAIN}")))
+def pipeline(results: Path) -> PipelineResults:
+    return PipelineResults(next(results.glob(f"*@*/{CHAIN}")))
 
 
-def forge(results: Path, change: Callable[[ChainAnswer], ChainAnswer]) -> Path:
+def forge(results: Path, change: Callable[[PipelineAnswer], PipelineAnswer]) -> Path:
     """Change the rows of a chain, and make the digest fit again."""
-    folder = chain(results)
+    folder = pipeline(results)
     path = folder.answers(ACROSS)
-    write_chain(path, [change(row) for row in read_chain(path)])
+    write_pipeline(path, [change(row) for row in read_pipeline(path)])
     change_yaml(folder.scores_yaml, lambda scores: scores["answers"].update({ACROSS: sha256_file(path)}))
     return path
 
@@ -80,7 +80,7 @@ def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], 
         return {(r["retriever"], r["tracker"]): r for r in csv.DictReader(stream) if r["table"] == ACROSS}
 
 
-def test_honest_chains_are_rescored_and_say_so(results: Path, dataset: Path, tmp_path: Path) -> None:
+def test_honest_pipelines_are_rescored_and_say_so(results: Path, dataset: Path, tmp_path: Path) -> None:
     claimed, found = rows_of(results, tmp_path / "a"), rows_of(results, tmp_path / "b", dataset)
     assert {row["rescored"] for row in claimed.values()} == {"no"}
     assert {row["rescored"] for row in found.values()} == {"yes"}
@@ -102,24 +102,24 @@ def test_honest_chains_are_rescored_and_say_so(results: Path, dataset: Path, tmp
 )
 def test_forged_rows_are_exposed_by_the_truth(results: Path, dataset: Path, change: dict[str, Any]) -> None:
     path = forge(results, lambda row: replace(row, **change))
-    assert load_chains(results) is not None, "nothing without the truth tells it"
+    assert load_pipelines(results) is not None, "nothing without the truth tells it"
     with pytest.raises(PredictionError, match="is not what rankings, answers and truth give; run") as bad:
-        load_chains(results, datasets=DatasetLookup(results, [dataset]))
+        load_pipelines(results, datasets=DatasetLookup(results, [dataset]))
     assert bad.value.path == path
 
 
 def test_rows_without_their_digest_are_refused_without_the_truth(results: Path) -> None:
-    path = chain(results).answers(ACROSS)
+    path = pipeline(results).answers(ACROSS)
     path.write_text(path.read_text().replace("right", "choice", 1))
     with pytest.raises(PredictionError, match="changed since it was scored"):
-        load_chains(results)
+        load_pipelines(results)
 
 
 def test_an_edited_record_of_a_run_is_refused_without_the_truth(results: Path) -> None:
-    path = chain(results).run_yaml
+    path = pipeline(results).run_yaml
     change_yaml(path, lambda run: run["tracker_run"].update(uses_times=False, isolated=True))
     with pytest.raises(PredictionError, match="is not the record that was scored; run") as bad:
-        load_chains(results)
+        load_pipelines(results)
     assert bad.value.path == path
 
 
@@ -127,24 +127,24 @@ def test_a_forged_basin_or_task_is_exposed_by_the_truth(results: Path, dataset: 
     def wide(scores: dict[str, Any]) -> None:
         scores["basins"][ACROSS]["metres"] = 99.0
 
-    change_yaml(chain(results).scores_yaml, wide)
+    change_yaml(pipeline(results).scores_yaml, wide)
     with pytest.raises(PredictionError, match="is not the reach of the dataset's pairs"):
-        load_chains(results, datasets=DatasetLookup(results, [dataset]))
+        load_pipelines(results, datasets=DatasetLookup(results, [dataset]))
     path = next(results.glob("*@*/relocalization.yaml"))
     change_yaml(path, lambda record: record["tasks"][ACROSS].update(rejected=7))
     with pytest.raises(PredictionError, match="the entry of the task") as bad:
-        load_chains(results, datasets=DatasetLookup(results, [dataset]))
+        load_pipelines(results, datasets=DatasetLookup(results, [dataset]))
     assert bad.value.path == path
 
 
-def test_without_the_rankings_a_chain_is_not_rescored(results: Path, dataset: Path, tmp_path: Path) -> None:
+def test_without_the_rankings_a_pipeline_is_not_rescored(results: Path, dataset: Path, tmp_path: Path) -> None:
     for folder in [path.parent for path in results.glob("*@*/retrieval.yaml")]:
         shutil.rmtree(folder)
     rows = rows_of(results, tmp_path / "board", dataset)
     assert {retriever: row["rescored"] for (retriever, _), row in rows.items()} == {"near": "no", "oracle": "yes"}
 
 
-def test_a_dataset_that_no_chain_is_of_is_a_users_mistake(results: Path, tmp_path: Path) -> None:
+def test_a_dataset_that_no_pipeline_is_of_is_a_users_mistake(results: Path, tmp_path: Path) -> None:
     other: Dataset = make_small_dataset(tmp_path / "far" / "other", frames=3, name="other", size=(32, 24))
     told = relocbench("leaderboard", results, "--out", tmp_path / "board", "--dataset", other.root)
     assert (told.status, "of which the results hold nothing" in told.complaint) == (2, True)

@@ -1,4 +1,4 @@
-"""How the seconds of a chain part into those of its two stages, by the rankings that lie beside it."""
+"""How the seconds of a pipeline part into those of its two stages, by the rankings that lie beside it."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.records import RetrieverResults
-from relocbench.leaderboard.relocalization.board import Chain, ChainSetBoard
+from relocbench.leaderboard.relocalization.board import Pipeline, PipelineSetBoard
 
 
-def retrieval_seconds(asked: ChainSetBoard, chain: Chain, task: str) -> Array | None:
-    """(Q,) seconds of the chain's retriever for each query, NaN where they are not known.
+def retrieval_seconds(asked: PipelineSetBoard, pipeline: Pipeline, task: str) -> Array | None:
+    """(Q,) seconds of the pipeline's retriever for each query, NaN where they are not known.
 
     Returns:
         None where nothing took seconds (the oracle), or where the rankings do not lie in the results folder, or are
-        others than those that the chain started from.
+        others than those that the pipeline started from.
     """
-    ran, folder = chain.run.retriever_run, asked.folder
+    ran, folder = pipeline.run.retriever_run, asked.folder
     if ran is None or folder is None:
         return None
-    found = RetrieverResults(folder.root.parent / f"{ran.dataset}@{ran.fingerprint[:SHORT]}" / chain.run.retriever)
+    found = RetrieverResults(folder.root.parent / f"{ran.dataset}@{ran.fingerprint[:SHORT]}" / pipeline.run.retriever)
     if not found.run_yaml.exists() or not found.complete(task):
         return None
     now = found.run_record()
     if (now.target, now.parameters, now.files, now.seed) != (ran.target, ran.parameters, ran.files, ran.seed):
         return None
     seconds = {Path(answer.query).stem: answer.seconds for answer in read_answers(found.answers(task))}
-    out = np.full(len(chain.answers[task]), np.nan)
-    for row, answer in enumerate(chain.answers[task]):
+    out = np.full(len(pipeline.answers[task]), np.nan)
+    for row, answer in enumerate(pipeline.answers[task]):
         known = seconds.get(str(answer.query_timestamp_ns))
         if known is not None and answer.seconds is not None and known <= answer.seconds + 1e-6:
             out[row] = known

@@ -9,16 +9,22 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.evaluation.common.tables import STATUSES
-from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer
-from relocbench.evaluation.relocalization.chain import RIGHT
-from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainTask
+from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer
+from relocbench.evaluation.relocalization.pipeline import RIGHT
+from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineTask
 from relocbench.evaluation.relocalization.score import FAILURES, HIT
 from relocbench.leaderboard.common.headings import SECONDS, heading
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.chain_pages.stages import retrieval_seconds
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
-from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
-from relocbench.leaderboard.relocalization.page import MEDIANS, POSES, basin_words, marks_of_chain
+from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds
+from relocbench.leaderboard.relocalization.board import (
+    Pipeline,
+    PipelineBoard,
+    PipelineRow,
+    PipelineSetBoard,
+    PipelineTable,
+)
+from relocbench.leaderboard.relocalization.page import MEDIANS, POSES, basin_words, marks_of_pipeline
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 
 LOSSES = ("right_and_hit", "right_without_hit", *FAILURES)
@@ -27,34 +33,38 @@ _NONE = -1
 """in place of a timestamp or a rank that there is none of"""
 
 
-def id_of_chains(asked: ChainSetBoard) -> str:
+def id_of_pipelines(asked: PipelineSetBoard) -> str:
     """The id of a dataset's chains in links and names of files."""
     return links.set_id(asked.record.name, asked.record.fingerprint)
 
 
-def located_key(asked: ChainSetBoard, task: str) -> str:
+def located_key(asked: PipelineSetBoard, task: str) -> str:
     """The key of the payload with the errors of a task's queries."""
-    return f"located/{id_of_chains(asked)}/{links.pair_set_id(task)}"
+    return f"located/{id_of_pipelines(asked)}/{links.pair_set_id(task)}"
 
 
-def candidates_key(asked: ChainSetBoard, task: str) -> str:
+def candidates_key(asked: PipelineSetBoard, task: str) -> str:
     """The key of the payload with the keyframes that were retrieved for a task's queries."""
-    return f"candidates/{id_of_chains(asked)}/{links.pair_set_id(task)}"
+    return f"candidates/{id_of_pipelines(asked)}/{links.pair_set_id(task)}"
 
 
-def is_floor_chain(chain: Chain) -> bool:
+def is_floor_pipeline(pipeline: Pipeline) -> bool:
     """Whether a chain answers the pose of its first keyframe."""
-    return chain.run.tracker == KEYFRAME
+    return pipeline.run.tracker == KEYFRAME
 
 
-def marks_of_row(row: ChainRow) -> list[str]:
+def marks_of_row(row: PipelineRow) -> list[str]:
     """The words behind the name of a chain."""
-    chain = row.chain
-    known = {"floor": is_floor_chain(chain), "knows the truth": chain.knows_truth, "uses times": chain.uses_times}
-    return [*(word for word, applies in known.items() if applies), *marks_of_chain(row)]
+    pipeline = row.pipeline
+    known = {
+        "floor": is_floor_pipeline(pipeline),
+        "knows the truth": pipeline.knows_truth,
+        "uses times": pipeline.uses_times,
+    }
+    return [*(word for word, applies in known.items() if applies), *marks_of_pipeline(row)]
 
 
-def chains_payload(board: ChainBoard, asked: ChainSetBoard, trackers: Mapping[str, str]) -> dict[str, Any]:
+def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: Mapping[str, str]) -> dict[str, Any]:
     """All tables of a dataset's chains.
 
     Args:
@@ -64,10 +74,10 @@ def chains_payload(board: ChainBoard, asked: ChainSetBoard, trackers: Mapping[st
     shares = [*poses, "basin_recall@1", HIT, "right_given_hit", "right_among_K", *LOSSES]
     metrics = [(name, "share") for name in dict.fromkeys(shares)]
     metrics += [*zip(MEDIANS, ("m", "deg"), strict=True), (SECONDS, "s")]
-    rows = {row.chain.label: row for row in asked.tables[0].rows}
+    rows = {row.pipeline.label: row for row in asked.tables[0].rows}
     used = [name for name in asked.record.tasks if any(name in table.tasks for table in asked.tables)]
     return {
-        "id": id_of_chains(asked),
+        "id": id_of_pipelines(asked),
         "title": asked.title,
         "ranking": board.metric,
         "at_hand": asked.truth is not None,
@@ -77,35 +87,35 @@ def chains_payload(board: ChainBoard, asked: ChainSetBoard, trackers: Mapping[st
         "losses": list(LOSSES),
         "outcomes": list(OUTCOMES),
         "right": list(RIGHT),
-        "chains": {chain.label: _chain(chain, rows[chain.label]) for chain in asked.chains},
+        "chains": {pipeline.label: _pipeline(pipeline, rows[pipeline.label]) for pipeline in asked.pipelines},
         "tasks": {name: _task(asked, name, asked.record.tasks[name], trackers.get(name)) for name in used},
         "tables": [_table(table, [name for name, _ in metrics]) for table in asked.tables],
     }
 
 
-def located_payload(asked: ChainSetBoard, task: str) -> dict[str, Any]:
+def located_payload(asked: PipelineSetBoard, task: str) -> dict[str, Any]:
     """The answers of all chains to the queries of a task, in the order of time."""
-    chains = {chain.label: chain for chain in asked.chains if task in chain.answers}
-    first = next(iter(chains.values())).answers[task]
+    pipelines = {pipeline.label: pipeline for pipeline in asked.pipelines if task in pipeline.answers}
+    first = next(iter(pipelines.values())).answers[task]
     return {
         "queries": integers([a.query_timestamp_ns for a in first]),
-        "chains": {label: _answers(asked, chain, task) for label, chain in chains.items()},
+        "chains": {label: _answers(asked, pipeline, task) for label, pipeline in pipelines.items()},
     }
 
 
-def _chain(chain: Chain, row: ChainRow) -> dict[str, Any]:
-    run = chain.run
+def _pipeline(pipeline: Pipeline, row: PipelineRow) -> dict[str, Any]:
+    run = pipeline.run
     return {
         "retriever": run.retriever,
         "tracker": run.tracker,
         "top": run.top,
-        "floor": is_floor_chain(chain),
+        "floor": is_floor_pipeline(pipeline),
         "oracle": run.retriever == ORACLE,
         "marks": marks_of_row(row),
     }
 
 
-def _task(asked: ChainSetBoard, name: str, task: ChainTask, trackers: str | None) -> dict[str, Any]:
+def _task(asked: PipelineSetBoard, name: str, task: PipelineTask, trackers: str | None) -> dict[str, Any]:
     sigma = task.median_sigma_translation_m
     return {
         "located": located_key(asked, name),
@@ -118,7 +128,7 @@ def _task(asked: ChainSetBoard, name: str, task: ChainTask, trackers: str | None
     }
 
 
-def _table(table: ChainTable, names: Sequence[str]) -> dict[str, Any]:
+def _table(table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
     return {
         "title": table.name,
         "tasks": list(table.tasks),
@@ -127,9 +137,9 @@ def _table(table: ChainTable, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _row(row: ChainRow, table: ChainTable, names: Sequence[str]) -> dict[str, Any]:
+def _row(row: PipelineRow, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
     return {
-        "method": row.chain.label,
+        "method": row.pipeline.label,
         "rank": row.rank,
         "values": [row.values.get(name) for name in names],
         "intervals": {n: [i.low, i.high] for n in names if (i := row.intervals.get(n)) is not None},
@@ -140,10 +150,10 @@ def _row(row: ChainRow, table: ChainTable, names: Sequence[str]) -> dict[str, An
     }
 
 
-def _answers(asked: ChainSetBoard, chain: Chain, task: str) -> dict[str, Any]:
-    rows = chain.answers[task]
+def _answers(asked: PipelineSetBoard, pipeline: Pipeline, task: str) -> dict[str, Any]:
+    rows = pipeline.answers[task]
     whole = _numbers([a.seconds for a in rows])
-    retrieval = retrieval_seconds(asked, chain, task)
+    retrieval = retrieval_seconds(asked, pipeline, task)
     return {
         "translation_error_m": _single([a.translation_error_m for a in rows]),
         "rotation_error_deg": _single([a.rotation_error_deg for a in rows]),
@@ -158,7 +168,7 @@ def _answers(asked: ChainSetBoard, chain: Chain, task: str) -> dict[str, Any]:
     }
 
 
-def _or_none(answer: ChainAnswer, name: str) -> int:
+def _or_none(answer: PipelineAnswer, name: str) -> int:
     value: int | None = getattr(answer, name)
     return _NONE if value is None else value
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.evaluation.common.answer_table import Answer
-from relocbench.evaluation.relocalization.answers import ChainAnswer, Outcome
+from relocbench.evaluation.relocalization.answers import Outcome, PipelineAnswer
 from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
 from relocbench.metrics import PoseErrors, pose_errors, within
@@ -50,9 +50,9 @@ def keyframe_poses(truth: MapTruth, retrieved: Sequence[Retrieved]) -> Tracked:
     return Tracked({key: Answer(key, "ok") for key in keys}, {key: np.eye(4) for key in keys})
 
 
-def chain_answers(
+def pipeline_answers(
     truth: MapTruth, retrieved: Sequence[Retrieved], tracked: Tracked, top: int, basin: Basin
-) -> tuple[list[ChainAnswer], list[PoseLine]]:
+) -> tuple[list[PipelineAnswer], list[PoseLine]]:
     """Compute a row for each query, and the poses that were kept.
 
     The most confident of the answers against the first ``top`` keyframes is kept. Of equally confident ones, and where
@@ -68,7 +68,7 @@ def chain_answers(
     return rows, lines
 
 
-def _answer(truth: MapTruth, query: int, found: Retrieved, tracked: Tracked, top: int, basin: Basin) -> ChainAnswer:
+def _answer(truth: MapTruth, query: int, found: Retrieved, tracked: Tracked, top: int, basin: Basin) -> PipelineAnswer:
     time = truth.query_times[query]
     keyframes = list(found.keyframes[:top])
     keys = [(truth.keyframe_times[k], time) for k in keyframes]
@@ -86,7 +86,7 @@ def _answer(truth: MapTruth, query: int, found: Retrieved, tracked: Tracked, top
     right_rank = int(right[0]) + 1 if right.size else None
     if kept is None:
         status, message = _why_not(found, answers)
-        return ChainAnswer(
+        return PipelineAnswer(
             time,
             status,
             "retrieval" if hit_rank is None else "tracking",
@@ -104,7 +104,7 @@ def _answer(truth: MapTruth, query: int, found: Retrieved, tracked: Tracked, top
         outcome = "unreachable"
     else:
         outcome = "retrieval" if hit_rank is None else "tracking"
-    return ChainAnswer(
+    return PipelineAnswer(
         query_timestamp_ns=time,
         status="ok",
         outcome=outcome,

@@ -8,25 +8,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chains_for_tests import FAR_M, lists
+from pipelines_for_tests import FAR_M, lists
 from small_dataset import ACROSS, CAMERA, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.error_table import read_errors
-from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer, read_chain, write_chain
-from relocbench.evaluation.relocalization.chain import most_confident
+from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer, read_pipeline, write_pipeline
 from relocbench.evaluation.relocalization.evaluate import (
     RelocalizationOptions,
     RelocalizationReport,
-    evaluate_chains,
+    evaluate_pipelines,
 )
-from relocbench.evaluation.relocalization.records import ChainResults
+from relocbench.evaluation.relocalization.pipeline import most_confident
+from relocbench.evaluation.relocalization.records import PipelineResults
 from relocbench.evaluation.relocalization.score import per_query
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.progress import Silent
 
-KNOWS = "chains_for_tests:Knows"
+KNOWS = "pipelines_for_tests:Knows"
 FRAMES = 8
 
 
@@ -39,17 +39,17 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def run(dataset: Dataset, out: Path, retriever: Any, *trackers: str, **options: Any) -> RelocalizationReport:
     retrievers = (retriever,) if isinstance(retriever, str) else tuple(retriever)
     given = {"top": 2, "workers": 0, **options}
-    return evaluate_chains(
+    return evaluate_pipelines(
         RelocalizationOptions(dataset=dataset.root, out=out, retriever=retrievers, methods=trackers, **given), Silent()
     )
 
 
-def rows(report: RelocalizationReport, tracker: str, retriever: str | None = None) -> list[ChainAnswer]:
-    return read_chain(folder(report, tracker, retriever).answers(ACROSS))
+def rows(report: RelocalizationReport, tracker: str, retriever: str | None = None) -> list[PipelineAnswer]:
+    return read_pipeline(folder(report, tracker, retriever).answers(ACROSS))
 
 
-def folder(report: RelocalizationReport, tracker: str, retriever: str | None = None) -> ChainResults:
-    def named(one: ChainResults) -> bool:
+def folder(report: RelocalizationReport, tracker: str, retriever: str | None = None) -> PipelineResults:
+    def named(one: PipelineResults) -> bool:
         record = one.run_record()
         return record.tracker == tracker and retriever in (None, record.retriever)
 
@@ -63,9 +63,9 @@ def found_by(dataset: Dataset, tmp_path: Path, frames: list[list[int]], name: st
 def test_the_oracle_with_one_keyframe_scores_what_the_tracker_scores_on_its_pairs(tmp_path: Path) -> None:
     """One pair a query, with the nearest keyframe: the chain asks the same questions."""
     made = make_small_dataset(tmp_path / "d", frames=FRAMES, pairs=FRAMES, size=(32, 24))
-    off = ("k=chains_for_tests:Knows", "s=trackers_for_tests:Shift", "o=orb-pnp", "i=identity")
+    off = ("k=pipelines_for_tests:Knows", "s=trackers_for_tests:Shift", "o=orb-pnp", "i=identity")
     settings = ("k.reach=-1", "s.metres=0.2")
-    chain = run(made, tmp_path / "r", "oracle", *off, top=1, set=settings)
+    pipeline = run(made, tmp_path / "r", "oracle", *off, top=1, set=settings)
     own = evaluate_methods(
         EvaluateOptions(
             dataset=made.root, out=tmp_path / "own", methods=off, set=settings, pair_sets=(ACROSS,), workers=0
@@ -75,21 +75,21 @@ def test_the_oracle_with_one_keyframe_scores_what_the_tracker_scores_on_its_pair
     errors = ("rotation_error_deg", "translation_error_m", "mlad_translation_error_m")
     for method in own.folders:
         of_pairs = {e.key: e for e in read_errors(method.errors(ACROSS))}
-        of_chain = rows(chain, method.label)
-        assert {r.query_timestamp_ns for r in of_chain} == {query for _, query in of_pairs}
-        for row in of_chain:
+        of_pipeline = rows(pipeline, method.label)
+        assert {r.query_timestamp_ns for r in of_pipeline} == {query for _, query in of_pairs}
+        for row in of_pipeline:
             if row.ref_timestamp_ns is not None:
                 pair = of_pairs[row.ref_timestamp_ns, row.query_timestamp_ns]
                 assert [getattr(row, e) for e in errors] == pytest.approx([getattr(pair, e) for e in errors])
-        scores = chain.scores(folder(chain, method.label))[ACROSS]
+        scores = pipeline.scores(folder(pipeline, method.label))[ACROSS]
         whole = method.score_record().pair_sets[ACROSS]["all"]
         for metric in ("recall@(0.25m,2deg)", "recall@(1m,5deg)", "t_auc@0.5m", "coverage"):
             assert scores[metric] == pytest.approx(whole[metric])
-    floor = [r.translation_error_m for r in rows(chain, "keyframe-pose")]
-    assert floor == pytest.approx([r.translation_error_m for r in rows(chain, "i")])
+    floor = [r.translation_error_m for r in rows(pipeline, "keyframe-pose")]
+    assert floor == pytest.approx([r.translation_error_m for r in rows(pipeline, "i")])
 
 
-def test_where_a_chain_is_lost(dataset: Dataset, tmp_path: Path) -> None:
+def test_where_a_pipeline_is_lost(dataset: Dataset, tmp_path: Path) -> None:
     """The basin is one frame, as far as the pairs reach; the tracker is right up to the keyframe at the place."""
     frames = [[0, 5], [5, 1], [7, 6], [2, 6], [4, 0], [0, 1], [], [7, 6]]
     report = run(
@@ -180,7 +180,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     writable.write_text(writable.read_text().splitlines(keepends=True)[0])
     from relocbench.evaluation.common.answer_table import Answer
     from relocbench.evaluation.relocalization.basin import Basin
-    from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers
+    from relocbench.evaluation.relocalization.pipeline import Retrieved, Tracked, pipeline_answers
     from relocbench.evaluation.relocalization.truth import MapTruth
 
     again = Dataset(made.root)
@@ -191,7 +191,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     off[0, 3] = 1.0  # far from any threshold: the identity is 0.25 m wrong to the last digit
     tracked = Tracked({key: Answer(key, "ok") for key in keys}, dict.fromkeys(keys, off))
     found = [Retrieved([3]), Retrieved([0]), Retrieved([0, 2]), Retrieved([])]
-    got, _ = chain_answers(truth, found, tracked, 2, Basin(9.0, 9.0, "given"))
+    got, _ = pipeline_answers(truth, found, tracked, 2, Basin(9.0, 9.0, "given"))
     assert [r.outcome for r in got] == ["unreachable", "tracking", "unreachable", "retrieval"]
     assert [np.isinf(r.translation_error_m) for r in got] == [True, False, True, True]
 
@@ -221,11 +221,11 @@ def test_each_pair_is_asked_once_and_nothing_again(dataset: Dataset, tmp_path: P
 
 
 def test_a_killed_run_goes_on(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import chains_for_tests
+    import pipelines_for_tests
 
     log = tmp_path / "log"
     args = (dataset, tmp_path / "r", "oracle", f"t={KNOWS}")
-    track = chains_for_tests.Knows.track
+    track = pipelines_for_tests.Knows.track
 
     def killed(self: Any, reference: Any, query: Any, prior: Any = None) -> Any:
         if log.exists() and len(log.read_text().splitlines()) == 6:
@@ -233,7 +233,7 @@ def test_a_killed_run_goes_on(dataset: Dataset, tmp_path: Path, monkeypatch: pyt
         return track(self, reference, query, prior)
 
     with monkeypatch.context() as patched:
-        patched.setattr(chains_for_tests.Knows, "track", killed)
+        patched.setattr(pipelines_for_tests.Knows, "track", killed)
         with pytest.raises(KeyboardInterrupt):
             run(*args, set=(f"t.log={log}",))
     assert not list((tmp_path / "r").rglob("oracle+t.top2/*"))
@@ -271,11 +271,11 @@ def test_without_truth_there_is_nothing_to_judge(tmp_path: Path) -> None:
 def test_tables_are_read_as_they_were_written_and_bad_ones_are_named(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     answers = [
-        ChainAnswer(5, "failed", "retrieval", message="nothing"),
-        ChainAnswer(6, "ok", "right", 1, 2, 1, 2, 3, 0.5, 0.25, 0.125, -1.5, 0.001),
+        PipelineAnswer(5, "failed", "retrieval", message="nothing"),
+        PipelineAnswer(6, "ok", "right", 1, 2, 1, 2, 3, 0.5, 0.25, 0.125, -1.5, 0.001),
     ]
-    write_chain(path, answers)
-    assert read_chain(path) == answers
+    write_pipeline(path, answers)
+    assert read_pipeline(path) == answers
     good = path.read_text()
     for old, new, words in (
         ("6,ok", "5,ok", "line 3|:3.*occurs again"),
@@ -288,4 +288,4 @@ def test_tables_are_read_as_they_were_written_and_bad_ones_are_named(tmp_path: P
     ):
         path.write_text(good.replace(old, new, 1))
         with pytest.raises(PredictionError, match=words):
-            read_chain(path)
+            read_pipeline(path)

@@ -1,4 +1,4 @@
-"""Writing the pages of chains and what the page of a query loads.
+"""Writing the pages of pipelines and what the page of a query loads.
 
 ``data/chains/SET.js`` holds the tables of a dataset, ``data/located/SET/TASK.js`` the answers to each query, and
 ``data/candidates/SET/TASK.js`` the keyframes that they were made of, where the dataset is at hand.
@@ -9,41 +9,41 @@ from __future__ import annotations
 from pathlib import Path
 
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.chain_pages.candidates import (
-    asked_chains,
+from relocbench.leaderboard.html.data import write_data
+from relocbench.leaderboard.html.pages import write_page
+from relocbench.leaderboard.html.payloads import id_of
+from relocbench.leaderboard.html.pipeline_pages.candidates import (
+    asked_pipelines,
     candidates_payload,
     chosen_queries,
     thumbnails_of,
     views_of,
 )
-from relocbench.leaderboard.html.chain_pages.payloads import (
+from relocbench.leaderboard.html.pipeline_pages.payloads import (
     candidates_key,
-    chains_payload,
-    id_of_chains,
+    id_of_pipelines,
     located_key,
     located_payload,
+    pipelines_payload,
 )
-from relocbench.leaderboard.html.data import write_data
-from relocbench.leaderboard.html.pages import write_page
-from relocbench.leaderboard.html.payloads import id_of
 from relocbench.leaderboard.html.thumbnails import Thumbnail, write_thumbnails
-from relocbench.leaderboard.relocalization.board import ChainBoard, ChainSetBoard
+from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineSetBoard
 from relocbench.leaderboard.tracking.model import Board
 from relocbench.progress import Reporter
 
 MOST_ROWS = 100_000
-"""answers of all chains up to which the pages hold the keyframes of all queries, not only of those with pictures"""
+"""answers of all pipelines up to which the pages hold the keyframes of all queries, not only of those with pictures"""
 
 
-def write_chain_pages(
-    board: ChainBoard, tracking: Board | None, site: Path, *, queries: int, reporter: Reporter
+def write_pipeline_pages(
+    board: PipelineBoard, tracking: Board | None, site: Path, *, queries: int, reporter: Reporter
 ) -> set[Path]:
-    """Write the page of each dataset's chains and that of a query; returns the paths of all files.
+    """Write the page of each dataset's pipelines and that of a query; returns the paths of all files.
 
     Args:
         tracking: the trackers of the same results, to whose pairs the page of a query links.
         site: the folder of the site.
-        queries: in each task, so many worst queries of each chain that is no floor, and so many drawn at random, have
+        queries: in each task, so many worst queries of each pipeline that is no baseline, and so many at random, have
             pictures where the dataset is at hand.
         reporter: receives the number of pictures that are done.
 
@@ -61,25 +61,25 @@ def write_chain_pages(
 
 
 def _write_set(
-    board: ChainBoard,
-    asked: ChainSetBoard,
+    board: PipelineBoard,
+    asked: PipelineSetBoard,
     tracking: Board | None,
     site: Path,
     count: int,
     thumbnails: list[Thumbnail],
 ) -> set[Path]:
-    of_set = id_of_chains(asked)
-    payload = chains_payload(board, asked, _trackers(asked, tracking))
+    of_set = id_of_pipelines(asked)
+    payload = pipelines_payload(board, asked, _trackers(asked, tracking))
     written = {write_data(site, f"chains/{of_set}", payload)}
-    rows = sum(len(rows) for chain in asked.chains for rows in chain.answers.values())
+    rows = sum(len(rows) for pipeline in asked.pipelines for rows in pipeline.answers.values())
     for name in payload["tasks"]:
         written.add(write_data(site, located_key(asked, name), located_payload(asked, name)))
         if asked.truth is None:
             continue
-        first = next(chain.answers[name] for chain in asked.chains if name in chain.answers)
+        first = next(pipeline.answers[name] for pipeline in asked.pipelines if name in pipeline.answers)
         times = [answer.query_timestamp_ns for answer in first]
-        halves = asked_chains(asked.truth, asked.chains, name)
-        chosen = chosen_queries(asked.chains, name, count)
+        halves = asked_pipelines(asked.truth, asked.pipelines, name)
+        chosen = chosen_queries(asked.pipelines, name, count)
         kept = chosen if rows > MOST_ROWS else list(range(len(times)))
         views = views_of(asked.truth, name, halves, times, chosen)
         told = candidates_payload(asked.truth.truth(name), halves, times, kept, views)
@@ -90,7 +90,7 @@ def _write_set(
     return written | {page}
 
 
-def _trackers(asked: ChainSetBoard, tracking: Board | None) -> dict[str, str]:
+def _trackers(asked: PipelineSetBoard, tracking: Board | None) -> dict[str, str]:
     """The tasks that are pair sets of a dataset with results of trackers, and the id of that dataset."""
     if tracking is None:
         return {}

@@ -1,4 +1,4 @@
-"""What the page of a query shows of chains: each retrieved keyframe, where it was, and what the tracker said there."""
+"""What the page of a query shows of pipelines: each retrieved keyframe, where it was, and what the tracker answered."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.pairs.street_places import street_view
-from relocbench.evaluation.relocalization.chain import RIGHT, Retrieved, Tracked
-from relocbench.evaluation.relocalization.records import ChainBasin
-from relocbench.evaluation.relocalization.rescoring import ChainTruth
+from relocbench.evaluation.relocalization.pipeline import RIGHT, Retrieved, Tracked
+from relocbench.evaluation.relocalization.records import PipelineBasin
+from relocbench.evaluation.relocalization.rescoring import PipelineTruth
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
-from relocbench.leaderboard.html.chain_pages.payloads import is_floor_chain
+from relocbench.leaderboard.html.pipeline_pages.payloads import is_floor_pipeline
 from relocbench.leaderboard.html.thumbnails import Thumbnail, thumbnail_name
-from relocbench.leaderboard.relocalization.board import Chain
+from relocbench.leaderboard.relocalization.board import Pipeline
 from relocbench.metrics import pose_errors
 from relocbench.retrieval import ImageView
 
@@ -25,36 +25,36 @@ _SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
-class AskedChain:
-    """What the halves of a chain said on a task."""
+class AskedPipeline:
+    """What the halves of a pipeline said on a task."""
 
-    chain: Chain
+    pipeline: Pipeline
     found: Sequence[Retrieved]
     tracked: Tracked
-    basin: ChainBasin
+    basin: PipelineBasin
 
 
-def asked_chains(truth: ChainTruth, chains: Sequence[Chain], task: str) -> list[AskedChain]:
-    """The chains whose rankings and trackers' answers lie in the results folder, and were confirmed by the dataset."""
+def asked_pipelines(truth: PipelineTruth, pipelines: Sequence[Pipeline], task: str) -> list[AskedPipeline]:
+    """The pipelines whose rankings and trackers' answers lie beside the results, and were confirmed by the dataset."""
     out = []
-    for chain in chains:
-        both = truth.asked(chain.run, task) if task in chain.rescored else None
+    for pipeline in pipelines:
+        both = truth.asked(pipeline.run, task) if task in pipeline.rescored else None
         if both is not None:
-            out.append(AskedChain(chain, *both, chain.basins[task]))
+            out.append(AskedPipeline(pipeline, *both, pipeline.basins[task]))
     return out
 
 
-def chosen_queries(chains: Sequence[Chain], task: str, count: int) -> list[int]:
+def chosen_queries(pipelines: Sequence[Pipeline], task: str, count: int) -> list[int]:
     """The indices of the queries that are shown with pictures, in ascending order.
 
-    They are the ``count`` worst of each chain that is no floor, by the larger of both errors in units of what counts as
+    They are the ``count`` worst of each pipeline that is no baseline, by the larger error in units of what counts as
     right, and ``count`` drawn at random, the same for the same number of queries.
     """
     chosen: set[int] = set()
-    own = [chain for chain in chains if task in chain.answers]
-    for chain in own:
-        if not is_floor_chain(chain):
-            rows = chain.answers[task]
+    own = [pipeline for pipeline in pipelines if task in pipeline.answers]
+    for pipeline in own:
+        if not is_floor_pipeline(pipeline):
+            rows = pipeline.answers[task]
             both = [max(a.translation_error_m / RIGHT[0], a.rotation_error_deg / RIGHT[1]) for a in rows]
             chosen.update(np.argsort(-np.array(both), kind="stable")[:count].tolist())
     queries = len(own[0].answers[task])
@@ -64,7 +64,7 @@ def chosen_queries(chains: Sequence[Chain], task: str, count: int) -> list[int]:
 
 def candidates_payload(
     truth: MapTruth,
-    asked: Sequence[AskedChain],
+    asked: Sequence[AskedPipeline],
     times: Sequence[int],
     kept: Sequence[int],
     views: Mapping[int, tuple[ImageView, ...]],
@@ -78,7 +78,7 @@ def candidates_payload(
     """
     place = {time: index for index, time in enumerate(truth.query_times)}
     nearest: list[Any] = []
-    told: dict[str, list[Any]] = {one.chain.label: [] for one in asked}
+    told: dict[str, list[Any]] = {one.pipeline.label: [] for one in asked}
     for row in kept:
         query = place[times[row]]
         T_query_ref = truth.relative(query)
@@ -86,7 +86,7 @@ def candidates_payload(
         best = truth.oracle(query, 1)
         nearest.append(_keyframe(truth, best[0], metres, degrees) if best else None)
         for one in asked:
-            told[one.chain.label].append(_told(truth, one, query, T_query_ref, metres, degrees))
+            told[one.pipeline.label].append(_told(truth, one, query, T_query_ref, metres, degrees))
     return {
         "rows": None if len(kept) == len(times) else list(kept),
         "nearest": nearest,
@@ -97,9 +97,9 @@ def candidates_payload(
 
 
 def views_of(
-    truth: ChainTruth, task: str, asked: Sequence[AskedChain], times: Sequence[int], chosen: Sequence[int]
+    truth: PipelineTruth, task: str, asked: Sequence[AskedPipeline], times: Sequence[int], chosen: Sequence[int]
 ) -> dict[int, tuple[ImageView, ...]]:
-    """The images of chosen queries: the query, the nearest keyframe, and the keyframes that any chain retrieved."""
+    """The images of chosen queries: the query, the nearest keyframe, and the keyframes that any pipeline retrieved."""
     known, dataset = truth.truth(task), truth.dataset
     place = {time: index for index, time in enumerate(known.query_times)}
     reference, query_drive = (dataset.traversal(n) for n in (known.pair_set.reference, known.pair_set.query))
@@ -121,8 +121,8 @@ def thumbnails_of(views: Mapping[int, tuple[ImageView, ...]], site: Path, of_set
     return (Thumbnail(site, of_set, view) for of in views.values() for view in of)
 
 
-def _top(one: AskedChain) -> int:
-    return one.chain.run.top
+def _top(one: AskedPipeline) -> int:
+    return one.pipeline.run.top
 
 
 def _time(view: ImageView) -> str:
@@ -135,7 +135,7 @@ def _keyframe(truth: MapTruth, index: int, metres: Array, degrees: Array) -> lis
 
 
 def _told(
-    truth: MapTruth, one: AskedChain, query: int, T_query_ref: Array, metres: Array, degrees: Array
+    truth: MapTruth, one: AskedPipeline, query: int, T_query_ref: Array, metres: Array, degrees: Array
 ) -> list[list[Any]]:
     """For each keyframe that the tracker was asked against: where it was, and the answer.
 
