@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
+from refusals import assert_names
 from small_dataset import ACROSS, make_small_dataset
 
 Damage = Callable[["Case"], list[object]]
@@ -29,7 +30,7 @@ class Case:
 
     @property
     def evaluate(self) -> list[object]:
-        return ["evaluate", "-d", self.dataset, "-m", "orb-pnp", "--out", self.results, "-j", "1"]
+        return ["evaluate", "-d", self.dataset, "-m", "orb-pnp", "--out", self.results, "-j", "0"]
 
     @property
     def build(self) -> list[object]:
@@ -109,7 +110,7 @@ def unknown_key_in_yaml(case: Case) -> list[object]:
 def predictions_for_another_fingerprint(case: Case) -> list[object]:
     other = make_small_dataset(case.scratch / "other", seed=9)
     elsewhere = case.scratch / "elsewhere"
-    assert relocbench("evaluate", "-d", other.root, "-m", "identity", "--out", elsewhere, "-q").status == 0
+    assert relocbench("evaluate", "-d", other.root, "-m", "identity", "--out", elsewhere, "-j", 0, "-q").status == 0
     theirs = next(elsewhere.glob("*@*/identity"))
     return ["evaluate", "-d", case.dataset, "--predictions", theirs, "--out", case.results]
 
@@ -122,19 +123,21 @@ def dataset_inside_the_recording(case: Case) -> list[object]:
     return [*case.build, "--out", case.recording / "out"]
 
 
-CASES: list[tuple[Damage, str]] = [
-    (truncated_png_in_a_recording, r"image_0/000001\.png: truncated or not an image"),
-    (truncated_png_in_a_dataset, r"winter/images/cam0/\d+\.png: has \d+ bytes, manifest\.csv says \d+"),
-    (nan_pose_in_a_recording, r"poses/00\.txt:1: .*nan"),
-    (nan_pose_in_a_dataset, r"winter/poses\.csv: (content was changed|has \d+ bytes)"),
-    (dataset_inside_the_recording, r"recording/out: lies inside the recording"),
-    (missing_calibration_line, r"calib\.txt.*P1"),
-    (duplicate_pair, rf"theirs/{ACROSS}\.txt:2: pair \d+ \d+ occurs again \(first on line 1\)"),
-    (wrong_quaternion_norm, rf"theirs/{ACROSS}\.txt:1: quaternion qx qy qz qw has norm 1\.118.*, expected 1"),
-    (unknown_method, r"no method 'orb-pmp' \(did you mean 'orb-pnp'\?\)"),
-    (unknown_key_in_yaml, r"run\.yaml:4: unknown key 'worker'"),
-    (predictions_for_another_fingerprint, r"identity/run\.yaml: predictions are for small@\w{12}, the dataset is"),
-    (results_of_another_configuration, r"orb-pnp/run\.yaml: holds predictions made differently \(features: 3000 there"),
+Told = tuple[str, int | None, tuple[object, ...]]
+"""the end of a file's name, the line in it, and what else is named"""
+CASES: list[tuple[Damage, Told]] = [
+    (truncated_png_in_a_recording, ("image_0/000001.png", None, ())),
+    (truncated_png_in_a_dataset, (".png", None, ("manifest.csv",))),
+    (nan_pose_in_a_recording, ("poses/00.txt", 1, ("nan",))),
+    (nan_pose_in_a_dataset, ("winter/poses.csv", None, ())),
+    (dataset_inside_the_recording, ("recording/out", None, ())),
+    (missing_calibration_line, ("calib.txt", None, ("P1",))),
+    (duplicate_pair, (f"theirs/{ACROSS}.txt", 2, (1,))),
+    (wrong_quaternion_norm, (f"theirs/{ACROSS}.txt", 1, ("norm",))),
+    (unknown_method, ("", None, ("orb-pmp", "orb-pnp"))),
+    (unknown_key_in_yaml, ("run.yaml", 4, ("worker",))),
+    (predictions_for_another_fingerprint, ("identity/run.yaml", None, ())),
+    (results_of_another_configuration, ("orb-pnp/run.yaml", None, ("features", 3000, 500))),
 ]
 
 
@@ -143,7 +146,7 @@ def untouched(tmp_path_factory: pytest.TempPathFactory) -> Case:
     root = tmp_path_factory.mktemp("untouched")
     dataset = make_small_dataset(root / "dataset").root
     write_recording(root / "recording")
-    assert relocbench("evaluate", "-d", dataset, "-m", "orb-pnp", "--out", root / "results", "-q").status == 0
+    assert relocbench("evaluate", "-d", dataset, "-m", "orb-pnp", "--out", root / "results", "-j", 0, "-q").status == 0
     (root / "scratch").mkdir()
     return Case(dataset, root / "recording", root / "results", root / "scratch")
 
@@ -156,14 +159,15 @@ def case(untouched: Case, tmp_path: Path) -> Case:
     return Case(*(tmp_path / name for name in names))
 
 
-@pytest.mark.parametrize(("damage", "words"), CASES, ids=[damage.__name__ for damage, _ in CASES])
-def test_one_clear_line_status_2_and_nothing_lost(case: Case, damage: Damage, words: str) -> None:
+@pytest.mark.parametrize(("damage", "told"), CASES, ids=[damage.__name__ for damage, _ in CASES])
+def test_one_clear_line_status_2_and_nothing_lost(case: Case, damage: Damage, told: Told) -> None:
     command = damage(case)
     before = {folder: contents(folder) for folder in (case.dataset, case.recording, case.results)}
     outcome = relocbench(*command)
     assert outcome.status == 2
     complaint = next(line for line in outcome.err.splitlines() if line.startswith("relocbench: "))
-    assert re.search(words, complaint), complaint
+    place, line, names = told
+    assert_names(complaint, place, line, *names)
     assert "Traceback" not in outcome.err
     for folder, files in before.items():
         assert contents(folder) == files, folder.name

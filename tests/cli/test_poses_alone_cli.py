@@ -216,7 +216,7 @@ def test_the_pages_of_results_hold_no_pictures(site: Path) -> None:
 
 
 @needs_browser
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_page_of_a_set_has_its_map_and_that_of_a_pair_its_plan(site: Path, page: Any) -> None:
     page.goto(next(site.glob("set-*.html")).as_uri())
     page.wait_for_selector("#curves .main-svg")
@@ -230,7 +230,7 @@ def test_the_page_of_a_set_has_its_map_and_that_of_a_pair_its_plan(site: Path, p
 
 
 @needs_browser
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_page_of_a_pair_says_that_there_are_no_images_and_draws_poses_from_above(site: Path, page: Any) -> None:
     set_id = next(site.glob("set-*.html")).stem.removeprefix("set-")
     first = min(laps(1)), 1_610_000_000_000_000_000

@@ -13,7 +13,7 @@ PAGE = DOCS / "poses-alone.md"
 REAL = Path(os.environ.get("RELOCBENCH_REAL_DATA", ROOT.parent / "shared" / "data")) / "fourseasons_trajectories"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no real trajectories at {REAL}")
 def test_the_page_shows_what_its_commands_print(tmp_path: Path) -> None:
     (tmp_path / "trajectories").symlink_to(REAL)

@@ -42,7 +42,7 @@ def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_
         cross_weather.unpack(tmp_path / "none", tmp_path / "there")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_page_is_printed_again_from_the_published_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (WEATHER / "cross_weather.md").read_text()
     methods = (

@@ -23,7 +23,7 @@ PAGES = (
 )
 CHROMIUM = os.environ.get("RELOCBENCH_BROWSER") or shutil.which("chromium") or shutil.which("chromium-browser")
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough
 
 
 @pytest.fixture(scope="module")

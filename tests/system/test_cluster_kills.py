@@ -15,7 +15,7 @@ from relocbench.datasets.synthetic.jobs.recording import record
 from relocbench.execution import cluster, scheduler
 
 pytest.importorskip("distributed")
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough
 SMALL = ("--submap", 30, "--keyframe-distance", 1.5, "--query-distance", 3, "--max-distance", 3, "--matcher", "fgr")
 
 

@@ -23,7 +23,7 @@ SCRIPT = ROOT / "tools" / "publish_leaderboard.sh"
 TABLE = ROOT / "leaderboard" / "leaderboard.csv"
 Built = Callable[[str], Dataset]
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough
 
 
 def published() -> dict[str, tuple[str, str]]:

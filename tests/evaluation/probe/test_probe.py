@@ -186,7 +186,7 @@ def test_dso_is_better_near_than_far_and_on_the_same_condition(dataset: Dataset,
     assert cv2.imread(str(tmp_path / "levels.png")) is not None
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_any_number_of_workers_leaves_the_same_bytes(dataset: Dataset, tmp_path: Path) -> None:
     for name, workers in (("one", 1), ("two", 2)):
         probe_methods(options(dataset, tmp_path / name, BASIN, workers=workers), Silent())
@@ -226,7 +226,7 @@ def test_a_method_that_breaks_has_found_nothing_and_is_told(dataset: Dataset, tm
     assert line.shares[0] == pytest.approx(1 - broken / total)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_method_that_kills_its_worker_has_found_nothing_on_that_pair(dataset: Dataset, tmp_path: Path) -> None:
     last = max(pair.query_timestamp_ns for pair in dataset.pair_set(ACROSS).pairs)
     given = options(dataset, tmp_path, BASIN, set=(f"b.dies_at={last}",), pair_sets=(ACROSS,), pairs=100, workers=2)
