@@ -83,9 +83,9 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
     statistics = {name for name in expected if name.rpartition(".")[2] in ("running_mean", "running_var")}
     derived = expected.keys() - learned - statistics
     known = {name: tensor for name, tensor in tensors.items() if name not in derived}
-    told = difference({name: expected[name] for name in learned | statistics}, known)
-    if told:
-        raise MethodError(f"is of another network: {told}", path)
+    message = difference({name: expected[name] for name in learned | statistics}, known)
+    if message:
+        raise MethodError(f"is of another network: {message}", path)
     for name, tensor in sorted(known.items()):
         if not bool(tensor.isfinite().all()):
             raise MethodError(f"'{name}' holds numbers that are not finite", path)

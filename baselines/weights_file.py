@@ -97,9 +97,9 @@ def check_enough(tensors: Mapping[str, Tensor], least: int, path: Path) -> None:
     Raises:
         MethodError: the tensors have fewer than ``least`` numbers.
     """
-    there = sum(tensor.numel() for tensor in tensors.values())
-    if there < least:
-        raise MethodError(f"its metadata describe a network of {least} numbers or more; it holds {there}", path)
+    count = sum(tensor.numel() for tensor in tensors.values())
+    if count < least:
+        raise MethodError(f"its metadata describe a network of {least} numbers or more; it holds {count}", path)
 
 
 def holds_network(path: Path, kind: str) -> bool:
@@ -132,7 +132,7 @@ def difference(expected: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> s
     for name in sorted(expected.keys() | set(map(str, found))):
         if name not in found or name not in expected:
             return f"'{name[:_MOST_QUOTED]}' is {'missing' if name in expected else 'not part of this network'}"
-        there, wanted = found[name], expected[name]
-        if there.shape != wanted.shape or there.dtype != wanted.dtype:
-            return f"'{name}' is {tuple(there.shape)} {there.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}"
+        given, wanted = found[name], expected[name]
+        if given.shape != wanted.shape or given.dtype != wanted.dtype:
+            return f"'{name}' is {tuple(given.shape)} {given.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}"
     return None

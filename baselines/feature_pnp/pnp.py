@@ -108,8 +108,8 @@ class Pnp(ABC, Generic[Prepared]):
         threshold = self.reprojection_threshold_px
         start = ransac_pose(matches, query.camera, threshold, self.max_iterations, self.confidence, self.seed)
         if start is None:
-            told = told_matches(matches, np.zeros(0, dtype=np.int64))
-            return TrackResult.failure("no pose agrees with the matches", matches=len(matches), shown_matches=told)
+            shown = told_matches(matches, np.zeros(0, dtype=np.int64))
+            return TrackResult.failure("no pose agrees with the matches", matches=len(matches), shown_matches=shown)
         refined = refine_pose(start, matches, query.camera, threshold)
         inliers = len(refined.inliers)
         translation_sigma, rotation_sigma = refined.sigmas

@@ -87,7 +87,7 @@ class MatchedLandmarks:
             return None
         camera = self.camera
         pinhole = {"model": "PINHOLE", "width": camera.width, "height": camera.height}
-        found, told = poselib.estimate_absolute_pose(
+        found, result = poselib.estimate_absolute_pose(
             self.pixels,
             self.points,
             {**pinhole, "params": [camera.fx, camera.fy, camera.cx, camera.cy]},
@@ -101,7 +101,7 @@ class MatchedLandmarks:
             },
         )
         pose = np.vstack([np.asarray(found.Rt), [0.0, 0.0, 0.0, 1.0]])
-        return pose if told["num_inliers"] >= SMALLEST_SAMPLE and np.all(np.isfinite(pose)) else None
+        return pose if result["num_inliers"] >= SMALLEST_SAMPLE and np.all(np.isfinite(pose)) else None
 
     def poses(self, count: int, seed: int) -> Iterator[Array]:
         """At most ``count`` poses of :meth:`pose`, every second one from samples among the nearest features first."""

@@ -74,11 +74,11 @@ class Loftr:
         """
         found = self.net({"features0": first.maps, "features1": second.maps})
         # kornia keeps the authors' frame, in which the centre of the first pixel is at 0.5.
-        here, there = (
+        uv_ref, uv_query = (
             found[key].double().cpu().numpy() * image.factor - 0.5
             for key, image in (("keypoints0", first), ("keypoints1", second))
         )
-        return here, there
+        return uv_ref, uv_query
 
 
 def _configuration(model: LoftrModel, threshold: float) -> dict[str, Any]:

@@ -100,13 +100,13 @@ class LoftrPnp(Pnp[PreparedImage]):
     def correspond(self, reference: PreparedImage, query: Query) -> Matches2D3D:
         """The points of a keyframe's cells and the pixels that see them in a query."""
         seen = self._network.encode(query.image)
-        here, there = self._network(reference.seen, seen)
-        lifted = lift(reference.reference, here, self.depth_radius_px)
+        uv_ref, uv_query = self._network(reference.seen, seen)
+        lifted = lift(reference.reference, uv_ref, self.depth_radius_px)
         scale = max(1.0, float(reference.seen.factor.max()), float(seen.factor.max()))
         return Matches2D3D(
             points=lifted.points,
-            pixels=there[lifted.index],
+            pixels=uv_query[lifted.index],
             scale=np.full(len(lifted.index), scale),
             depth_direction=lifted.depth_direction,
-            reference_pixels=here[lifted.index],
+            reference_pixels=uv_ref[lifted.index],
         )

@@ -47,8 +47,8 @@ def save_weights(path: Path, network: LpnNetwork, about: About) -> None:
         network: with its classifiers, so that a training can start from it.
         about: see there.
     """
-    told = {**options_to_dict(about), "views": list(about.views), "card": dict(about.card)}
-    whole = {"classes": network.classes, "network": options_to_dict(network.options), **told}
+    metadata = {**options_to_dict(about), "views": list(about.views), "card": dict(about.card)}
+    whole = {"classes": network.classes, "network": options_to_dict(network.options), **metadata}
     write_network(path, _KIND, network, whole)
 
 

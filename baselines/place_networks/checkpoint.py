@@ -77,9 +77,9 @@ def filled(network: Network, state: State, path: Path, what: str) -> Network:
         if name not in state or name not in expected:
             fault = "missing" if name in expected else "not part of this network"
             raise MethodError(f"{quoted(name)} is {fault}; expected {what}", path)
-        there, wanted = tuple(state[name].shape), tuple(expected[name].shape)
-        if there != wanted:
-            raise MethodError(f"'{name}' is {there}, expected {wanted} of {what}", path)
+        shape, wanted = tuple(state[name].shape), tuple(expected[name].shape)
+        if shape != wanted:
+            raise MethodError(f"'{name}' is {shape}, expected {wanted} of {what}", path)
         if not state[name].is_floating_point() or not bool(state[name].isfinite().all()):
             raise MethodError(f"'{name}' holds values that are not finite floats; expected {what}", path)
     given = {name: state[name].float() for name in expected if not name.endswith(_COUNTER)}

@@ -62,9 +62,9 @@ def eigenplaces(backbone: BackboneName, dimensions: int) -> PublishedFile:
 
 def _check(method: str, known: Dimensions, backbone: BackboneName, dimensions: int) -> None:
     if dimensions not in known.get(backbone, ()):
-        there = "; ".join(f"{name}: {', '.join(map(str, sizes))}" for name, sizes in known.items())
+        available = "; ".join(f"{name}: {', '.join(map(str, sizes))}" for name, sizes in known.items())
         raise MethodError(
-            f"there are no weights of {method} on {backbone} with {dimensions} dimensions; there are {there}"
+            f"there are no weights of {method} on {backbone} with {dimensions} dimensions; there are {available}"
         )
 
 

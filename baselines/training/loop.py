@@ -281,8 +281,8 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         self.save_weights(candidate, self.kept_network, self.step, None)
         scores = self._validate(self.method_with(candidate))
         candidate.unlink()
-        for told in (*scores.messages, *self.notes_on(scores)):
-            self.run.reporter.note(f"validation at step {self.step}: {told}")
+        for note in (*scores.messages, *self.notes_on(scores)):
+            self.run.reporter.note(f"validation at step {self.step}: {note}")
         group_column, count_column = self.validation_columns
         for group, count, values in score_rows(scores):
             self.validation.add({"step": self.step, group_column: group, count_column: count, **values})

@@ -104,9 +104,9 @@ class _Dispatch(Generic[Unit, Result]):
         return f"{self.done} of {len(self.units)} units are done; the same command resumes the work"
 
     def _compare_scheduler(self) -> None:
-        there = self._ask(lambda: self.client.scheduler.versions)
-        here = {name: version for name, version in versions_here().items() if name in ("dask", "distributed")}
-        different = differences(here, there.get("packages", {}))
+        remote = self._ask(lambda: self.client.scheduler.versions)
+        local = {name: version for name, version in versions_here().items() if name in ("dask", "distributed")}
+        different = differences(local, remote.get("packages", {}))
         if different:
             raise ConfigError(f"the scheduler at {self.scheduler} runs other versions: {different}")
 

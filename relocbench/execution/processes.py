@@ -111,20 +111,20 @@ class Pool:
         failed_starts = 0
         with memory_watched(lambda: list(self.workers), None if limits is None else limits.memory_bytes):
             while busy := self._assign_units(function, source, again, workers):
-                for worker, index, unit, told in self._poll_workers(busy, limits):
-                    if isinstance(told, Raised):
-                        raise told.exception from RemoteTraceback(told.traceback)
-                    if not isinstance(told, Loss):
-                        yield index, told.result
+                for worker, index, unit, reports in self._poll_workers(busy, limits):
+                    if isinstance(reports, Raised):
+                        raise reports.exception from RemoteTraceback(reports.traceback)
+                    if not isinstance(reports, Loss):
+                        yield index, reports.result
                         continue
                     self.workers.remove(worker)
                     if not worker.ready:
                         failed_starts += 1
                         if failed_starts >= _TRIES:
-                            raise _none_starts(told)
+                            raise _none_starts(reports)
                         again.append((index, unit))
                         continue
-                    results = list(on_loss(index, unit, told))
+                    results = list(on_loss(index, unit, reports))
                     if not results:
                         again.append((index, unit))
                     for result in results:
@@ -165,8 +165,8 @@ class Pool:
         for worker in busy:
             assert worker.work is not None
             index, unit = worker.work
-            if (told := worker.listen(limits)) is not None:
-                yield worker, index, unit, told
+            if (report := worker.listen(limits)) is not None:
+                yield worker, index, unit, report
 
     def _drain_abandoned_units(self) -> None:
         """Free workers of units that an earlier run, which ended early, has left: nobody waits for their results."""

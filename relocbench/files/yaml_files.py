@@ -82,8 +82,8 @@ def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
         message = f"key '{key}' is missing"
     else:
         plain = _PLAIN.get(first["type"], str(first["msg"]).removeprefix("Value error, "))
-        told = cut(printable(plain), 2 * MOST_QUOTED)
-        message = f"key '{key}': {told}, got {_shown(first.get('input'))}" if key else told
+        shown = cut(printable(plain), 2 * MOST_QUOTED)
+        message = f"key '{key}': {shown}, got {_shown(first.get('input'))}" if key else shown
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return message + more, location
 

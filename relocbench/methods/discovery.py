@@ -323,9 +323,9 @@ def _nothing_called(name: str) -> MethodError:
         return MethodError(f"'{name}' is a trainer; its options are shown by `relocbench train {name} --show-options`")
     found = {kind.made.split()[-1]: installed_methods(kind) for kind in KINDS} | {"trainer": trainers}
     alike = hint(name, [known for points in found.values() for known in points])
-    there = "; ".join(f"{noun}s: {', '.join(points) or 'none'}" for noun, points in found.items())
+    available = "; ".join(f"{noun}s: {', '.join(points) or 'none'}" for noun, points in found.items())
     return MethodError(
-        f"no method '{name}'{alike}; installed {there} (or name a class as package.module:Class, or a tracker's "
+        f"no method '{name}'{alike}; installed {available} (or name a class as package.module:Class, or a tracker's "
         "program as subprocess:COMMAND)"
     )
 

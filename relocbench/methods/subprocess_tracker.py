@@ -235,14 +235,14 @@ def _question(reference: _Sent, query: Query, prior: NDArray[np.float64] | None,
 
 def _batch(ready: dict[str, Any]) -> int:
     """The number of queries that a program takes at once, of its first ``ready``. Raises ProgramFault."""
-    told = ready.get("batch")
-    if told is None:
+    batch = ready.get("batch")
+    if batch is None:
         return 1
-    if type(told) is not int or told < 1:
+    if type(batch) is not int or batch < 1:
         raise ProgramFault(
-            f"answered 'start' with the batch {one_line(json.dumps(told), 40)}, expected an integer from 1"
+            f"answered 'start' with the batch {one_line(json.dumps(batch), 40)}, expected an integer from 1"
         )
-    return told
+    return batch
 
 
 def _results(answer: dict[str, Any], count: int) -> list[TrackResult]:

@@ -50,9 +50,9 @@ def results_of(results: Path, dataset: Dataset) -> DatasetResults:
     for folder in found:
         if folder.record.fingerprint == dataset.fingerprint:
             return folder
-    there = ", ".join(quoted(folder.root.name) for folder in found)
+    available = ", ".join(quoted(folder.root.name) for folder in found)
     raise PredictionError(
-        f"holds no results of {dataset.name}@{dataset.fingerprint[:SHORT]}; there is {there}", results
+        f"holds no results of {dataset.name}@{dataset.fingerprint[:SHORT]}; there is {available}", results
     )
 
 
@@ -61,8 +61,8 @@ def chosen_methods(folder: DatasetResults, names: Sequence[str]) -> list[MethodR
     known = {method.label: method for method in folder.methods()}
     for name in names:
         if name not in known:
-            there = ", ".join(known) or "none"
-            raise PredictionError(f"no results of a method {quoted(name)}; there is {there}", folder.root)
+            available = ", ".join(known) or "none"
+            raise PredictionError(f"no results of a method {quoted(name)}; there is {available}", folder.root)
     return [known[name] for name in dict.fromkeys(names)] if names else list(known.values())
 
 
@@ -77,11 +77,11 @@ def answers_to(dataset: Dataset, pair_set: PairSet, method: MethodResults) -> Me
         return None
     poses = read_predictions(method.predictions(pair_set.name), pair_set)
     table = method.answers(pair_set.name)
-    told = read_answers(table) if table.exists() else {}
+    answers = read_answers(table) if table.exists() else {}
     errors = {row.key: row for row in score_pair_set(pair_set, method)} if pair_set.has_truth else {}
     out: MethodAnswers = {}
     for pair in pair_set.evaluated:
-        answer, error = told.get(pair.key), errors.get(pair.key)
+        answer, error = answers.get(pair.key), errors.get(pair.key)
         out[pair.key] = ShownAnswer(
             # A pose of which no error can be computed counts as none, as on leaderboards.
             poses.get(pair.key) if error is None or isfinite(error.translation_error_m) else None,

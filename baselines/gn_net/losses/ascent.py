@@ -85,10 +85,10 @@ def ascent_terms(
     way = (u_still - u_true)[..., None, :]
     positions = u_true[..., None, :] + t[..., None] * way
     at_true, on_true = sample(features_query, u_true)
-    there, on_map = sample(features_query, positions.flatten(-3, -2))
-    there, on_map = there.unflatten(-2, (-1, count)), on_map.unflatten(-1, (-1, count))
+    sampled, on_map = sample(features_query, positions.flatten(-3, -2))
+    sampled, on_map = sampled.unflatten(-2, (-1, count)), on_map.unflatten(-1, (-1, count))
     true_squared = ((at_true - f_ref) ** 2).sum(-1)[..., None]
-    squared = ((there - f_ref[..., None, :]) ** 2).sum(-1)
+    squared = ((sampled - f_ref[..., None, :]) ** 2).sum(-1)
     far = (t[..., None] * way).square().sum(-1) >= options.away**2
     cost = (true_squared - squared + options.margin).clamp(min=0)
     return AscentTerms(cost, far & on_map & on_true[..., None], squared > true_squared)

@@ -98,8 +98,8 @@ def scaled(image: Image, u: Pixels, factor: float) -> tuple[Image, Pixels]:
 
 def mirrored(image: Image, u: Pixels) -> tuple[Image, Pixels]:
     """An image mirrored left to right, and the mirrored positions of pixels (N, 2)."""
-    there = np.stack([image.shape[1] - 1 - u[:, 0], u[:, 1]], axis=1)
-    return np.ascontiguousarray(image[:, ::-1]), there.astype(np.float32)
+    uv_mirrored = np.stack([image.shape[1] - 1 - u[:, 0], u[:, 1]], axis=1)
+    return np.ascontiguousarray(image[:, ::-1]), uv_mirrored.astype(np.float32)
 
 
 def _inside(corner: NDArray[np.floating], image: Image, side: int) -> NDArray[np.int64]:

@@ -149,8 +149,8 @@ def _check_frames(
     if all(bare):
         _check_posed(path, reference, query, lines, rows, found)
     elif any(bare):
-        told = "has images in one of the two traversals and poses alone in the other; expected the same in both"
-        found.fault(f"'{camera}' {told}", path)
+        message = "has images in one of the two traversals and poses alone in the other; expected the same in both"
+        found.fault(f"'{camera}' {message}", path)
         return
     else:
         _check_images(layout, path, reference, query, camera, lines, found)
@@ -191,8 +191,8 @@ def _check_posed(
         missing = [(d, time) for d, time in ((reference, key[0]), (query, key[1])) if time not in d.poses]
         if missing and key in rows and _from_poses(rows[key].source):
             drive, time = missing[0]
-            told = f"traversal '{drive.layout.root.name}' has no pose at {time}, from which the pair was made"
-            found.fault(f"{told} ('{rows[key].source}')", path, line.line)
+            message = f"traversal '{drive.layout.root.name}' has no pose at {time}, from which the pair was made"
+            found.fault(f"{message} ('{rows[key].source}')", path, line.line)
         unposed += key[0] not in reference.poses
     if unposed:
         found.note(f"{unposed} of {len(lines)} keyframes have no pose in poses.csv, and so no place on a map", path)

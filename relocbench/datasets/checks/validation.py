@@ -154,10 +154,10 @@ def _check_cameras(drive: CheckedTraversal, found: Findings) -> None:
     for kind, camera in sorted(drive.times):
         if camera not in drive.file.cameras:
             known = ", ".join(drive.file.cameras) or "none"
-            told = f"no camera '{camera}' in traversal.yaml; there is {known}"
+            message = f"no camera '{camera}' in traversal.yaml; there is {known}"
             if camera in drive.file.frames:
-                told = f"'{camera}' is a frame without images in traversal.yaml; expected no files of it"
-            found.fault(told, drive.layout.root / kind / camera)
+                message = f"'{camera}' is a frame without images in traversal.yaml; expected no files of it"
+            found.fault(message, drive.layout.root / kind / camera)
     for camera in drive.file.cameras:
         if not drive.times.get(("images", camera)):
             found.fault(f"holds no image of camera '{camera}'", drive.layout.root / "images" / camera)

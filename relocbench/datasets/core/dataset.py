@@ -120,8 +120,8 @@ class Dataset:
         bare = [pair_set.name for pair_set in pair_sets if not self.has_images(pair_set)]
         if bare:
             whole = len(bare) == len(self.pair_set_names)
-            told = "this dataset has no images" if whole else f"there are no images of {', '.join(bare)}"
-            raise DatasetError(f"{told}: {instead}", self.root)
+            message = "this dataset has no images" if whole else f"there are no images of {', '.join(bare)}"
+            raise DatasetError(f"{message}: {instead}", self.root)
 
     def reference(self, pair_set: PairSet, pair: Pair, neighbours: int = 0) -> Reference:
         """The tracker's view of a pair's keyframe."""

@@ -36,8 +36,8 @@ def parse_npy(data: bytes, path: Path) -> NDArray[Any]:
     kinds = [dtype[name].base for name in dtype.names] if dtype.names else [dtype]
     if any(kind.kind not in "iuf" for kind in kinds):
         raise DatasetError("holds values other than integers and floats; expected a NumPy array of numbers", path)
-    count, there = math.prod(shape), len(data) - stream.tell()
-    if min(shape, default=0) < 0 or count * dtype.itemsize > there:
+    count, left = math.prod(shape), len(data) - stream.tell()
+    if min(shape, default=0) < 0 or count * dtype.itemsize > left:
         raise DatasetError(f"is truncated: its header promises {count} entries of {dtype.itemsize} bytes", path)
     values = np.frombuffer(data, dtype=dtype, count=count, offset=stream.tell()) if count else np.empty(0, dtype)
     return values.reshape(shape, order="F" if in_columns else "C").copy()

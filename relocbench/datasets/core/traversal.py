@@ -145,8 +145,8 @@ class Traversal:
             return self.file.cameras[camera]
         except KeyError:
             if camera in self.file.frames:
-                told = f"there are poses of '{camera}' and no images"
-                raise DatasetError(told, self.layout.traversal_yaml) from None
+                message = f"there are poses of '{camera}' and no images"
+                raise DatasetError(message, self.layout.traversal_yaml) from None
             known = ", ".join([*self.file.cameras, *self.file.frames]) or "none"
             raise DatasetError(f"no camera '{camera}'; there is {known}", self.layout.traversal_yaml) from None
 

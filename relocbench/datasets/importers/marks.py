@@ -37,9 +37,9 @@ def check_recordings(kind: str, sources: Sequence[Path]) -> None:
     for source in sources:
         if not source.is_dir() or _has_one(kind, source):
             continue
-        told = did_you_mean(source, lambda folder: _has_one(kind, folder))
-        if told:
-            raise DatasetError(f"holds no {' or '.join(MARKS[kind][:2])} of a {kind} recording{told}", source)
+        suggestion = did_you_mean(source, lambda folder: _has_one(kind, folder))
+        if suggestion:
+            raise DatasetError(f"holds no {' or '.join(MARKS[kind][:2])} of a {kind} recording{suggestion}", source)
 
 
 def _has_one(kind: str, folder: Path) -> bool:

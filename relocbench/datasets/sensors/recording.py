@@ -76,8 +76,8 @@ class Trajectory:
         """
         out = interpolate_trajectory(self.times_ns, self.T_odom_rig, times_ns)
         for first, spline in self._splines:
-            there = (times_ns >= self.times_ns[first]) & (times_ns <= spline.last_ns)
-            out[there] = spline.at(times_ns[there])
+            inside = (times_ns >= self.times_ns[first]) & (times_ns <= spline.last_ns)
+            out[inside] = spline.at(times_ns[inside])
         return out
 
     def finer(self) -> Trajectory:

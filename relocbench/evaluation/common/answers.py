@@ -77,8 +77,8 @@ def _checked(result: object) -> CheckedAnswer:
 
 def _status_without_pose(info: Any) -> str:
     """The status of an answer without a pose: ``error`` if ``info["status"]`` is that, else ``failed``."""
-    told, _ = guarded(lambda: info.get("status") if isinstance(info, Mapping) else None)
-    return "error" if type(told) is str and told == "error" else "failed"
+    status, _ = guarded(lambda: info.get("status") if isinstance(info, Mapping) else None)
+    return "error" if type(status) is str and status == "error" else "failed"
 
 
 def ask(

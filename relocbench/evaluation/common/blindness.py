@@ -1,4 +1,4 @@
-"""Methods of an evaluation, none of which is told where the dataset lies that it is asked about."""
+"""Check that no method of an evaluation is given the path of the evaluated dataset, which holds the truth."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def blind_methods(
 
 
 def check_blind(specs: Sequence[MethodSpec], root: Path) -> None:
-    """Check that no method is told where the dataset lies.
+    """Check that no parameter and no command line names the dataset.
 
     Args:
         root: the dataset's folder.
@@ -48,14 +48,14 @@ def check_blind(specs: Sequence[MethodSpec], root: Path) -> None:
     """
     asked = _EvaluatedDataset(root)
     for spec in specs:
-        of_it = "names a file or folder of the dataset that is asked about, which holds the truth"
+        of_it = "names a file or folder of the evaluated dataset, which holds the truth"
         for name, value in spec.parameters.items():
-            told = f"{spec.kind.noun} '{spec.label}': parameter '{name}'"
+            subject = f"{spec.kind.noun} '{spec.label}': parameter '{name}'"
             if any(_leads_to(text, asked) for text in _texts(value)):
-                raise MethodError(f"{told} {of_it}")
+                raise MethodError(f"{subject} {of_it}")
             if any(_leads_to(text, asked, around=True) for text in _texts(value)):
                 raise MethodError(
-                    f"{told} names a folder that holds the dataset that is asked about; name the file or folder itself "
+                    f"{subject} names a folder that holds the evaluated dataset; name the file or folder itself "
                     "that the method needs"
                 )
         if spec.target.startswith(SUBPROCESS) and _leads_to(spec.target.removeprefix(SUBPROCESS), asked):
@@ -63,7 +63,7 @@ def check_blind(specs: Sequence[MethodSpec], root: Path) -> None:
 
 
 class _EvaluatedDataset:
-    """The dataset that methods are asked about."""
+    """The dataset that methods are evaluated on."""
 
     def __init__(self, root: Path) -> None:
         self.root = root.resolve()

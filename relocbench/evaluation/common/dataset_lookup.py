@@ -149,8 +149,8 @@ class DatasetLookup:
         """Raise ConfigError for a dataset that was named although nothing in the results belongs to it."""
         for dataset in self._named:
             if not any(dataset is one for one in self._used):
-                told = f"is {dataset.name}@{dataset.fingerprint[:SHORT]}, of which the results hold nothing"
-                raise ConfigError(f"{told}; expected the dataset that methods were evaluated on", dataset.root)
+                message = f"is {dataset.name}@{dataset.fingerprint[:SHORT]}, of which the results hold nothing"
+                raise ConfigError(f"{message}; expected the dataset that methods were evaluated on", dataset.root)
 
     def _is_wanted(self, dataset: Dataset, wanted: Callable[[Dataset], bool]) -> bool:
         try:
@@ -225,10 +225,10 @@ def check_record(record: DatasetRecord, dataset: Dataset, path: Path, *, copy: b
         copy: whether the dataset only asks the same question; medians may then differ in their last digits.
     """
     expected = dataset_record(dataset)
-    told = _first_difference(record, expected, copy=copy)
-    if told is not None:
+    difference = _first_difference(record, expected, copy=copy)
+    if difference is not None:
         raise PredictionError(
-            f"{told} is not that of the dataset {dataset.name}@{dataset.fingerprint[:SHORT]}; "
+            f"{difference} is not that of the dataset {dataset.name}@{dataset.fingerprint[:SHORT]}; "
             "`relocbench evaluate` writes it again",
             path,
         )
@@ -248,7 +248,9 @@ def _first_difference(record: DatasetRecord, expected: DatasetRecord, *, copy: b
         true = expected.pair_sets[name]
         if claimed.model_copy(update=blank) != true.model_copy(update=blank):
             return f"the entry of the pair set '{name}'"
-        here, there = (np.array([getattr(r, m) for m in _MEDIANS], dtype=np.float64) for r in (claimed, true))
-        if not np.allclose(here, there, rtol=0.0, atol=1e-3 if copy else 2e-6, equal_nan=True):
+        recorded_medians, expected_medians = (
+            np.array([getattr(r, m) for m in _MEDIANS], dtype=np.float64) for r in (claimed, true)
+        )
+        if not np.allclose(recorded_medians, expected_medians, rtol=0.0, atol=1e-3 if copy else 2e-6, equal_nan=True):
             return f"a median of the pair set '{name}'"
     return None

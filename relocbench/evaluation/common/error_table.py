@@ -258,6 +258,6 @@ def _status_index(statuses: Sequence[str], path: Path, lines: Sequence[int]) -> 
     found = [place.get(status, -1) for status in statuses]
     if -1 in found:
         wrong = found.index(-1)
-        told = f"status is '{statuses[wrong][:60]}', expected {', '.join(STATUSES)}"
-        raise PredictionError(told, path, lines[wrong])
+        message = f"status is '{statuses[wrong][:60]}', expected {', '.join(STATUSES)}"
+        raise PredictionError(message, path, lines[wrong])
     return np.array(found, dtype=np.int8)

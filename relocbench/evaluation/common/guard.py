@@ -89,8 +89,8 @@ def neighbours_of(tracker: Any) -> tuple[int, str | None]:
         return 0, f"its attribute 'neighbours' cannot be read: {broke}"
     count, broke = guarded(lambda: operator.index(value))
     if broke is not None or not 0 <= count <= MOST_NEIGHBOURS:
-        told = guarded(lambda: one_line(value, 100))[0]
-        return 0, f"its attribute 'neighbours' is {told}, expected a whole number from 0 to {MOST_NEIGHBOURS}"
+        shown = guarded(lambda: one_line(value, 100))[0]
+        return 0, f"its attribute 'neighbours' is {shown}, expected a whole number from 0 to {MOST_NEIGHBOURS}"
     return int(count), None
 
 

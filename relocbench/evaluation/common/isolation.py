@@ -40,23 +40,23 @@ class IsolatedTracker:
         order = [places[id(view)] for view in views]
         question = ("ask", (different, order, None if priors is None else list(priors)))
         start = time.perf_counter()  # before the method's process gets the images, where it might begin to work
-        told, poses = self._process.ask(question)
+        answer, poses = self._process.ask(question)
         seconds = time.perf_counter() - start
-        return _answers(told, poses, len(views)), seconds
+        return _answers(answer, poses, len(views)), seconds
 
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
-        told, ends = self._process.ask(("match", (query, uv_ref, uv_start)))
-        return checked_pixels(ends[0] if ends else None, broke_of(told), len(uv_ref))
+        answer, ends = self._process.ask(("match", (query, uv_ref, uv_start)))
+        return checked_pixels(ends[0] if ends else None, broke_of(answer), len(uv_ref))
 
     def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[list[Array], str | None]:
-        told, levels = self._process.ask(("match_levels", (query, uv_ref, uv_start)))
+        answer, levels = self._process.ask(("match_levels", (query, uv_ref, uv_start)))
         found = []
         for ends in levels:
             pixels, fault = checked_pixels(ends, None, len(uv_ref))
             if pixels is None:
                 return [], fault
             found.append(pixels)
-        return found, broke_of(told)
+        return found, broke_of(answer)
 
     def close(self) -> None:
         """End the process."""

@@ -67,12 +67,12 @@ class MethodProcess:
                 env=scratch.environment(),
             )
         self._finalizer = weakref.finalize(self, _end, self._process, self._connection, scratch)
-        told, _ = self.ask(spec)
-        if not isinstance(told, dict) or not isinstance(told.get("declared"), dict):
+        answer, _ = self.ask(spec)
+        if not isinstance(answer, dict) or not isinstance(answer.get("declared"), dict):
             self.close()
-            fault = told.get("fault", FORGED) if isinstance(told, dict) else FORGED
+            fault = answer.get("fault", FORGED) if isinstance(answer, dict) else FORGED
             raise MethodError(one_line(fault, 2000))
-        self.declared: dict[str, Any] = told["declared"]
+        self.declared: dict[str, Any] = answer["declared"]
         """what the method declares of itself, as plain values that are not checked"""
 
     def ask(self, question: Any, needed: Callable[[Any], Any] | None = None) -> tuple[Any, Arrays]:
@@ -89,10 +89,10 @@ class MethodProcess:
         try:
             self._send(question)
             while True:
-                told, arrays = receive_answer(self._connection, lambda: self._process.poll() is None)
-                if needed is None or not isinstance(told, dict) or NEEDS not in told:
-                    return told, arrays
-                self._send(self._needed(needed, told[NEEDS]))
+                answer, arrays = receive_answer(self._connection, lambda: self._process.poll() is None)
+                if needed is None or not isinstance(answer, dict) or NEEDS not in answer:
+                    return answer, arrays
+                self._send(self._needed(needed, answer[NEEDS]))
         except (EOFError, OSError):
             self._die_like_the_method()
         except FramingFault as bad:

@@ -288,14 +288,14 @@ def adopted_run(theirs: Path, run: Run, what: str) -> Run:
     if not theirs.is_file():
         return run.model_copy(update={"made_elsewhere": True})
     record = load_yaml(theirs, type(run), what, PredictionError)
-    told: dict[str, Any] = {"method": run.method, "made_elsewhere": True}
-    told |= {"submitted": {}, "remarks": (), "answered_blind": ""}  # only a submission that was checked has these
+    changed: dict[str, Any] = {"method": run.method, "made_elsewhere": True}
+    changed |= {"submitted": {}, "remarks": (), "answered_blind": ""}  # only a submission that was checked has these
     if record.fingerprint != run.fingerprint and run.question and record.question == run.question:
         # Another machine's copy: the question is the same, and images differ in last digits only.
-        told |= {"fingerprint": run.fingerprint, "answered_on": record.fingerprint}
+        changed |= {"fingerprint": run.fingerprint, "answered_on": record.fingerprint}
     else:
         check_made_for(record, run.dataset, run.fingerprint, theirs)
-    return record.model_copy(update=told)
+    return record.model_copy(update=changed)
 
 
 def check_made_for(run: RunRecord, dataset: str, fingerprint: str, path: Path) -> None:

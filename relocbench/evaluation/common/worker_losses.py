@@ -123,9 +123,9 @@ class LossHandler(Generic[U]):
         return len(unit.keys)
 
     def _take_pairs(self, unit: U, loss: Loss, left: Sequence[PairKey]) -> int:
-        told = () if loss.step is None else loss.step.keys
+        named = () if loss.step is None else loss.step.keys
         # Between calls, a thread that was left running may end the process: then the next pair is the best guess.
-        suspects = [key for key in told if key in left] or list(left[:1])
+        suspects = [key for key in named if key in left] or list(left[:1])
         if len(suspects) > 1:
             self._suspect_pairs.update(_pair(unit, key) for key in suspects)
             self._lost_again(1, loss)

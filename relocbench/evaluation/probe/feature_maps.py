@@ -175,8 +175,8 @@ def _levels(method: SupportsFeatures, label: str, image: Image, camera: Camera) 
     maps = [level.map for level in method.features(read_only(image), camera).levels]
     wrong = [np.shape(m) for m in maps if not isinstance(m, np.ndarray) or m.ndim != 3 or not np.isfinite(m).all()]
     if wrong or not maps:
-        told = f"{wrong[0]} or not finite" if wrong else "none"
-        raise MethodError(f"the features of '{label}' are {told}, expected finite maps (H, W, D)")
+        message = f"{wrong[0]} or not finite" if wrong else "none"
+        raise MethodError(f"the features of '{label}' are {message}, expected finite maps (H, W, D)")
     return maps
 
 

@@ -113,8 +113,8 @@ def read_probe(folder: Path) -> ProbeTables:
         points.setdefault(tuple(row[name] for name in _LINE), []).append(row)
     lines = tuple(_line(key, rows, halves.get(key)) for key, rows in points.items())
     starts = folder / "starts.csv"
-    there = tuple(map(_start, read_rows(starts, START_COLUMNS))) if starts.exists() else ()
-    return ProbeTables(folder, record.dataset, record.fingerprint, lines, there)
+    probe_starts = tuple(map(_start, read_rows(starts, START_COLUMNS))) if starts.exists() else ()
+    return ProbeTables(folder, record.dataset, record.fingerprint, lines, probe_starts)
 
 
 def _start(row: TableRow) -> ProbeStart:

@@ -188,8 +188,8 @@ def _evaluate(
         for folder in answered:
             run = _run(tasks, each, folder.label, options.top, folder)
             folders.append(write_pipeline_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
-    told = [each for folder in folders for each in broken_queries(folder, tasks.names)]
-    return RelocalizationReport(tasks, folders, results.root, told)
+    messages = [each for folder in folders for each in broken_queries(folder, tasks.names)]
+    return RelocalizationReport(tasks, folders, results.root, messages)
 
 
 def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], reporter: Reporter) -> Basins:

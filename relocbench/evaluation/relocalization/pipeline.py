@@ -127,7 +127,7 @@ def most_confident(confidence: Sequence[float | None], answered: Sequence[bool])
 
     An answer without a confidence is kept only where no answer has one.
     """
-    known = [index for index, there in enumerate(answered) if there]
+    known = [index for index, rank in enumerate(answered) if rank]
     if not known:
         return None
     return max(known, key=lambda i: (-np.inf if (c := confidence[i]) is None else c, -i))

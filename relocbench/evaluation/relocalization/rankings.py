@@ -69,10 +69,10 @@ class StoredRankings:
         queries = {image.key: index for index, image in enumerate(task.queries)}
         gallery = {image.key: index for index, image in enumerate(task.gallery)}
         lists = read_lists(self.folder.predictions(task.name), queries, gallery)
-        told = {a.query: a for a in read_answers(self.folder.answers(task.name))}
+        answers = {a.query: a for a in read_answers(self.folder.answers(task.name))}
         out = []
         for key in queries:
-            answer = told[key]
+            answer = answers[key]
             out.append(Retrieved(lists[key][:top], answer.status, answer.seconds, answer.message))
         return out
 

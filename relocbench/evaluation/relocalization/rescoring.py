@@ -97,8 +97,8 @@ class PipelineTruth:
         for row in claimed:
             expected = by_query.get(row.query_timestamp_ns)
             if expected is None or not _same(row, expected):
-                told = f"query {row.query_timestamp_ns} is not what rankings, answers and truth give"
-                raise PredictionError(f"{told}; {AGAIN}", path)
+                message = f"query {row.query_timestamp_ns} is not what rankings, answers and truth give"
+                raise PredictionError(f"{message}; {AGAIN}", path)
         return True
 
     def _found(self, run: PipelineRun, name: str) -> list[Retrieved] | None:

@@ -60,8 +60,8 @@ def _describe(made: Any, images: Sequence[ImageView]) -> tuple[Any, str | None]:
     fresh = [ImageView(image.key, image.view, image.read) for image in images]
     with messages_to_stderr():
         values, problem = guarded(lambda: made.describe(fresh), placed=True)
-    told = problem and f"raised {problem} (for an image that cannot be described, return a row of NaN)"
-    return checked_descriptors(values, told, len(images))
+    message = problem and f"raised {problem} (for an image that cannot be described, return a row of NaN)"
+    return checked_descriptors(values, message, len(images))
 
 
 def _fits(made: FittingRetriever, images: Sequence[ImageView]) -> Finding:

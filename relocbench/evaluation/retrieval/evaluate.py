@@ -177,6 +177,6 @@ def _suspicions(record: SetRecord, folders: list[RetrieverResults], names: list[
     for folder in folders:
         runs, scores = folder.run_record().tasks, folder.retrieval_scores().tasks
         for name in names:
-            if name in scores and (told := suspicion(name, record.tasks[name], scores[name], runs.get(name))):
-                out.append((folder.label, told))
+            if name in scores and (reason := suspicion(name, record.tasks[name], scores[name], runs.get(name))):
+                out.append((folder.label, reason))
     return out

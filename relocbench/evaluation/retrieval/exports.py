@@ -47,14 +47,14 @@ def export_lists(
     """
     found, folder = _rankings(dataset, results, retriever)
     tasks = found.record.tasks
-    there = [n for n in dataset.pair_set_names if n in tasks and folder.complete(n)]
+    available = [n for n in dataset.pair_set_names if n in tasks and folder.complete(n)]
     for name in pair_sets:
-        if name not in there:
+        if name not in available:
             raise PredictionError(
-                f"no rankings of pair set '{name}'; there is {', '.join(there) or 'none'}", folder.root
+                f"no rankings of pair set '{name}'; there is {', '.join(available) or 'none'}", folder.root
             )
     keep = folder.run_record().keep
-    chosen = [name for name in there if not pair_sets or name in pair_sets]
+    chosen = [name for name in available if not pair_sets or name in pair_sets]
     if not chosen:
         raise PredictionError("holds no rankings; relocbench evaluate-retrieval makes them", folder.root)
     for name in chosen:

@@ -76,14 +76,14 @@ class WorkerRetriever:
 
     @property
     def info(self) -> dict[str, Any]:
-        told, _, broke = self._call("info", (), tries=1)
-        return {} if broke else dict(told)
+        info, _, broke = self._call("info", (), tries=1)
+        return {} if broke else dict(info)
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
         self._fitted_by = ()
-        told = self._call("fit", (gallery, seed), tries=TRIES)
+        result = self._call("fit", (gallery, seed), tries=TRIES)
         self._fitted_by = (gallery, seed)
-        return told
+        return result
 
     def describe(self, images: Sequence[ImageView]) -> CallResult:
         return self._call("describe", (images,), tries=TRIES if len(images) == 1 else 1)
@@ -94,28 +94,28 @@ class WorkerRetriever:
     def _call(self, what: str, given: tuple[Any, ...], tries: int) -> CallResult:
         if self._gone:
             return None, 0.0, self._gone
-        told: CallResult | Loss | None = None
+        result: CallResult | Loss | None = None
         for attempt in range(1, tries + 1):
-            told = self._send(_Request(self._token, self._spec, what, given, bool(self._fitted_by)))
-            if told is None:  # a fresh process
+            result = self._send(_Request(self._token, self._spec, what, given, bool(self._fitted_by)))
+            if result is None:  # a fresh process
                 fitted = self._send(_Request(self._token, self._spec, "fit", self._fitted_by))
                 again = _Request(self._token, self._spec, what, given, True)
-                told = fitted if isinstance(fitted, Loss) else self._send(again)
-            if not isinstance(told, Loss) or is_final(told, attempt):
+                result = fitted if isinstance(fitted, Loss) else self._send(again)
+            if not isinstance(result, Loss) or is_final(result, attempt):
                 break
-        if isinstance(told, Loss):
-            message = loss_message(told, "")
+        if isinstance(result, Loss):
+            message = loss_message(result, "")
             self._losses += 1
             if self._losses >= HOPELESS and not self._answered:
                 self._gone = given_up_message(message, "calls, it was not asked again")
             return None, 0.0, message
-        assert told is not None, "a process that was fitted a moment ago"
-        self._answered |= what == "describe" and not told[2]
-        return told
+        assert result is not None, "a process that was fitted a moment ago"
+        self._answered |= what == "describe" and not result[2]
+        return result
 
     def _send(self, request: _Request) -> CallResult | Loss | None:
         done = run_limited(_serve, [request], self._run, on_loss=lambda request, loss: loss)
-        out: CallResult | Loss | None = next(told for _, told in done)
+        out: CallResult | Loss | None = next(result for _, result in done)
         return out
 
 

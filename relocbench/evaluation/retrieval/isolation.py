@@ -38,8 +38,8 @@ class IsolatedRetriever:
 
     @property
     def info(self) -> dict[str, Any]:
-        told, _ = self._process.ask(("info", ()))
-        info = told.get("info") if isinstance(told, dict) else None
+        answer, _ = self._process.ask(("info", ()))
+        info = answer.get("info") if isinstance(answer, dict) else None
         return dict(json.loads(info_text(info))) if isinstance(info, dict) else {}
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
@@ -73,8 +73,8 @@ class IsolatedRetriever:
     def _timed(self, question: Any, times: float, needed: Callable[[Any], Any] | None = None) -> tuple[Any, float, str]:
         start = time.perf_counter()
         with step("", times=times):
-            told, arrays = self._process.ask(question, needed)
+            answer, arrays = self._process.ask(question, needed)
         seconds = time.perf_counter() - start
-        if isinstance(told, dict) and "raised" in told:
-            raise MethodError(one_line(told["raised"], 2000))
-        return arrays[0] if arrays else None, seconds, broke_of(told) or ""
+        if isinstance(answer, dict) and "raised" in answer:
+            raise MethodError(one_line(answer["raised"], 2000))
+        return arrays[0] if arrays else None, seconds, broke_of(answer) or ""

@@ -31,8 +31,8 @@ class LocalRetriever:
 
     @property
     def info(self) -> dict[str, Any]:
-        told, _ = guarded(lambda: getattr(self._retriever, "info", None))
-        return dict(json.loads(info_text(told))) if guarded(lambda: isinstance(told, Mapping))[0] is True else {}
+        info, _ = guarded(lambda: getattr(self._retriever, "info", None))
+        return dict(json.loads(info_text(info))) if guarded(lambda: isinstance(info, Mapping))[0] is True else {}
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
         return _timed(lambda: self._retriever.fit(gallery, seed), MANY_TIMES)

@@ -53,8 +53,8 @@ def rerank_top_of(retriever: object) -> tuple[int, str | None]:
         return 0, None
     top, broke = guarded(lambda: operator.index(getattr(retriever, "rerank_top", 0)))
     if broke is not None or not 0 <= top <= _MOST_RERANKED:
-        told = broke or str(top)[:30]
-        return 0, f"its attribute 'rerank_top' is no whole number from 0 to {_MOST_RERANKED}: {told}"
+        shown = broke or str(top)[:30]
+        return 0, f"its attribute 'rerank_top' is no whole number from 0 to {_MOST_RERANKED}: {shown}"
     return int(top), None
 
 

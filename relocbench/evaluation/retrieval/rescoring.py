@@ -58,10 +58,10 @@ class RetrievalTruth:
         """
         self.places = places
         self._tasks = {task.name: task for task in _tasks(places, folder.record)}
-        told = _first_difference(folder.record, places, self._tasks)
-        if told is not None:
+        difference = _first_difference(folder.record, places, self._tasks)
+        if difference is not None:
             raise PredictionError(
-                f"{told} is not that of the dataset; `relocbench evaluate-retrieval` writes it again",
+                f"{difference} is not that of the dataset; `relocbench evaluate-retrieval` writes it again",
                 folder.root / SET_FILE,
             )
 
@@ -96,10 +96,10 @@ class RetrievalTruth:
         if [row.query for row in claimed] != list(queries):
             raise PredictionError(f"has other queries than the dataset; {AGAIN}", folder.answers(name))
         for q, row in enumerate(claimed):
-            told = _fault(row, task.groups[q] if task.groups else "", found, q, int(depth[q]), live)
-            if told is not None:
+            fault = _fault(row, task.groups[q] if task.groups else "", found, q, int(depth[q]), live)
+            if fault is not None:
                 raise PredictionError(
-                    f"query '{row.query}' {told}, which {folder.predictions(name).name} and the dataset do not give; "
+                    f"query '{row.query}' {fault}, which {folder.predictions(name).name} and the dataset do not give; "
                     f"{AGAIN}",
                     folder.answers(name),
                 )

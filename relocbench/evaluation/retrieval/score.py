@@ -59,8 +59,10 @@ def checked_answers(name: str, record: TaskRecord, folder: RetrieverResults) -> 
         raise PredictionError(f"{len(answers)} rows, expected one for each of {record.queries} queries", path)
     for answer in answers:
         if answer.positives > record.most_positives or answer.positives > record.gallery:
-            told = f"query '{answer.query[:60]}' has {answer.positives} positives, the task's record says that no query"
-            raise PredictionError(f"{told} has more than {min(record.most_positives, record.gallery)}", path)
+            message = (
+                f"query '{answer.query[:60]}' has {answer.positives} positives, the task's record says that no query"
+            )
+            raise PredictionError(f"{message} has more than {min(record.most_positives, record.gallery)}", path)
         if answer.ranks and answer.ranks[-1] > record.gallery:
             raise PredictionError(f"rank {answer.ranks[-1]} in a gallery of {record.gallery} images", path)
     if sum(answer.positives for answer in answers) > _MOST_POSITIVES:
@@ -108,21 +110,21 @@ def suspicion(name: str, record: TaskRecord, values: Values, run: TaskRun | None
     if found is None or (found > chance and (low is None or low > chance)):
         return None
     answerable = record.queries - record.without_positives
-    told = [
+    messages = [
         f"not shown to be better than chance on {name}: R@1 is {100 * found:.2f} %, a random order gives "
         f"{100 * chance:.2f} %"
     ]
-    told.append(f"{answerable} of {record.queries} queries have an image in the gallery that answers them")
+    messages.append(f"{answerable} of {record.queries} queries have an image in the gallery that answers them")
     if run is not None:
         if run.descriptor_variance is not None:
             alike = (
                 " (all images look alike to it: wrong or untrained weights?)" if run.descriptor_variance < 1e-3 else ""
             )
-            told.append(
+            messages.append(
                 f"descriptors of {run.dimensions} numbers have variance {run.descriptor_variance:.2g} of 1{alike}"
             )
-        told.append(
+        messages.append(
             f"{run.queries_described} of {record.queries} queries and {run.gallery_described} of {record.gallery} "
             "gallery images were described"
         )
-    return "; ".join(told)
+    return "; ".join(messages)

@@ -76,9 +76,9 @@ class PlaceValidation:
                 "shown in two; give other data, or --no-validation"
             )
         if missing or len(groups) < 2:
-            told = f"no held-out image of view '{[*missing, *views][0]}'"
+            message = f"no held-out image of view '{[*missing, *views][0]}'"
             raise ConfigError(
-                f"validation retrieves between views: {told} (there are {', '.join(data.views)}); "
+                f"validation retrieves between views: {message} (there are {', '.join(data.views)}); "
                 "choose others with --set views=[...], or --no-validation"
             )
 

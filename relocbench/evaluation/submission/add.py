@@ -119,8 +119,8 @@ def _tracked(checked: Checked, card: Card, one: TrackedDataset, results: Path) -
     dataset = one.asked.dataset
     withheld = [of.pair_set.name for of in one.pair_sets if not of.pair_set.has_truth]
     if withheld:
-        told = f"the truth of '{withheld[0]}' is withheld; to score, name the dataset that the export was made of"
-        raise ConfigError(told, dataset.root)
+        message = f"the truth of '{withheld[0]}' is withheld; to score, name the dataset that the export was made of"
+        raise ConfigError(message, dataset.root)
     root = dataset_results(results, dataset).root
 
     def make(folder: Path) -> tuple[str, ...]:
@@ -151,15 +151,15 @@ def _tracked(checked: Checked, card: Card, one: TrackedDataset, results: Path) -
 def _ranked(checked: Checked, card: Card, one: RankedDataset, results: Path) -> _Plan:
     asked = one.asked.images
     if asked.source is None:
-        told = f"the truth of '{asked.name}' is withheld; to score, name the dataset that the export was made of"
-        raise ConfigError(told, checked.root / one.name)
-    there = set_results(results, asked)
+        message = f"the truth of '{asked.name}' is withheld; to score, name the dataset that the export was made of"
+        raise ConfigError(message, checked.root / one.name)
+    set_folder = set_results(results, asked)
     answered = [of for of in one.tasks if (checked.root / one.name / f"{of.task.name}.txt").exists()]
 
     def make(folder: Path) -> tuple[str, ...]:
         made, row = SetResults(folder), RetrieverResults(folder / card.label)
-        if (there.root / SET_FILE).exists():  # other tasks of the same set may have been evaluated
-            write_bytes(folder / SET_FILE, read_bytes(there.root / SET_FILE, "a record", PredictionError))
+        if (set_folder.root / SET_FILE).exists():  # other tasks of the same set may have been evaluated
+            write_bytes(folder / SET_FILE, read_bytes(set_folder.root / SET_FILE, "a record", PredictionError))
         write_set_record(made, asked, [of.task for of in answered])
         for of in answered:
             gallery = {image.key: index for index, image in enumerate(of.task.gallery)}
@@ -180,7 +180,7 @@ def _ranked(checked: Checked, card: Card, one: RankedDataset, results: Path) -> 
         score_retriever(made.record, row)
         return remarks
 
-    return _Plan(there.root / card.label, make, SET_FILE)
+    return _Plan(set_folder.root / card.label, make, SET_FILE)
 
 
 def _provenance(checked: Checked, card: Card, name: str, remarks: tuple[str, ...]) -> dict[str, Any]:
@@ -198,7 +198,9 @@ def _provenance(checked: Checked, card: Card, name: str, remarks: tuple[str, ...
 
 def _remarks(checked: Checked, name: str) -> tuple[str, ...]:
     """What was found odd about the answers to one dataset."""
-    return tuple(told.removeprefix(f"{name}: ") for told in checked.suspicions if told.startswith(f"{name}: "))
+    return tuple(
+        suspicion.removeprefix(f"{name}: ") for suspicion in checked.suspicions if suspicion.startswith(f"{name}: ")
+    )
 
 
 def _same_as_others(one: TrackedDataset, there: DatasetResults, label: str) -> Iterator[str]:
@@ -227,13 +229,13 @@ def _check_label(checked: Checked, card: Card, target: Path, replace: bool) -> b
         raise PredictionError("is there, and is no row of results; remove it, or choose another label", target)
     run = row.run_record()
     if not run.submitted:
-        told = f"the label '{card.label}' is that of a row that was not submitted, and is never replaced"
-        raise PredictionError(f"{told}; choose another label", target)
+        message = f"the label '{card.label}' is that of a row that was not submitted, and is never replaced"
+        raise PredictionError(f"{message}; choose another label", target)
     names = [*(one.name for one in checked.tracked), *(one.name for one in checked.ranked)]
     mine = any(run.submitted == checksums(checked.root, checked.root / name) for name in names)
     if not mine and not replace:
-        told = f"the label '{card.label}' is taken by another submission"
-        raise PredictionError(f"{told}; choose another label, or replace it with --replace", target)
+        message = f"the label '{card.label}' is taken by another submission"
+        raise PredictionError(f"{message}; choose another label, or replace it with --replace", target)
     return True
 
 
@@ -250,8 +252,8 @@ def _check_other_rows(card: Card, results: Path, targets: list[Path]) -> None:
             raise PredictionError(f"'{card.label}' and this label differ in capital letters only", row.root)
         kept = kept_card(row.root, row.run_record())
         if kept is None or (kept.card.method, kept.card.authors) != (card.method, card.authors):
-            told = f"the label '{card.label}' is that of another method here; choose another label"
-            raise PredictionError(told, row.root)
+            message = f"the label '{card.label}' is that of another method here; choose another label"
+            raise PredictionError(message, row.root)
 
 
 def _move(plan: _Plan, made: Path, staging: Path, there: bool) -> State:

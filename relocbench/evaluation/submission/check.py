@@ -170,9 +170,9 @@ def check_submission(root: Path, options: SubmissionOptions, reporter: Reporter)
     if checked.card is None or places is None or not may_open:
         return checked
     _check_folders(root, checked.card, places, found)
-    there = [(name, one) for name, one in checked.card.datasets.items() if (root / name).is_dir()]
-    with reporter.stage("checking answers", len(there)) as advance:
-        for name, answered in there:
+    available = [(name, one) for name, one in checked.card.datasets.items() if (root / name).is_dir()]
+    with reporter.stage("checking answers", len(available)) as advance:
+        for name, answered in available:
             place = root / CARD, places.line(("datasets", name, "fingerprint"))
             try:
                 if retrieval:
@@ -200,8 +200,8 @@ def _check_folders(root: Path, card: Card, places: YamlPlaces, found: Findings) 
     """Faults of datasets without a folder and of folders without a dataset."""
     for name in card.datasets:
         if not (root / name).is_dir():
-            told = f"'{name}' is answered by no folder of that name"
-            found.fault(told, root / CARD, places.line(("datasets", name)))
+            message = f"'{name}' is answered by no folder of that name"
+            found.fault(message, root / CARD, places.line(("datasets", name)))
     for folder in answer_folders(root):
         if folder.name not in card.datasets:
             found.fault(f"is not among the datasets of {CARD}; there is {', '.join(card.datasets)}", folder)
@@ -236,8 +236,8 @@ def _check_poses(
 
 def _check_blind_only(name: str, folder: Path, options: SubmissionOptions, *, is_blind: bool) -> None:
     if options.blind_only and not is_blind:
-        told = f"answers '{name}', where names, times or truth are at hand; expected answers to a blind export of it"
-        raise PredictionError(told, folder)
+        message = f"answers '{name}', where names, times or truth are at hand; expected answers to a blind export of it"
+        raise PredictionError(message, folder)
 
 
 def _run_record(folder: Path, answered: Answered, found: Findings) -> RunRecord | None:
@@ -251,8 +251,8 @@ def _run_record(folder: Path, answered: Answered, found: Findings) -> RunRecord 
         found.fault(bad.expected, bad.path, bad.line)
         return None
     if run.fingerprint != answered.fingerprint:
-        told = f"names the fingerprint {run.fingerprint[:SHORT]}, {CARD} names {answered.fingerprint[:SHORT]}"
-        found.fault(told, path)
+        message = f"names the fingerprint {run.fingerprint[:SHORT]}, {CARD} names {answered.fingerprint[:SHORT]}"
+        found.fault(message, path)
     return run
 
 
@@ -270,8 +270,8 @@ def _check_lists(
             if asked.blind is not None:
                 expected, of = answered.fingerprint, name
             if run.fingerprint != expected:
-                told = f"is of the set {run.dataset}@{run.fingerprint[:SHORT]}, expected {of}"
-                raise PredictionError(f"{told}@{expected[:SHORT]}", folder / RUN)
+                message = f"is of the set {run.dataset}@{run.fingerprint[:SHORT]}, expected {of}"
+                raise PredictionError(f"{message}@{expected[:SHORT]}", folder / RUN)
     tasks = {task.name: task for task in asked.images.tasks()}
     files = {path.stem: path for path in answer_files(folder)}
     for stem, path in files.items():
@@ -297,8 +297,8 @@ def _tell(checked: Checked, card: Card, places: YamlPlaces) -> None:
     """Notes on what is no fault, and on what the card itself says that a reader would ask about."""
     for row in checked.rows:
         if row.missing:
-            told = f"{row.missing} of {row.pairs} are not answered and count as failures"
-            checked.found.note(f"{row.asked}: {told}", checked.root / row.dataset)
+            message = f"{row.missing} of {row.pairs} are not answered and count as failures"
+            checked.found.note(f"{row.asked}: {message}", checked.root / row.dataset)
     for name, answered in card.datasets.items():
         if not answered.asked_once:
             checked.suspicions.append(f"{name}: was not asked once only, as the card says")

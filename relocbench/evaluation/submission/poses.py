@@ -48,8 +48,8 @@ class PairSetAnswers:
         return [self.answers.get(key) or self._without_row(key) for key in self.pair_set.by_key]
 
     def _without_row(self, key: PairKey) -> Answer:
-        there = key in self.poses
-        return Answer(key, "ok" if there else "failed", message="" if there else "not in the prediction file")
+        answered = key in self.poses
+        return Answer(key, "ok" if answered else "failed", message="" if answered else "not in the prediction file")
 
 
 def read_answered(path: Path, pair_set: PairSet, asked: ResolvedDataset, found: Findings) -> PairSetAnswers:
@@ -120,8 +120,8 @@ def _pose(fields: list[str], path: Path, number: int) -> Array:
     pose = parse_pose(fields[2:], path, number, PredictionError)
     distance = math.hypot(*pose[:3, 3])
     if not distance <= FARTHEST_M:
-        told = f"the translation is {distance:.3g} m long, expected metres between two cameras on one road"
-        raise PredictionError(told, path, number)
+        message = f"the translation is {distance:.3g} m long, expected metres between two cameras on one road"
+        raise PredictionError(message, path, number)
     return pose
 
 
@@ -150,9 +150,9 @@ def _columns(header: list[str], path: Path) -> list[str]:
     """The columns of a table. Raises PredictionError unless they are pairs and what may be said of them."""
     unknown = [name for name in header if name not in ANSWER_COLUMNS]
     if unknown or header[:2] != list(KEY_COLUMNS) or len(set(header)) != len(header):
-        told = f", found {quoted(unknown[0])}" if unknown else ""
+        message = f", found {quoted(unknown[0])}" if unknown else ""
         wanted = f"{','.join(KEY_COLUMNS)} and any of {','.join(_OPTIONAL)}"
-        raise PredictionError(f"expected the header {wanted}, each once{told}", path, 1)
+        raise PredictionError(f"expected the header {wanted}, each once{message}", path, 1)
     return header
 
 

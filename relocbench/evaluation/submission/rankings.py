@@ -53,12 +53,14 @@ def read_ranked(path: Path, task: RetrievalTask, asked: ResolvedRetrievalSet, fo
             query, image = words
             if query not in queries:
                 out.unknown += 1
-                told = f"unknown query {quoted(query)}; queries are such as '{next(iter(queries))}'"
-                found.fault(told + (_REAL if query in names else ""), path, number)
+                message = f"unknown query {quoted(query)}; queries are such as '{next(iter(queries))}'"
+                found.fault(message + (_REAL if query in names else ""), path, number)
             elif image not in gallery:
                 out.unknown += 1
-                told = f"image {quoted(image)} is not in the gallery, whose images are such as '{next(iter(gallery))}'"
-                found.fault(told + (_REAL if image in names else ""), path, number)
+                message = (
+                    f"image {quoted(image)} is not in the gallery, whose images are such as '{next(iter(gallery))}'"
+                )
+                found.fault(message + (_REAL if image in names else ""), path, number)
             elif (query, image) in seen:
                 out.duplicate += 1
                 found.fault(f"image {quoted(image)} occurs again for the query {quoted(query)}", path, number)
@@ -71,7 +73,7 @@ def read_ranked(path: Path, task: RetrievalTask, asked: ResolvedRetrievalSet, fo
 def odd_lists(of: TaskLists) -> list[str]:
     """What is odd about lists, one sentence each."""
     lists = list(of.lists.values())
-    told = ["no answer has seconds"] if lists else []
+    messages = ["no answer has seconds"] if lists else []
     if len(lists) > 1 and all(one == lists[0] for one in lists):
-        told.append("all queries have one list")
-    return told
+        messages.append("all queries have one list")
+    return messages

@@ -33,14 +33,14 @@ class ResolvedDataset:
 
     def why_unknown(self, pair_set: PairSet, key: PairKey) -> str:
         """Why a pair is none that is asked, in words."""
-        told = f"unknown pair {key[0]} {key[1]}"
+        unknown = f"unknown pair {key[0]} {key[1]}"
         if self.blind is not None:
             if key in pair_set.by_key:
-                return f"{told}: these are real timestamps, and the card names a blind export, whose keys are due"
-            return f"{told}: not keys of the blind export {self.blind.name}; expected one of its pairs"
+                return f"{unknown}: these are real timestamps, and the card names a blind export, whose keys are due"
+            return f"{unknown}: not keys of the blind export {self.blind.name}; expected one of its pairs"
         if (key[1], key[0]) in pair_set.by_key:
-            return f"{told}: keyframe and query are exchanged"
-        return f"{told}; expected one of the {len(pair_set.evaluated)} pairs of the dataset"
+            return f"{unknown}: keyframe and query are exchanged"
+        return f"{unknown}; expected one of the {len(pair_set.evaluated)} pairs of the dataset"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +92,8 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
         return ResolvedDataset(source, keys)
     if own is not None:
         return ResolvedDataset(own)
-    there = ", ".join(d.name for d in datasets) or "none"
-    raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")
+    available = ", ".join(d.name for d in datasets) or "none"
+    raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {available}")
 
 
 def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, OpenedSet]]) -> ResolvedRetrievalSet:
@@ -118,12 +118,12 @@ def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, Ope
         return ResolvedRetrievalSet(source, keys)
     if name in sets:
         return ResolvedRetrievalSet(sets[name][1])
-    there = ", ".join(sets) or "none"
+    available = ", ".join(sets) or "none"
     if blind is not None:
         of = ", ".join(images.name for _, images in sets.values())
-        told = f"an export of '{blind.dataset}', and the datasets given are {of} (along drives, --radius chooses)"
-        raise PredictionError(f"no dataset '{name}' was given (--dataset): it is {told}")
-    raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {there}")
+        message = f"an export of '{blind.dataset}', and the datasets given are {of} (along drives, --radius chooses)"
+        raise PredictionError(f"no dataset '{name}' was given (--dataset): it is {message}")
+    raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {available}")
 
 
 def _check_export(named: BlindName, own: BlindName, fingerprint: str) -> None:

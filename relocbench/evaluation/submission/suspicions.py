@@ -60,8 +60,8 @@ def _near_truth(of: PairSetAnswers) -> Iterator[str]:
     errors = pose_errors(poses, truth)
     farthest_m, farthest_deg = float(errors.translation_error_m.max()), float(errors.rotation_error_deg.max())
     if len(asked) == len(of.pair_set.pairs) and farthest_m < _CLOSE_M and farthest_deg < _CLOSE_DEG:
-        told = f"all {len(asked)} answers are within {1000 * farthest_m:.3g} mm and {farthest_deg:.3g}° of the truth"
-        yield f"{told}, as copies of it with noise are"
+        message = f"all {len(asked)} answers are within {1000 * farthest_m:.3g} mm and {farthest_deg:.3g}° of the truth"
+        yield f"{message}, as copies of it with noise are"
     sigmas = [p.sigma_translation_m for p in asked if p.sigma_translation_m]
     median = float(np.median(errors.translation_error_m))
     if len(sigmas) == len(asked) and median < _OF_SIGMA * float(np.median(sigmas)):

@@ -63,8 +63,8 @@ def check_truth(dataset: Dataset) -> None:
     """Raise DatasetError where the truth of a dataset is withheld, so that keys could be computed by anybody."""
     withheld = [s.name for s in dataset.pair_sets() if not s.has_truth or not s.evaluated]
     if withheld:
-        told = f"the truth of '{withheld[0]}' is withheld, and keys of a blind export follow from the truth"
-        raise DatasetError(told, dataset.root)
+        message = f"the truth of '{withheld[0]}' is withheld, and keys of a blind export follow from the truth"
+        raise DatasetError(message, dataset.root)
 
 
 def truth_of(dataset: Dataset) -> Iterator[bytes]:

@@ -131,16 +131,16 @@ def _repeatable(
     fresh, unmade = guarded(spec.create)
     if unmade is not None:
         return Finding(name, False, f"constructed again, it raised {unmade}")
-    told = None
+    message = None
     for other in (tracker, fresh):
         for i in reversed(usable):
             again = _ask(other, questions[i])
-            if told is None and again.status == "error":
-                told = f"{questions[i].name}: {again.message}"
-            elif told is None and not _same_pose(again, answers[i]):
-                told = f"{questions[i].name}: another pose than the first time"
+            if message is None and again.status == "error":
+                message = f"{questions[i].name}: {again.message}"
+            elif message is None and not _same_pose(again, answers[i]):
+                message = f"{questions[i].name}: another pose than the first time"
     _close(fresh)
-    return Finding(name, told is None, told or "")
+    return Finding(name, message is None, message or "")
 
 
 def _same_pose(a: CheckedAnswer, b: CheckedAnswer) -> bool:
@@ -188,8 +188,8 @@ def _match(tracker: Any, question: _Question, rows: slice = slice(None)) -> tupl
 
 def _matches(tracker: Any, question: _Question) -> Finding:
     ends, problem = _match(tracker, question)
-    told = problem or f"{np.isfinite(ends).all(axis=1).sum()} of {len(ends)} pixels answered"
-    return Finding(f"match answers {question.name}", problem is None, told)
+    message = problem or f"{np.isfinite(ends).all(axis=1).sum()} of {len(ends)} pixels answered"
+    return Finding(f"match answers {question.name}", problem is None, message)
 
 
 def _matches_by_pixel(spec: MethodSpec, tracker: Any, question: _Question) -> Finding:

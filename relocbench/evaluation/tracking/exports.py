@@ -53,8 +53,8 @@ def export_poses(
         DatasetError: the format is of images, and there are none.
     """
     if format in _OF_IMAGES:
-        told = f"{format} files name images; tum, kitti and mlad hold poses alone"
-        dataset.require_images([dataset.pair_set(name) for name in pair_sets], told)
+        message = f"{format} files name images; tum, kitti and mlad hold poses alone"
+        dataset.require_images([dataset.pair_set(name) for name in pair_sets], message)
     lines = {name: _lines_of(dataset, name, results, method) for name in pair_sets}
     if format == "mlad":
         export_mlad(dataset, lines, out, relocalization_files)

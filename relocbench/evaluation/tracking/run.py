@@ -278,8 +278,8 @@ def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
 def refuse_submitted(folder: MethodResults) -> None:
     """Raise PredictionError if the folder holds what was handed in with a card, which no run may replace."""
     if folder.run_yaml.exists() and folder.run_record().submitted:
-        told = f"holds a submission, which no run replaces; give this run another label than '{folder.label}'"
-        raise PredictionError(told, folder.run_yaml)
+        message = f"holds a submission, which no run replaces; give this run another label than '{folder.label}'"
+        raise PredictionError(message, folder.run_yaml)
 
 
 def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:

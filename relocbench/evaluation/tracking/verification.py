@@ -54,8 +54,8 @@ def faults_of_record(
         yield PredictionError(f"does not say what it was computed from, as earlier versions did not; {again}", path)
         return
     if scores.formulas != FORMULAS:
-        told = f"was computed by version {scores.formulas} of the formulas, this is version {FORMULAS}"
-        yield PredictionError(f"{told}; {again}", path)
+        message = f"was computed by version {scores.formulas} of the formulas, this is version {FORMULAS}"
+        yield PredictionError(f"{message}; {again}", path)
         return
     if scores.fingerprint != run.fingerprint:
         theirs, ours = scores.fingerprint[:SHORT], run.fingerprint[:SHORT]
@@ -115,8 +115,8 @@ def faults_of_summary(
                 yield PredictionError(f"no {metric} of '{name}' ({group}); {again}", folder.scores_yaml)
                 break
             if not _same(value, recorded[metric]):
-                told = f"{metric} ({group}) is {value} here and {recorded[metric]} in {folder.scores_yaml.name}"
-                yield PredictionError(f"{told}; {again}", folder.errors(name))
+                message = f"{metric} ({group}) is {value} here and {recorded[metric]} in {folder.scores_yaml.name}"
+                yield PredictionError(f"{message}; {again}", folder.errors(name))
                 break
     yield from _faults_of_different_places(folder, name, rows, scores, again)
 
@@ -131,8 +131,8 @@ def _faults_of_different_places(
     recorded = scores.elsewhere.get(name, {})
     for key, value in found.to_dict().items():
         if key not in recorded or not _same(value, recorded[key]):
-            told = f"{key} of different places is {value} here and {recorded.get(key)} in {folder.scores_yaml.name}"
-            yield PredictionError(f"{told}; {again}", folder.errors(name))
+            message = f"{key} of different places is {value} here and {recorded.get(key)} in {folder.scores_yaml.name}"
+            yield PredictionError(f"{message}; {again}", folder.errors(name))
             return
 
 
@@ -154,9 +154,11 @@ def rescored(
             folder.scores_yaml,
         )
     found = score_pair_set(pair_set, folder).by_time()
-    told = _first_difference(rows, found, _COPY if copy else _SAME)
-    if told is not None:
-        raise PredictionError(f"is not what predictions and truth give: {told}; {again}", folder.errors(pair_set.name))
+    difference = _first_difference(rows, found, _COPY if copy else _SAME)
+    if difference is not None:
+        raise PredictionError(
+            f"is not what predictions and truth give: {difference}; {again}", folder.errors(pair_set.name)
+        )
     return found
 
 

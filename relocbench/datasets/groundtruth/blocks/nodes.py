@@ -84,10 +84,10 @@ def nearest_nodes(nodes: Nodes, odometry: Trajectory, times_ns: Times) -> Indice
     piece, own = odometry.pieces(times_ns), odometry.pieces(nodes.times_ns)
     out = np.full(len(times_ns), -1, dtype=np.int64)
     for number in np.unique(piece).tolist():
-        members, there = np.flatnonzero(own == number), piece == number
+        members, of_piece = np.flatnonzero(own == number), piece == number
         if len(members):
-            apart = np.abs(nodes.times_ns[members][None, :] - times_ns[there][:, None])
-            out[there] = members[np.argmin(apart, axis=1)]
+            apart = np.abs(nodes.times_ns[members][None, :] - times_ns[of_piece][:, None])
+            out[of_piece] = members[np.argmin(apart, axis=1)]
     return out
 
 

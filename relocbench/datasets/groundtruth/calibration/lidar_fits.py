@@ -107,11 +107,11 @@ class LidarFits:
         # Planes are sorted as they were measured, so they are found from where the points lie without the correction
         # of the planes, turned about the middle of where the rig was. Distances are from the corrected planes.
         middle = planes.lever_arms.mean(axis=0) if len(planes) else np.zeros(3)
-        there, facing, back, back_facing = placed(
+        moved, facing, back, back_facing = placed(
             points.points, points.normals, points.lever_arms, R_b, t_b, np.ascontiguousarray(T_a_b), R_a, t_a, middle
         )
         match = planes.nearest(back, back_facing, REACHES_M[reach.level], reach.cosine)
-        m = _linearise(match, planes, points, there, facing, np.ascontiguousarray(T_a_b), R_a, t_a)
+        m = _linearise(match, planes, points, moved, facing, np.ascontiguousarray(T_a_b), R_a, t_a)
         square = np.square(m.residuals / reach.kernel_m)
         weights = m.surface / np.square(1 + square)
         slopes = m.surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
@@ -150,12 +150,12 @@ def placed(
     """Points and normals (N, 3) of block b, corrected, in the frame of node b and in that of node a before the
     correction of block a: corrected points, corrected normals, points to search from, normals to search with."""
     n = len(points)
-    there, facing, back, back_facing = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    moved, facing, back, back_facing = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
     inverse, T = R_a.T.copy(), T_a_b
     for i in range(n):
         x, y, z = _turn(R_b, points[i, 0] - rigs[i, 0], points[i, 1] - rigs[i, 1], points[i, 2] - rigs[i, 2])
         x, y, z = x + rigs[i, 0] + t_b[0], y + rigs[i, 1] + t_b[1], z + rigs[i, 2] + t_b[2]
-        there[i, 0], there[i, 1], there[i, 2] = x, y, z
+        moved[i, 0], moved[i, 1], moved[i, 2] = x, y, z
         x, y, z = _turn(T, x, y, z)
         x, y, z = x + T[0, 3] - t_a[0], y + T[1, 3] - t_a[1], z + T[2, 3] - t_a[2]
         x, y, z = _turn(inverse, x - middle[0], y - middle[1], z - middle[2])
@@ -165,7 +165,7 @@ def placed(
         x, y, z = _turn(T, x, y, z)
         x, y, z = _turn(inverse, x, y, z)
         back_facing[i, 0], back_facing[i, 1], back_facing[i, 2] = x, y, z
-    return there, facing, back, back_facing
+    return moved, facing, back, back_facing
 
 
 class _Matched(NamedTuple):

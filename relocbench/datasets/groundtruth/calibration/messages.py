@@ -39,8 +39,8 @@ def report_lines(file: CalibrationFile, found: Calibration, fits: int) -> Iterat
         return
     if file.causes:
         for name, errors in file.lidars.items():
-            if told := _corrected(errors):
-                yield f"calibration: {name} was {told}; corrected"
+            if correction := _corrected(errors):
+                yield f"calibration: {name} was {correction}; corrected"
     else:
         free = [s for k, s in enumerate(found.sigmas) if k not in found.sensors.fixed]
         position, rotation, time = (float(np.max([s[part] for s in free])) for part in (slice(0, 3), slice(3, 6), 6))

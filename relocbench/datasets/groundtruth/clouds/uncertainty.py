@@ -107,8 +107,8 @@ def _derivative(ref: FinePlanes, query: FinePlanes, T: Array) -> Array:
     """(6, 6) J: the derivative of the gradient by xi of ``T @ se3_exp(xi)``, with points matched anew."""
     columns = []
     for move in np.diag(np.repeat([_MOVE_M, _MOVE_M / _LENGTH_M], 3)):
-        there, back = (_problem(ref, query, T @ se3_exp(sign * move)).g for sign in (1, -1))
-        columns.append((there - back) / (2 * move.max()))
+        forward, backward = (_problem(ref, query, T @ se3_exp(sign * move)).g for sign in (1, -1))
+        columns.append((forward - backward) / (2 * move.max()))
     return nearest_semidefinite(np.array(columns), _LENGTH_M)
 
 

@@ -110,8 +110,8 @@ def align(
         if corrections < _MOST_CORRECTIONS and _differ(found, total, _SETTLED):
             corrections, wrong = corrections + 1, _concerned(found, recordings)
             total = found.correction
-            told = "; ".join(map(str, found.causes)) or "nothing"
-            reporter.note(f"calibration: {told} in error; corrected, and registered again")
+            message = "; ".join(map(str, found.causes)) or "nothing"
+            reporter.note(f"calibration: {message} in error; corrected, and registered again")
             continue
         in_metres, removed = found.reduced(), total * unknowns_reduced(len(sensors), enlarged)
         file = write_calibration(folder, in_metres, removed, open_to, corrections, at)

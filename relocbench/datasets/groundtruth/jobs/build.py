@@ -111,22 +111,22 @@ def check_recordings(
     """
     if len(recordings) < 2:
         raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(recordings)}")
-    there = recordings[0].cameras
-    if (options.without_images and "none" not in there) or not (
+    cameras = recordings[0].cameras
+    if (options.without_images and "none" not in cameras) or not (
         options.cameras or any(recording.cameras for recording in recordings)
     ):
         if options.depth == "stereo":
             raise ConfigError("--depth stereo needs images of two cameras, and poses of the rig are paired without any")
         return (RIG,), _first_pose(recordings, options)
-    wanted = options.cameras or tuple(there)[:1]
+    wanted = options.cameras or tuple(cameras)[:1]
     if not wanted:
         raise DatasetError(f"holds no images, and others do: {_ALONE}", recordings[0].folder)
     for recording in recordings:
         for name in wanted:
             if name not in recording.cameras:
                 known = ", ".join(recording.cameras) or "none"
-                told = f"--cameras: {recording.name} has no images of a camera '{name}'; it has {known}"
-                raise ConfigError(told if recording.cameras else f"{told}; {_ALONE}")
+                message = f"--cameras: {recording.name} has no images of a camera '{name}'; it has {known}"
+                raise ConfigError(message if recording.cameras else f"{message}; {_ALONE}")
     return wanted, _first_pose(recordings, options)
 
 

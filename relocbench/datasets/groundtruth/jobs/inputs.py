@@ -52,8 +52,8 @@ def _scan_faults(recording: FieldRecording, lidar: LidarStream) -> list[DatasetE
 
     faults = _looked_at(look, count)
     if not faults and not any(points):
-        told = f"{lidar.name}: its first, middle and last scan have no point within {lidar.max_range_m:g} m"
-        faults = [DatasetError(told, recording.folder)]
+        message = f"{lidar.name}: its first, middle and last scan have no point within {lidar.max_range_m:g} m"
+        faults = [DatasetError(message, recording.folder)]
     return faults
 
 
@@ -65,15 +65,15 @@ def _image_faults(recording: FieldRecording, stream: CameraStream) -> list[Datas
         begin, end = min(int(s[0]) for s in scans), max(int(s[-1]) for s in scans)
         if not np.any((times >= begin) & (times <= end)):
             spans = f"{_span(times)}, the lidar scans from {_span(np.array([begin, end]))}"
-            told = f"no image of {stream.name} was taken while a lidar recorded: the images are from {spans}"
-            return [DatasetError(told, recording.folder)]
+            message = f"no image of {stream.name} was taken while a lidar recorded: the images are from {spans}"
+            return [DatasetError(message, recording.folder)]
 
     def look(index: int) -> None:
         size = stream.read(index).shape[1::-1]
         if size != stream.camera.size:
             wanted = "x".join(map(str, stream.camera.size))
-            told = f"image {index} of {stream.name} has {size[0]}x{size[1]} pixels, expected {wanted}"
-            raise DatasetError(told, stream.file(index) or recording.folder)
+            message = f"image {index} of {stream.name} has {size[0]}x{size[1]} pixels, expected {wanted}"
+            raise DatasetError(message, stream.file(index) or recording.folder)
 
     return _looked_at(look, len(times))
 
@@ -105,12 +105,12 @@ def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
     found = length_ratio(recording.odometry, prior, recording.prior_sigma_m)
     if found is None or not found.exceeds(LARGEST_STRETCH):
         return []
-    told = (
+    message = (
         f"the way by odometry is {found.told(1)} than by GNSS (known to {100 * found.margin:.1f} %), expected at most "
         f"{100 * LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the odometry, "
         "or give --no-use-prior if the GNSS is wrong"
     )
-    return [DatasetError(told, recording.folder)]
+    return [DatasetError(message, recording.folder)]
 
 
 def _clock_faults(recording: FieldRecording, reporter: Reporter) -> list[DatasetError]:
@@ -118,11 +118,11 @@ def _clock_faults(recording: FieldRecording, reporter: Reporter) -> list[Dataset
     for lidar in recording.lidars:
         share = float(np.mean(odometry.covers(lidar.times_ns)))
         if share == 0.0:
-            told = (
+            message = (
                 f"the odometry covers no scan of {lidar.name}: it is from {_span(odometry.times_ns)}, the scans from "
                 f"{_span(lidar.times_ns)}; times of both must be of one clock and in one unit"
             )
-            return [DatasetError(told, folder)]
+            return [DatasetError(message, folder)]
         if share < 0.5:
             reporter.note(f"{recording.name}: the odometry covers {100 * share:.0f} % of the scans of {lidar.name}")
     return []
@@ -135,16 +135,16 @@ def _length_faults(
     if factor != 1.0 and driven < options.submap - 1:
         driven, submap, least = driven / factor, options.submap / factor, LEAST_ROAD_M / factor
         if driven < least:
-            told = f"moved {driven:.2g} m while a lidar recorded; at least {least:.2g} m are needed at this --scale"
-            return [DatasetError(told, folder)]
+            message = f"moved {driven:.2g} m while a lidar recorded; at least {least:.2g} m are needed at this --scale"
+            return [DatasetError(message, folder)]
         reporter.note(
             f"{recording.name} moved {driven:.2g} m, less than a submap has ({submap:.2g} m, enlarged --submap "
             f"{options.submap:g}): its submaps hold {driven:.2g} m at most, and poses are less certain"
         )
         return []
     if driven < LEAST_ROAD_M:
-        told = f"drove {driven:.1f} m of road while a lidar recorded; at least {LEAST_ROAD_M:g} m are needed"
-        return [DatasetError(f"{told}, and {options.submap:g} m to fill a submap (--submap)", folder)]
+        message = f"drove {driven:.1f} m of road while a lidar recorded; at least {LEAST_ROAD_M:g} m are needed"
+        return [DatasetError(f"{message}, and {options.submap:g} m to fill a submap (--submap)", folder)]
     if driven < options.submap - 1:
         reporter.note(
             f"{recording.name} drove {driven:.0f} m of road, less than a submap has (--submap {options.submap:g}): "
@@ -169,10 +169,10 @@ def check_space(root: Path, metres: float) -> None:
     place = next(path for path in (root.resolve(), *root.resolve().parents) if path.exists())
     free, needed = shutil.disk_usage(place).free, int(metres * _BYTES_A_METRE)
     if free < needed:
-        told = (
+        message = (
             f"{free / 2**20:.0f} MiB are free; the blocks of {metres:.0f} m of road need about {needed / 2**20:.0f} MiB"
         )
-        raise DatasetError(told, root)
+        raise DatasetError(message, root)
 
 
 def _span(times_ns: Times) -> str:

@@ -66,8 +66,8 @@ def scale_of_build(
     if (folder / FILE).exists():
         kept = read_scale(folder)
         if options.scale not in ("auto", kept.factor):
-            told = f"was made with a scale of {kept.factor:g}, and {options.scale:g} is given; choose another folder"
-            raise DatasetError(told, folder / FILE)
+            message = f"was made with a scale of {kept.factor:g}, and {options.scale:g} is given; choose another folder"
+            raise DatasetError(message, folder / FILE)
         scale = SceneScale(kept.factor, kept.reason)
     else:
         scale = scale_of_drives(recordings, options.scale, reporter)

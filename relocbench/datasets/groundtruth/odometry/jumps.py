@@ -105,18 +105,18 @@ def interrupted(recording: FieldRecording, reporter: Reporter) -> FieldRecording
     if not jumps:
         return recording
     worst = max(jumps, key=lambda jump: jump.metres)
-    told = f"{recording.name}: the odometry jumps in {len(jumps)} of its {len(odometry.times_ns) - 1} steps"
+    message = f"{recording.name}: the odometry jumps in {len(jumps)} of its {len(odometry.times_ns) - 1} steps"
     most = max(_ALWAYS, _LARGEST_SHARE * len(odometry.times_ns))
     where = "there"
     if len(jumps) > most:
         count = len(jumps)
         jumps = tuple(jump for jump in jumps if jump.excess > _LARGE)
         if not jumps or len(jumps) > most:
-            reporter.note(f"{told}, too many to interrupt it there; poses are as good as it is")
+            reporter.note(f"{message}, too many to interrupt it there; poses are as good as it is")
             return recording
         where = f"at the {len(jumps)} largest, since the other {count - len(jumps)} are its noise"
     size = f"most by {worst.metres:.2f} m and {worst.degrees:.1f} deg at {worst.time_ns} ns"
-    reporter.note(f"{told}, {size}; it is interrupted {where}")
+    reporter.note(f"{message}, {size}; it is interrupted {where}")
     breaks = tuple(sorted({*odometry.breaks, *(jump.index for jump in jumps)}))
     return replace(recording, odometry=replace(odometry, breaks=breaks))
 

@@ -99,16 +99,16 @@ def detect_motion(compensated: LidarStream, distorted: LidarStream) -> Detected:
             "compensated", f"cannot be told: of the scans looked at, no {_SCANS} in a row move and have enough points"
         )
     plain, corrected = np.median(np.array(fits), axis=0).tolist()
-    told = (
+    message = (
         f"scans {np.median(speeds):.1f} m apart fit to {100 * plain:.1f} cm as they are and to "
         f"{100 * corrected:.1f} cm with their motion taken out (medians at {len(fits)} places)"
     )
     better = [a > _MARGIN * b for a, b in fits], [b > _MARGIN * a for a, b in fits]
     if sum(better[0]) > len(fits) / 2 and plain > _MARGIN * corrected:
-        return Detected("distorted", told)
+        return Detected("distorted", message)
     if sum(better[1]) > len(fits) / 2 and corrected > _MARGIN * plain:
-        return Detected("compensated", told)
-    return Detected("compensated", f"cannot be told: {told}")
+        return Detected("compensated", message)
+    return Detected("compensated", f"cannot be told: {message}")
 
 
 def told_motion(title: str, compensated: LidarStream, distorted: LidarStream, reporter: Reporter) -> ScanMotion:

@@ -99,8 +99,8 @@ def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outc
             nearest, reason = keyframes.nearest(T_world_cam, part, unit.max_angle_deg)
         if nearest is None and prior is not None and prior.nearest(node) >= 0:
             # Where nothing is registered, the rejected pair has the nearest keyframe by GNSS.
-            there = unit.reference.nodes.times_ns[prior.nearest(node)]
-            nearest = frames.ref_ns[int(np.argmin(np.abs(np.array(frames.ref_ns) - there)))]
+            ref_time_ns = unit.reference.nodes.times_ns[prior.nearest(node)]
+            nearest = frames.ref_ns[int(np.argmin(np.abs(np.array(frames.ref_ns) - ref_time_ns)))]
         found = outcomes.of(
             frames.ref_ns[0] if nearest is None else nearest, time, frames.T_rig_refcam, frames.T_rig_querycam
         )

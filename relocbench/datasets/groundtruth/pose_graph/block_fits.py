@@ -94,12 +94,12 @@ def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
     with m = R^T n, or with the point's own normal as m.
     """
     rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
-    there = points.points @ rotation.T + translation
-    match = planes.nearest(there, points.normals @ rotation.T, _REACH_M, _COSINE)
+    moved = points.points @ rotation.T + translation
+    match = planes.nearest(moved, points.normals @ rotation.T, _REACH_M, _COSINE)
     rows = np.flatnonzero(match >= 0)
     match, q = match[rows], points.points[rows]
     n = planes.normals[match]
-    residuals = np.einsum("ni,ni->n", n, there[rows] - planes.points[match])
+    residuals = np.einsum("ni,ni->n", n, moved[rows] - planes.points[match])
     surface, square = np.minimum(planes.weights[match], points.weights[rows]), np.square(residuals / _SCALE_M)
     weights = surface / np.square(1 + square)
     slopes = surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3

@@ -226,8 +226,8 @@ class _Chain:
         if prior[0] is not None and prior[1] is not None and prior[1].covers(time)[0]:
             known = np.flatnonzero(prior[0].covers(times))
             if len(known):
-                there = prior[0].at(times[known])[:, :3, 3]
-                apart = np.linalg.norm(there - prior[1].at(time)[0, :3, 3], axis=1)
+                predicted = prior[0].at(times[known])[:, :3, 3]
+                apart = np.linalg.norm(predicted - prior[1].at(time)[0, :3, 3], axis=1)
                 near = int(np.argmin(apart))
                 return [int(known[near])] if apart[near] <= unit.submap_m else []
         return _every(self._T_odom_keyframe[:, :3, 3], unit.submap_m / 2)

@@ -133,9 +133,9 @@ def register_along(
         ratio = registration.ratio_of_lengths()
     if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
         return found
-    told = length_mismatch_message(ratio)
-    say(told)
-    return [replace(one, reason=told) for one in found]
+    mismatch = length_mismatch_message(ratio)
+    say(mismatch)
+    return [replace(one, reason=mismatch) for one in found]
 
 
 def _renamed(remember: Remember, suffix: str) -> Remember:

@@ -86,8 +86,8 @@ def inspected_sets(dataset: Dataset, pair_sets: Sequence[PairSet]) -> list[Inspe
     folder = dataset.root / _FOLDER
     if not folder.is_dir():
         sources = sorted({p.source for s in pair_sets for p in s.pairs if p.source})
-        told = f"; its truth is of '{', '.join(sources)}'" if sources else ""
-        raise DatasetError(f"no ground truth from lidar (there is no folder {_FOLDER}){told}", dataset.root)
+        message = f"; its truth is of '{', '.join(sources)}'" if sources else ""
+        raise DatasetError(f"no ground truth from lidar (there is no folder {_FOLDER}){message}", dataset.root)
     found = [s for s in pair_sets if _graph_file(folder, s).exists()]
     if not found:
         names = ", ".join(s.name for s in pair_sets) or "any pair set"

@@ -51,8 +51,8 @@ def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOption
     """Share of the query's planes, sampled evenly over directions, that match a plane of the reference."""
     sample, planes = query.sample(_LEVEL), ref.level(_LEVEL)
     rows = np.arange(0, len(sample), max(len(sample) // options.points, 1))
-    there = apply(T_ref_query, sample.points[rows])
-    match = planes.nearest(there, sample.normals[rows] @ T_ref_query[:3, :3].T, options.near_m, _COSINE)
+    moved = apply(T_ref_query, sample.points[rows])
+    match = planes.nearest(moved, sample.normals[rows] @ T_ref_query[:3, :3].T, options.near_m, _COSINE)
     return float(np.mean(match >= 0)) if len(rows) else 0.0
 
 

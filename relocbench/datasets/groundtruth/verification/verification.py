@@ -110,10 +110,10 @@ def compare_patches(this: PreparedSubmap, other: PreparedSubmap, T_other_this: A
     patches = this.space.patches
     votes = this.space.votes_of(other.space.beams, invert(T_other_this))
     planes = other.planes.level(_LEVEL)
-    there, facing = apply(T_other_this, patches.middle), patches.normals @ T_other_this[:3, :3].T
-    match = planes.nearest(there, facing, _REACH_M, _COSINE)
+    middle, facing = apply(T_other_this, patches.middle), patches.normals @ T_other_this[:3, :3].T
+    match = planes.nearest(middle, facing, _REACH_M, _COSINE)
     found = match >= 0
-    residual = np.einsum("vi,vi->v", planes.normals[match], there - planes.points[match])
+    residual = np.einsum("vi,vi->v", planes.normals[match], middle - planes.points[match])
     spread = np.hypot(_SIGMA_M, _DRIFT_PER_M * planes.lever_lengths_m[match])
     found &= np.abs(residual) <= 2 * _AGREES * spread
     met = found | (votes.through + votes.reached > 0)
@@ -135,14 +135,14 @@ def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -
 def _details(this: PlaneMap, other: PlaneMap, T_other_this: Array) -> tuple[float, float]:
     """Share of this submap's sampled planes that lie in planes of the other, and the robust sigma of the distances."""
     sample, planes = this.sample(_FINE), other.level(_FINE)
-    there, facing = apply(T_other_this, sample.points), sample.normals @ T_other_this[:3, :3].T
-    nearby = planes.nearest(there, np.zeros_like(there), _NEARBY_M) >= 0
-    match = planes.nearest(there, facing, _FINE_REACH_M, _COSINE)
+    moved, facing = apply(T_other_this, sample.points), sample.normals @ T_other_this[:3, :3].T
+    nearby = planes.nearest(moved, np.zeros_like(moved), _NEARBY_M) >= 0
+    match = planes.nearest(moved, facing, _FINE_REACH_M, _COSINE)
     rows = np.flatnonzero(match >= 0)
     if not len(rows):
         return (0.0 if nearby.any() else float("nan")), float("nan")
     match = match[rows]
-    residual = np.einsum("ni,ni->n", planes.normals[match], there[rows] - planes.points[match])
+    residual = np.einsum("ni,ni->n", planes.normals[match], moved[rows] - planes.points[match])
     away = np.hypot(sample.lever_lengths_m[rows], planes.lever_lengths_m[match])
     standard = residual / np.hypot(1.0, _DRIFT_PER_M / _SIGMA_M * away)
     agree = np.abs(standard) <= _AGREES * _SIGMA_M

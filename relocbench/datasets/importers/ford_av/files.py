@@ -63,8 +63,10 @@ def find_logs(sources: Sequence[Path], calibration: Path | None) -> list[Log]:
     for log in logs:
         if log.name in known:
             same = known[log.name].bag.resolve() == log.bag.resolve()
-            told = "is given twice" if same else f"is the second log called '{log.name}' (first: {known[log.name].bag})"
-            raise DatasetError(told, log.bag)
+            message = (
+                "is given twice" if same else f"is the second log called '{log.name}' (first: {known[log.name].bag})"
+            )
+            raise DatasetError(message, log.bag)
         known[log.name] = log
     try:
         check_distinct(list(known), "logs")
@@ -141,9 +143,9 @@ def _calibration_of(bag: Path, vehicle: str, given: Path | None) -> Path:
             return found[0]
     of = f"of {vehicle} " if vehicle else ""
     folder = f"Calibration-{vehicle or 'V2'}"
-    told = f"the calibration {of}is missing: no {_MARK} in it, in {folder} or in {folder}/{vehicle or 'V2'}"
+    message = f"the calibration {of}is missing: no {_MARK} in it, in {folder} or in {folder}/{vehicle or 'V2'}"
     raise DatasetError(
-        f"{told}{'' if given else f', nor in the {_ABOVE} folders above; --calibration-folder names it'}", bases[0]
+        f"{message}{'' if given else f', nor in the {_ABOVE} folders above; --calibration-folder names it'}", bases[0]
     )
 
 

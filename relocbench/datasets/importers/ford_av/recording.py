@@ -138,15 +138,17 @@ def _roles(found: Survey, log: Log, how: ReadingOptions) -> Roles:
             raise DatasetError(f"has no {' or '.join(names)} that can be read (--lidars {colour})", log.bag)
         for topic in topics[-1:]:  # packets, if there are both
             if topic.type == kinds.CLOUD and not set(FIELDS) & set(topic.fields):
-                told = "holds clouds without times of points, which the motion of the car distorts"
+                message = "holds clouds without times of points, which the motion of the car distorts"
                 raise DatasetError(
-                    f"{topic.name} {told}; expected packets ({names[0]}), or times in the clouds", log.bag
+                    f"{topic.name} {message}; expected packets ({names[0]}), or times in the clouds", log.bag
                 )
             roles.lidars[f"lidar_{colour}"] = topic.name
             roles.why[topic.name] = ("lidar", "a lidar of the dataset")
     if not roles.lidars:
-        there = ", ".join(found.topics) or "none"
-        raise DatasetError(f"has no scans of its lidars; expected /lidar_red_scan or the like, found {there}", log.bag)
+        available = ", ".join(found.topics) or "none"
+        raise DatasetError(
+            f"has no scans of its lidars; expected /lidar_red_scan or the like, found {available}", log.bag
+        )
     wanted = ("ground-truth", "raw") if how.odometry in ("auto", "lidar") else (how.odometry,)
     poses = {POSES[w]: found.topics[POSES[w]] for w in wanted if POSES[w] in found.topics}
     usable = [name for name, topic in poses.items() if topic.type == kinds.POSE and topic.count and not topic.fault]
@@ -183,15 +185,15 @@ def _turned(
     """The lidars under the axes that the calibration means."""
     axes: LidarAxes
     if how.axes != "auto":
-        axes, told = how.axes, "as --lidar-axes says"
+        axes, message = how.axes, "as --lidar-axes says"
     else:
         by_scans, shares = (None, {}) if poses is None else axes_by_scans(lidars, poses)
         agreed = ", ".join(f"{100 * share:.0f} % under {name}" for name, share in shares.items())
         if by_scans is None:
             why = f"scans do not tell ({agreed})" if agreed else "there are no poses by which scans could tell"
             raise DatasetError(f"{why} which axes of the lidars the calibration means; {_AXES}", reading.source)
-        axes, told = by_scans, f"told by scans, of which agree {agreed}"
-    reading.note(f"azimuth 0 of the lidars is along {'x' if axes == 'ros' else 'y'} ({axes}): {told}")
+        axes, message = by_scans, f"told by scans, of which agree {agreed}"
+    reading.note(f"azimuth 0 of the lidars is along {'x' if axes == 'ros' else 'y'} ({axes}): {message}")
     return tuple(replace(lidar, T_rig_lidar=lidar.T_rig_lidar @ TURNS[axes]) for lidar in lidars)
 
 
@@ -205,8 +207,8 @@ def _cameras(reading: Reading, log: Log) -> dict[str, CameraStream]:
             path, intrinsics, size, T_rig_cam = calibrated
             seen = image_size(images[0][0])
             if size is not None and size != seen:
-                told = f"images are {seen[0]}x{seen[1]}, the calibration {path.name} is of {size[0]}x{size[1]}"
-                raise DatasetError(told, images[0][0])
+                message = f"images are {seen[0]}x{seen[1]}, the calibration {path.name} is of {size[0]}x{size[1]}"
+                raise DatasetError(message, images[0][0])
             out[name] = pinhole_files(name, images, intrinsics, T_rig_cam, path)
     for name, camera in reading.roles.cameras.items():
         calibrated = _calibration(reading, log, name)
@@ -216,8 +218,8 @@ def _cameras(reading: Reading, log: Log) -> dict[str, CameraStream]:
             first, _ = read_picture(messages, 0)
             small = _smaller(intrinsics, size or FULL_SIZE, (first.shape[1], first.shape[0]))
             if small is None:
-                told = f"of {first.shape[1]}x{first.shape[0]} are no smaller copies of images of {size or FULL_SIZE}"
-                reading.note(f"{camera.images} is not read: images {told}")
+                message = f"of {first.shape[1]}x{first.shape[0]} are no smaller copies of images of {size or FULL_SIZE}"
+                reading.note(f"{camera.images} is not read: images {message}")
                 continue
             reading.note(f"{camera.images} holds images of {small.width}x{small.height}: smaller than the camera's")
             out[name] = BagCamera(name, messages, small, T_rig_cam, times)
@@ -263,5 +265,5 @@ def image_time(text: str, path: Path, line: int | None = None) -> int:
             return seconds_to_ns(text)
     except ValueError:
         pass
-    told = "seconds with a point, or a whole number of 10 (s), 13 (ms), 16 (us) or 19 (ns) digits"
-    raise DatasetError(f"{quoted(text, 30)} is not a time since 1970; expected {told}", path, line)
+    message = "seconds with a point, or a whole number of 10 (s), 13 (ms), 16 (us) or 19 (ns) digits"
+    raise DatasetError(f"{quoted(text, 30)} is not a time since 1970; expected {message}", path, line)

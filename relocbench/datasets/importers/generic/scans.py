@@ -169,8 +169,8 @@ def _with_layout(
             f"{root.name}: scans of {name} are read as {found.number} {' '.join(columns)}, told from {path.name}"
         )
         return settings.model_copy(update={"columns": columns, "dtype": found.number})
-    told = f"{faults[0].expected} (columns and dtype in {LIDAR_FILE})"
-    raise DatasetError(told, faults[0].path)
+    message = f"{faults[0].expected} (columns and dtype in {LIDAR_FILE})"
+    raise DatasetError(message, faults[0].path)
 
 
 def read_lidar_file(root: Path) -> LidarFile:

@@ -165,8 +165,8 @@ def _of_cameras(folder: KaptureFolder, cameras: Sequence[str]) -> list[tuple[int
     known = {record.device for record in folder.images}
     chosen = {name for name in known if not cameras or any(fnmatchcase(name, pattern) for pattern in cameras)}
     if not chosen:
-        told = f"no camera is called like {', '.join(map(quoted, cameras))}; there is {', '.join(sorted(known))}"
-        raise DatasetError(told, folder.root)
+        message = f"no camera is called like {', '.join(map(quoted, cameras))}; there is {', '.join(sorted(known))}"
+        raise DatasetError(message, folder.root)
     return [(number, record) for number, record in enumerate(folder.images) if record.device in chosen]
 
 

@@ -198,8 +198,8 @@ def read_records(path: Path, sensors: dict[str, Sensor], kinds: tuple[str, ...])
         if not name or name in names:
             raise DatasetError(f"{quoted(name)} occurs again" if name else "expected a path, found none", path, line)
         if len(name.encode()) > _LONGEST_PATH or any(len(part.encode()) > _LONGEST_NAME for part in name.split("/")):
-            told = f"{quoted(name)} is longer than a path; expected at most {_LONGEST_PATH} bytes"
-            raise DatasetError(f"{told}, {_LONGEST_NAME} between slashes", path, line)
+            message = f"{quoted(name)} is longer than a path; expected at most {_LONGEST_PATH} bytes"
+            raise DatasetError(f"{message}, {_LONGEST_NAME} between slashes", path, line)
         names.add(name)
         found[moment] = Record(*moment, name, line)
     return [found[moment] for moment in sorted(found)]

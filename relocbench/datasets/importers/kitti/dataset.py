@@ -150,10 +150,10 @@ def _find_sequences(sources: list[Path], options: Options) -> list[KittiSequence
         root = root.parent.parent
     else:
         check_folder(root / "sequences", "the sequences of a KITTI odometry folder")
-        there = sorted(p.name for p in (root / "sequences").iterdir() if p.is_dir())
-        if not options.sequence and len(there) != 1:
-            raise ConfigError(f"--sequence is needed: {root} holds {', '.join(there) or 'none'}")
-        asked = options.sequence or (there[0],)
+        available = sorted(p.name for p in (root / "sequences").iterdir() if p.is_dir())
+        if not options.sequence and len(available) != 1:
+            raise ConfigError(f"--sequence is needed: {root} holds {', '.join(available) or 'none'}")
+        asked = options.sequence or (available[0],)
     found = [KittiSequence(root, name) for name in dict.fromkeys(asked)]
     for sequence in found:
         check_folder(sequence.folder, f"KITTI sequence {sequence.name}")

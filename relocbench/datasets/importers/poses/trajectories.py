@@ -173,8 +173,8 @@ def _pairs(reference: _Drive, query: _Drive, options: Options) -> list[Pair]:
             revisit_ns=round(options.revisit_gap * 1e9) if options.revisit_gap else None,
         )
     except DatasetError as bad:
-        told = "" if same else f", or are {reference.name} and {query.name} in worlds of their own?"
-        raise DatasetError(f"{bad.expected}{told}", bad.path) from None
+        message = "" if same else f", or are {reference.name} and {query.name} in worlds of their own?"
+        raise DatasetError(f"{bad.expected}{message}", bad.path) from None
     return [sigma_of_pair(pair, options.sigma, options.sigma_rotation) for pair in pairs]
 
 

@@ -61,8 +61,8 @@ def parts_of(source: Path) -> tuple[Path, ...]:
         files = tuple(sorted(p for p in source.iterdir() if p.suffix in SUFFIXES and not p.name.startswith(".")))
         if not files:
             inner = sorted(p.name for p in source.iterdir() if (p / METADATA).is_file())
-            told = f"; the bags {', '.join(inner[:4])} lie in it: give each of them" if inner else ""
-            raise DatasetError(f"holds no bag; expected {', '.join(SUFFIXES)} files or {METADATA}{told}", source)
+            message = f"; the bags {', '.join(inner[:4])} lie in it: give each of them" if inner else ""
+            raise DatasetError(f"holds no bag; expected {', '.join(SUFFIXES)} files or {METADATA}{message}", source)
         if len({p.suffix for p in files}) > 1:
             found = ", ".join(sorted({p.suffix for p in files}))
             raise DatasetError(f"holds files of several formats ({found}); expected the parts of one drive", source)
@@ -326,6 +326,6 @@ def _faults_of(path: Path, where: str = "") -> Iterator[None]:
     except (DatasetError, ConfigError):
         raise
     except Exception as bad:  # noqa: BLE001  a damaged file raises whatever its bytes lead to
-        told = raised(bad).replace(str(path), path.name)
-        hint = next((f"; {hint}" for words, hint in _HINTS if words in told), "")
-        raise DatasetError(f"cannot be read as a bag{where} ({told}){hint}", path) from None
+        message = raised(bad).replace(str(path), path.name)
+        hint = next((f"; {hint}" for words, hint in _HINTS if words in message), "")
+        raise DatasetError(f"cannot be read as a bag{where} ({message}){hint}", path) from None

@@ -151,8 +151,8 @@ def drive_names(sources: Sequence[Path]) -> list[str]:
             raise DatasetError("its name cannot name a traversal; rename or link it", source) from None
         if name in names:
             again = names[name].resolve() == found
-            told = "is given twice; expected different recordings" if again else f"is the second called '{name}'"
-            raise DatasetError(told if again else f"{told} (first: {names[name]})", source)
+            message = "is given twice; expected different recordings" if again else f"is the second called '{name}'"
+            raise DatasetError(message if again else f"{message} (first: {names[name]})", source)
         names[name] = source
     try:
         check_distinct(names, "recordings")

@@ -54,9 +54,9 @@ class Frames:
             return np.eye(4)
         path = self._path(dst, src)
         if path is None:
-            there = ", ".join(self.names()[:12]) or "none"
+            available = ", ".join(self.names()[:12]) or "none"
             raise DatasetError(
-                f"has no fixed transform between {dst!r} and {src!r} in /tf_static or /tf (frames there: {there}); "
+                f"has no fixed transform between {dst!r} and {src!r} in /tf_static or /tf (frames there: {available}); "
                 "--extrinsics gives poses of sensors, --base-frame names another rig",
                 self.source,
             )

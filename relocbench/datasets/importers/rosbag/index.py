@@ -108,8 +108,8 @@ def read_index(found: Survey, topics: Sequence[str], kept: Path | None, reporter
 def _mark(found: Survey, topics: Sequence[str]) -> dict[str, Any]:
     """What an index was made from: the files, by name, size and time, and the topics."""
     files = [p for part in found.parts for p in (sorted(part.path.iterdir()) if part.path.is_dir() else [part.path])]
-    there = [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in files]
-    return {"format": _FORMAT, "files": there, "topics": sorted(topics)}
+    available = [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in files]
+    return {"format": _FORMAT, "files": available, "topics": sorted(topics)}
 
 
 class _Rows:
@@ -220,8 +220,8 @@ def _checked(values: tuple[float, ...], part: Part, topic: str, received_ns: int
     with np.errstate(over="ignore", invalid="ignore"):
         norm = float(np.linalg.norm(numbers[3:]))
     if not np.isfinite(numbers).all() or not abs(norm - 1.0) <= 1e-2 or max(map(abs, numbers[:3])) > _FARTHEST_M:
-        told = f"is no pose: {', '.join(f'{v:g}' for v in numbers)} (x, y, z, qx, qy, qz, qw)"
-        raise part.fault(topic, received_ns, told)
+        message = f"is no pose: {', '.join(f'{v:g}' for v in numbers)} (x, y, z, qx, qy, qz, qw)"
+        raise part.fault(topic, received_ns, message)
     return numbers
 
 
@@ -259,23 +259,23 @@ def _index(
 
 def _save(path: Path, index: Index, mark: dict[str, Any]) -> None:
     arrays: dict[str, Any] = {}
-    told: dict[str, Any] = {"mark": mark, "places": [], "poses": [], "links": [], "fixes": []}
+    about: dict[str, Any] = {"mark": mark, "places": [], "poses": [], "links": [], "fixes": []}
     for topic, p in index.places.items():
-        arrays[f"places_{len(told['places'])}"] = np.stack([p.stamps_ns, p.received_ns, p.part, p.ordinal])
-        told["places"].append(topic)
+        arrays[f"places_{len(about['places'])}"] = np.stack([p.stamps_ns, p.received_ns, p.part, p.ordinal])
+        about["places"].append(topic)
     named = [("poses", topic, poses) for topic, poses in index.poses.items()]
     for kind, topic, q in [*named, *(("links", "", poses) for poses in index.links)]:
-        number = len(told[kind])
+        number = len(about[kind])
         arrays[f"{kind}_{number}_times"] = np.stack([q.times_ns, q.received_ns])
         arrays[f"{kind}_{number}_values"] = q.values
-        told[kind].append([topic, q.parent, q.child, q.static])
+        about[kind].append([topic, q.parent, q.child, q.static])
     for topic, f in index.fixes.items():
-        number = len(told["fixes"])
+        number = len(about["fixes"])
         arrays[f"fixes_{number}_times"] = np.stack([f.times_ns, f.received_ns])
         arrays[f"fixes_{number}_values"] = f.values
-        told["fixes"].append([topic, f.frame, f.left_out])
-    told["arrays"] = list(arrays)
-    text = np.frombuffer(json.dumps(told, sort_keys=True).encode(), dtype=np.uint8)
+        about["fixes"].append([topic, f.frame, f.left_out])
+    about["arrays"] = list(arrays)
+    text = np.frombuffer(json.dumps(about, sort_keys=True).encode(), dtype=np.uint8)
     stream = io.BytesIO()
     np.savez(stream, about=text, **arrays)
     write_bytes(path, stream.getvalue())
@@ -285,22 +285,22 @@ def _load(path: Path, mark: dict[str, Any]) -> Index | None:
     """The index in a file; None if it was made from something else or is damaged."""
     try:
         data = read_bytes(path, "an index", DatasetError)
-        told = json.loads(parse_npz(data, ("about",), path)["about"].tobytes().decode())
-        if told["mark"] != mark:
+        about = json.loads(parse_npz(data, ("about",), path)["about"].tobytes().decode())
+        if about["mark"] != mark:
             return None
-        arrays = parse_npz(data, told["arrays"], path)
+        arrays = parse_npz(data, about["arrays"], path)
         out = Index()
-        for number, topic in enumerate(told["places"]):
+        for number, topic in enumerate(about["places"]):
             out.places[topic] = MessageLocations(*arrays[f"places_{number}"])
         for kind in ("poses", "links"):
-            for number, (topic, parent, child, static) in enumerate(told[kind]):
+            for number, (topic, parent, child, static) in enumerate(about[kind]):
                 times, values = arrays[f"{kind}_{number}_times"], arrays[f"{kind}_{number}_values"]
                 poses = Poses(parent, child, times[0], times[1], values, static)
                 if kind == "poses":
                     out.poses[topic] = poses
                 else:
                     out.links.append(poses)
-        for number, (topic, frame, left_out) in enumerate(told["fixes"]):
+        for number, (topic, frame, left_out) in enumerate(about["fixes"]):
             times = arrays[f"fixes_{number}_times"]
             out.fixes[topic] = Fixes(times[0], times[1], arrays[f"fixes_{number}_values"], frame, left_out)
     except (DatasetError, KeyError, ValueError, TypeError, IndexError):

@@ -71,8 +71,8 @@ def _of_packets(reading: Reading, plain: BagLidar) -> BagLidar:
         raise ConfigError(f"--point-time: {plain.messages.topic} holds packets, which have no fields")
     timed = settings.motion != "compensated" and settings.point_times is None
     pattern = "spinning" if settings.pattern == "auto" else settings.pattern
-    told = "by their firings" if timed else "none: scans are taken as motion compensated"
-    reading.note(f"{plain.messages.topic}: {pattern} lidar, packets of a Velodyne, times of points: {told}")
+    message = "by their firings" if timed else "none: scans are taken as motion compensated"
+    reading.note(f"{plain.messages.topic}: {pattern} lidar, packets of a Velodyne, times of points: {message}")
     return replace(plain, pattern=pattern, packets=settings.packets, timed=timed)
 
 
@@ -96,8 +96,8 @@ def _point_times(reading: Reading, lidar: BagLidar, samples: Sequence[int], patt
         return _detected(reading, lidar, samples, period)
     name = settings.point_times.field
     if name and name not in reading.survey.topics[topic].fields:
-        there = ", ".join(reading.survey.topics[topic].fields)
-        raise ConfigError(f"--point-time: {topic} has no field {name!r}; it has {there}")
+        available = ", ".join(reading.survey.topics[topic].fields)
+        raise ConfigError(f"--point-time: {topic} has no field {name!r}; it has {available}")
     return settings.point_times
 
 

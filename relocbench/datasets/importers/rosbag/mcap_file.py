@@ -55,8 +55,8 @@ class McapFile:
         try:
             import mcap.reader  # noqa: F401  it is needed when the file is opened
         except ImportError:
-            told = "needs the package 'mcap', which is not installed here (the extra 'bags' brings it)"
-            raise ConfigError(told, path) from None
+            message = "needs the package 'mcap', which is not installed here (the extra 'bags' brings it)"
+            raise ConfigError(message, path) from None
 
     def open(self) -> None:
         """Read the summary.

@@ -139,5 +139,5 @@ def _calibration(path: Path) -> Any:
     try:
         return _library().Calibration.read(str(path))
     except Exception as bad:  # noqa: BLE001  what the parser of a damaged file raises is open
-        told = " ".join(str(bad).split())
-        raise DatasetError(f"is no calibration of the beams of a Velodyne ({told[:200]})", path) from None
+        message = " ".join(str(bad).split())
+        raise DatasetError(f"is no calibration of the beams of a Velodyne ({message[:200]})", path) from None

@@ -82,15 +82,15 @@ class Reading:
         if named:
             known = {*self.frames.names(), first, poses.child if poses else ""}
             if named not in known:
-                there = ", ".join(sorted(known - {""})) or "none"
-                raise DatasetError(f"--base-frame: there is no frame {named!r}; there is {there}", self.source)
+                available = ", ".join(sorted(known - {""})) or "none"
+                raise DatasetError(f"--base-frame: there is no frame {named!r}; there is {available}", self.source)
             return named
-        told = self.settings.extrinsics.lidar(name, topic) is not None
+        given = self.settings.extrinsics.lidar(name, topic) is not None
         for frame in (*BASES, poses.child if poses else ""):
-            if frame and (frame == first or (frame in self.frames and (told or self.frames.connected(frame, first)))):
+            if frame and (frame == first or (frame in self.frames and (given or self.frames.connected(frame, first)))):
                 self.note(f"the rig is the frame '{frame}'")
                 return frame
-        if told:
+        if given:
             return poses.child if poses and poses.child else "rig"
         self.note(f"the rig is the frame of the lidar, '{first}': no frame of a vehicle leads to it")
         return first

@@ -82,8 +82,8 @@ def read_bag(
     if motion is None:
         spinning = next((lidar for lidar in lidars if lidar.pattern == "spinning"), None)
         if spinning is None:
-            told = "has neither odometry nor a spinning lidar to compute it from; name a topic by --odometry"
-            raise DatasetError(told, reading.source)
+            message = "has neither odometry nor a spinning lidar to compute it from; name a topic by --odometry"
+            raise DatasetError(message, reading.source)
         reading.note(f"odometry is computed from the scans of {spinning.messages.topic}")
         motion, source = from_lidar(spinning, report, max_gap_ns=settings.max_gap_ns), spinning.name
     prior_of, sigma, start = prior(reading, origin, fixes)

@@ -124,11 +124,11 @@ def _named(found: Survey, name: str, types: Sequence[str], option: str) -> Topic
     topic = found.topics.get(name) or found.topics.get(f"/{name}")
     allowed = ", ".join(kinds.short(kind) for kind in types)
     if topic is None:
-        there = ", ".join(t.name for t in found.of_types(types)) or "none"
-        raise ConfigError(f"{option}: no topic {name!r} in {found.source.name}; of {allowed} there is {there}")
+        available = ", ".join(t.name for t in found.of_types(types)) or "none"
+        raise ConfigError(f"{option}: no topic {name!r} in {found.source.name}; of {allowed} there is {available}")
     if topic.type in kinds.UNREADABLE:
-        told = f"{kinds.short(topic.type)} cannot be read: {kinds.UNREADABLE[topic.type]}"
-        raise ConfigError(f"{option}: {topic.name} of {found.source.name}: {told}")
+        message = f"{kinds.short(topic.type)} cannot be read: {kinds.UNREADABLE[topic.type]}"
+        raise ConfigError(f"{option}: {topic.name} of {found.source.name}: {message}")
     if topic.type not in types:
         raise ConfigError(f"{option}: {topic.name} has {kinds.short(topic.type)}; expected {allowed}")
     if not topic.count:
@@ -157,17 +157,17 @@ def _guessed_odometry(found: Survey, wanted: Wanted, roles: Roles) -> str:
     """The only topic with odometry, or else with poses; poses in a map jump (REP 105) and are not guessed."""
     for types, what in (((kinds.ODOMETRY,), "odometry"), (kinds.POSES[1:], "poses")):
         gnss = {wanted.gnss, f"/{wanted.gnss}"}
-        there = [t for t in found.of_types(types) if t.rate_hz >= _LEAST_HZ and t.name not in gnss]
-        on_map = [t for t in there if t.frame in _MAPS]
-        if len(there) > 1 or what == "poses":
+        available = [t for t in found.of_types(types) if t.rate_hz >= _LEAST_HZ and t.name not in gnss]
+        on_map = [t for t in available if t.frame in _MAPS]
+        if len(available) > 1 or what == "poses":
             roles.why |= {t.name: ("-", f"poses in the frame '{t.frame}' may jump") for t in on_map}
-            there = [t for t in there if t not in on_map]
-        if len(there) > 1:
-            names = ", ".join(t.name for t in there)
+            available = [t for t in available if t not in on_map]
+        if len(available) > 1:
+            names = ", ".join(t.name for t in available)
             raise DatasetError(f"has several topics with {what} ({names}); name one by --odometry", found.source)
-        if there:
-            roles.why[there[0].name] = ("odometry", f"the only topic with {what}")
-            return there[0].name
+        if available:
+            roles.why[available[0].name] = ("odometry", f"the only topic with {what}")
+            return available[0].name
     return ""
 
 
@@ -206,10 +206,10 @@ def _guessed_lidars(found: Survey, roles: Roles) -> tuple[list[Topic], dict[str,
             candidates, what = others, called
     if not candidates:
         hints = [f"{t.name}: {kinds.UNREADABLE[t.type]}" for t in found.of_types(tuple(kinds.UNREADABLE))]
-        told = (
+        message = (
             "; ".join(hints[:1]) or "expected PointCloud2, VelodyneScan or LaserScan of a sensor, at least one a second"
         )
-        raise DatasetError(f"has no lidar that can be read ({told})", found.source)
+        raise DatasetError(f"has no lidar that can be read ({message})", found.source)
     chosen, why = [], {}
     for frame in dict.fromkeys(t.frame for t in candidates):
         same = [t for t in candidates if t.frame == frame]
@@ -277,8 +277,8 @@ def _info_of(found: Survey, images: Topic) -> str:
     for name in (f"{plain.rpartition('/')[0]}/camera_info", f"{plain}/camera_info"):
         if name in found.topics and found.topics[name].type == kinds.CAMERA_INFO and found.topics[name].count:
             return name
-    there = found.of_types((kinds.CAMERA_INFO,))
-    same = [t for t in there if t.frame == images.frame] or there
+    candidates = found.of_types((kinds.CAMERA_INFO,))
+    same = [t for t in candidates if t.frame == images.frame] or candidates
     alone = len(same) == 1 and (same[0].frame == images.frame or len(found.of_types(kinds.CAMERAS)) == 1)
     return same[0].name if alone else ""
 
@@ -290,10 +290,10 @@ def _gnss(found: Survey, wanted: Wanted, roles: Roles) -> None:
         topic = _named(found, wanted.gnss, (kinds.FIX, *kinds.POSES), "--gnss")
         roles.gnss, roles.why[topic.name] = topic.name, ("GNSS", "named by --gnss")
         return
-    there = sorted(found.of_types((kinds.FIX,)), key=lambda t: (-t.count, t.name))
-    if there:
-        roles.gnss = there[0].name
-        roles.why[roles.gnss] = ("GNSS", "the only fixes" if len(there) == 1 else "most fixes")
+    available = sorted(found.of_types((kinds.FIX,)), key=lambda t: (-t.count, t.name))
+    if available:
+        roles.gnss = available[0].name
+        roles.why[roles.gnss] = ("GNSS", "the only fixes" if len(available) == 1 else "most fixes")
 
 
 _STEPS = (_transforms, _odometry, _lidars, _cameras, _gnss)

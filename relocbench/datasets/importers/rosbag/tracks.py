@@ -61,8 +61,8 @@ def _T_body_rig(reading: Reading, poses: Poses, told: Transform | None) -> Array
 
 def _moving_link(reading: Reading, required: bool) -> Poses | None:
     """The transform that changes and leads to the rig; that from 'odom' if there are several."""
-    there = [link for link in reading.frames.moving if reading.frames.connected(link.child, reading.base)]
-    best = [link for link in there if link.parent == "odom"] or there
+    available = [link for link in reading.frames.moving if reading.frames.connected(link.child, reading.base)]
+    best = [link for link in available if link.parent == "odom"] or available
     if len(best) > 1:
         names = ", ".join(f"{link.parent} to {link.child}" for link in best)
         raise DatasetError(f"tf has several moving transforms ({names}); name a topic by --odometry", reading.source)
@@ -133,9 +133,9 @@ def _without(measured: Trajectory) -> None:
 
 def _antenna(reading: Reading, frame: str) -> Array:
     """Position (3,) of the antenna on the rig."""
-    told = reading.settings.extrinsics.T_rig_gnss
-    if told is not None:
-        return np.asarray((reading.settings.extrinsics.T_new_rig @ told.matrix)[:3, 3])
+    given = reading.settings.extrinsics.T_rig_gnss
+    if given is not None:
+        return np.asarray((reading.settings.extrinsics.T_new_rig @ given.matrix)[:3, 3])
     if frame and reading.frames.connected(reading.base, frame):
         return np.asarray(reading.frames.transform(reading.base, frame)[:3, 3])
     reading.note(f"the place of the antenna ('{frame}') on the rig is unknown; it is taken for the rig's origin")

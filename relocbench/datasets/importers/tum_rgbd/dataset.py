@@ -169,19 +169,21 @@ def _intrinsics(source: Path, asked: str) -> Camera:
 def _frames(source: Path, name: str, time_offset: float, options: Options, reporter: Reporter) -> list[_Frame]:
     """The existing images with a pose, each with the depth image nearest in time."""
     listed, depths = _listed(source / "rgb.txt"), _listed(source / "depth.txt")
-    there = {t: p for t, p in listed.items() if p.exists()}
-    if len(there) < len(listed):
-        reporter.note(f"{name}: {len(listed) - len(there)} of {len(listed)} images in rgb.txt do not exist")
-    if not there:
+    available = {t: p for t, p in listed.items() if p.exists()}
+    if len(available) < len(listed):
+        reporter.note(f"{name}: {len(listed) - len(available)} of {len(listed)} images in rgb.txt do not exist")
+    if not available:
         raise DatasetError("none of the images it lists exist", source / "rgb.txt")
     depths = {t: p for t, p in depths.items() if p.exists()}
-    poses = _poses_at(source / "groundtruth.txt", list(there), round(time_offset * 1e9), options.max_truth_gap)
-    if len(poses) < len(there):
-        reporter.note(f"{name}: {len(there) - len(poses)} of {len(there)} images without a true pose are left out")
+    poses = _poses_at(source / "groundtruth.txt", list(available), round(time_offset * 1e9), options.max_truth_gap)
+    if len(poses) < len(available):
+        reporter.note(
+            f"{name}: {len(available) - len(poses)} of {len(available)} images without a true pose are left out"
+        )
     if not poses:
         raise DatasetError("holds no pose at the time of any image", source / "groundtruth.txt")
     limit = round(options.max_time_difference * 1e9)
-    frames = [_Frame(t, there[t], _nearest(depths, t, limit), poses[t]) for t in sorted(poses)]
+    frames = [_Frame(t, available[t], _nearest(depths, t, limit), poses[t]) for t in sorted(poses)]
     bare = sum(frame.depth is None for frame in frames)
     if bare:
         reporter.note(

@@ -88,9 +88,9 @@ def _driven(network: StreetNetwork, chain: Sequence[int], length_m: float) -> se
 
 def _ways_on(network: StreetNetwork, before: int, here: int) -> Iterator[int]:
     """The nodes to which one can continue without turning back or making a hairpin turn."""
-    for there in network.neighbours(here):
-        if there != before and abs(float(turns_of(network.nodes[[before, here, there]])[0])) < _SHARPEST:
-            yield there
+    for onward in network.neighbours(here):
+        if onward != before and abs(float(turns_of(network.nodes[[before, here, onward]])[0])) < _SHARPEST:
+            yield onward
 
 
 def _detour(network: StreetNetwork, common: Sequence[int], length_m: float) -> list[int]:
@@ -132,9 +132,9 @@ def _ways_back(
         long, edge = heapq.heappop(waiting)
         if long > best[edge]:
             continue
-        for there in _ways_on(network, *edge):
-            step = (edge[1], there)
-            reached = long + float(np.linalg.norm(network.nodes[there] - network.nodes[edge[1]]))
+        for onward in _ways_on(network, *edge):
+            step = (edge[1], onward)
+            reached = long + float(np.linalg.norm(network.nodes[onward] - network.nodes[edge[1]]))
             if _street(*step) in taken or reached > _LONGEST_DETOUR_M or reached >= best.get(step, np.inf):
                 continue
             best[step], before[step] = reached, edge
@@ -160,10 +160,10 @@ def _across(network: StreetNetwork, common: Sequence[int], length_m: float) -> l
             continue
         here = common[k]
         for before in network.neighbours(here):
-            for there in _ways_on(network, before, here):
-                shared = (_street(before, here) in taken) + (_street(here, there) in taken)
+            for onward in _ways_on(network, before, here):
+                shared = (_street(before, here) in taken) + (_street(here, onward) in taken)
                 if shared < 2:
-                    found.append((shared, abs(float(at[k]) - length_m / 2), [before, here, there]))
+                    found.append((shared, abs(float(at[k]) - length_m / 2), [before, here, onward]))
     if not found:
         raise ConfigError(
             f"a route of {length_m - 2 * MARGIN_M:.0f} m has no crossing with other streets; increase --steps or "

@@ -271,7 +271,7 @@ def _write_cars(path: Path, tracks: Sequence[CarTrack]) -> None:
     with atomic_write(path) as stream:
         stream.write("timestamp_ns,variant,tx,ty,tz,qx,qy,qz,qw\n")
         for track in tracks:
-            there = np.isfinite(track.T_world_car[:, 0, 0])
-            t, q = transform_to_tq(track.T_world_car[there])
-            for time, values in zip(track.times_ns[there].tolist(), np.hstack([t, q]).tolist(), strict=True):
+            present = np.isfinite(track.T_world_car[:, 0, 0])
+            t, q = transform_to_tq(track.T_world_car[present])
+            for time, values in zip(track.times_ns[present].tolist(), np.hstack([t, q]).tolist(), strict=True):
                 stream.write(f"{time},{track.variant},{','.join(map(repr, values))}\n")

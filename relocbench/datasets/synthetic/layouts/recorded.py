@@ -63,9 +63,9 @@ class CarTrack:
         span = self.times_ns[right] - self.times_ns[right - 1]
         fraction = (times_ns - self.times_ns[right - 1]) / span
         moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1)
-        there = (moved < _TELEPORT_M) & (fraction >= 0) & (fraction <= 1)
+        known = (moved < _TELEPORT_M) & (fraction >= 0) & (fraction <= 1)
         out = np.full((len(times_ns), 4, 4), np.nan)
-        out[there] = interpolate(before[there], after[there], fraction[there])
+        out[known] = interpolate(before[known], after[known], fraction[known])
         return out
 
 

@@ -198,11 +198,11 @@ class RobotCarLayout(FieldsOnly):
 
     def _look_up_table(self, model: str) -> bytes:
         """The look-up table of a model: u, then v in the recorded image of each undistorted pixel, float64."""
-        there = self.camera(model)
+        camera = self.camera(model)
         recorded = self.camera(self.model_of(LENSES[model].camera))
-        v, u = np.mgrid[: there.height, : there.width].astype(np.float64)
-        u = recorded.fx / there.fx * (u - there.cx) + recorded.cx
-        v = recorded.fy / there.fy * (v - there.cy) + recorded.cy
+        v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+        u = recorded.fx / camera.fx * (u - camera.cx) + recorded.cx
+        v = recorded.fy / camera.fy * (v - camera.cy) + recorded.cy
         return np.stack([u.ravel(), v.ravel()]).astype("<f8").tobytes()
 
 

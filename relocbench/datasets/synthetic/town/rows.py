@@ -100,12 +100,12 @@ class _Row:
         self.frame[:2, 0], self.frame[:2, 1] = d, inward
         self.frame[:3, 3] = *start, KERB_M
         self.plots: list[Plot] = []
-        here, there = i, (i + 1) % count
+        here, following = i, (i + 1) % count
         self.mitre = [0.0, 0.0]
         self.free = [0.0, self.length]
-        for end_of_row, corner in enumerate((here, there)):
+        for end_of_row, corner in enumerate((here, following)):
             self._prepare_end(end_of_row, corner)
-        self._place_corners(corner_house, here, there)
+        self._place_corners(corner_house, here, following)
 
     def _prepare_end(self, end: int, corner: int) -> None:
         """Mitre the row where the next one adjoins, or keep a distance from it."""
