@@ -140,7 +140,7 @@ def read_leaderboard(
         split: only the pair sets of this split.
         metric: the metric that ranks methods; by default that of ``relocbench leaderboard``.
         datasets: datasets of the results, or folders with datasets in them; those in folders beside the results folder
-            need not be named. Where one is at hand, all errors are computed anew from predictions and truth.
+            need not be named. Where one is available, all errors are computed anew from predictions and truth.
 
     Raises:
         PredictionError: no results, a bad file, scores that are missing or stale, or errors that are not those of the

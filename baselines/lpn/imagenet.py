@@ -1,4 +1,4 @@
-"""A floor for trained retrievers: what ImageNet's weights alone make of two images of one place."""
+"""A baseline for trained retrievers: what ImageNet's weights alone make of two images of one place."""
 
 from __future__ import annotations
 

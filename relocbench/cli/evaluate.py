@@ -84,7 +84,7 @@ def evaluate(
         print_json(report.to_dict(), of_evaluation(report))
     else:
         _print_report(report.dataset, report.pair_sets, report.folders, matching=options.matching)
-        for label, message in report.broken:
+        for label, message in report.crashed:
             typer.echo(f"{label}: {message}", err=True)
         if not quiet:
             typer.echo(f"results: {report.results}", err=True)

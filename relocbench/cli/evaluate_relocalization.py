@@ -111,7 +111,7 @@ def evaluate_relocalization(
         print_json(report.to_dict(), of_pipelines(report))
     else:
         _print_report(report)
-        for label, message in report.broken:
+        for label, message in report.crashed:
             typer.echo(f"{label}: {message}", err=True)
         if not quiet:
             typer.echo(f"results: {report.results}", err=True)

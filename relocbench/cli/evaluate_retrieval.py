@@ -146,7 +146,7 @@ def evaluate_retrieval(
         print_json(report.to_dict(), of_retrieval(report))
     else:
         _print_report(report)
-        for label, message in [*report.broken, *report.suspicions]:
+        for label, message in [*report.crashed, *report.suspicions]:
             typer.echo(f"{label}: {message}", err=True)
         if not quiet:
             typer.echo(f"results: {report.results}", err=True)

@@ -115,11 +115,11 @@ def probe(
     if json:
         told = report.to_dict()
         counts = {"radii": len(told["radii"]), "starts": len(told["starts"]), "files_written": len(report.files)}
-        print_json(told, {**counts, "broke": len(report.broken)})
+        print_json(told, {**counts, "broke": len(report.crashed)})
     else:
         _print_radii(report)
         _print_starts(report)
-        for label, message in report.broken:
+        for label, message in report.crashed:
             typer.echo(f"{label}: {message}", err=True)
         if not quiet:
             typer.echo(f"the whole of it: {', '.join(map(str, report.files))}", err=True)

@@ -77,7 +77,7 @@ def alone_in(folder: Path, error: type[RelocbenchError] = RelocbenchError) -> It
     """Be the only process that works in a folder. The system lets go of it however the process ends.
 
     Raises:
-        RelocbenchError: (as ``error``) another process is at it.
+        RelocbenchError: (as ``error``) another process holds the lock.
     """
     taken = "another process is at work here; wait for it to end"
     descriptor = os.open(folder, os.O_RDONLY)
@@ -102,7 +102,7 @@ def alone_writing_to(folder: Path, error: type[RelocbenchError] = RelocbenchErro
     Within it the same folder may be entered again, by a part of the work that guards itself.
 
     Raises:
-        RelocbenchError: (as ``error``) another process is at it, or it is a symbolic link that leads nowhere.
+        RelocbenchError: (as ``error``) another process holds the lock, or it is a symbolic link that leads nowhere.
     """
     if folder.is_symlink() and not folder.exists():
         raise error("is a symbolic link that leads nowhere; expected a folder to write to", folder)

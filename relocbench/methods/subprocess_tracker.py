@@ -53,7 +53,7 @@ class _Sent:
 
 
 class SubprocessTracker:
-    """Speaks the line protocol with a program, which is started again after it broke.
+    """Speaks the line protocol with a program, which is started again after it crashed.
 
     Args:
         command: the program and its arguments.

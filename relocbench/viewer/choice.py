@@ -1,4 +1,4 @@
-"""Which pairs are shown: every so many, up to a limit, spread along the drive."""
+"""Which pairs are shown: every n-th, up to a limit, spread along the drive."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def _drop_pose(folder: Path) -> None:
 NEEDS_IMAGES: dict[str, tuple[list[str], str]] = {
     "a tracker": (
         ["evaluate", "-d", "D", "-m", "dso"],
-        "no tracker can run, but the floors identity and clock; score predictions with --predictions",
+        "no tracker can run except the baselines identity and clock; score predictions with --predictions",
     ),
     "a tracker beside a floor": (["evaluate", "-d", "D", "-m", "identity", "-m", "orb-pnp"], "no tracker can run"),
     "a program": (["evaluate", "-d", "D", "-m", "mine=subprocess:cat"], "no tracker can run"),

@@ -132,7 +132,7 @@ def test_a_configuration_file_can_ask_for_pipelines(dataset: Dataset, tmp_path: 
         (("-r", "n=predictions:nowhere"), "no such file or folder"),
         (("-r", "oracle", "-r", "oracle"), "two methods are called 'oracle'"),
         (("-r", THUMBNAIL, "-m", f"thumb={KNOWS}"), "two methods are called 'thumb'"),
-        (("-r", "oracle", "-m", f"keyframe-pose={KNOWS}"), "'keyframe-pose' is the name of a floor"),
+        (("-r", "oracle", "-m", f"keyframe-pose={KNOWS}"), "'keyframe-pose' is the name of a trivial baseline"),
         (("-r", "oracle", "-m", f"a+b={KNOWS}"), "'+' joins the two halves"),
         (("-r", "oracle", "-m", f"t={KNOWS}", "--set", "reach=2"), "say for which method, as LABEL.key=value"),
         (("-r", "oracle", "-m", f"t={KNOWS}", "--set", "u.reach=2"), "no method 'u' in this run; there is oracle, t"),

@@ -198,7 +198,7 @@ def test_a_pair_that_kills_its_worker_costs_that_pair_as_it_does_locally(dask: D
     dask.add_workers(3)
     apart = relocbench(*command, "--out", tmp_path / "apart", "--scheduler", dask.file)
     assert apart.status == 0
-    assert apart.err.startswith("m: broke on 1 of 7 pairs, counted as failures; ")
+    assert apart.err.startswith("m: crashed on 1 of 7 pairs, counted as failures; ")
     assert apart.err.count("\n") == 1, "a pair that broke is a result, which --quiet does not hide"
     assert relocbench(*command, "--out", tmp_path / "local", "-j", 2).status == 0
     found = [next((tmp_path / out).glob(f"*/m/{ACROSS}.txt")) for out in ("apart", "local")]

@@ -61,8 +61,8 @@ def checked_answer(result: object) -> CheckedAnswer:
     An answer that breaks the contract becomes an ``error`` whose message says what was expected. A message or info
     that cannot be read is replaced, and the rest of the answer stands.
     """
-    answer, broke = guarded(lambda: _checked(result))
-    return error_answer(f"the answer cannot be read: {broke}") if answer is None else answer
+    answer, crash = guarded(lambda: _checked(result))
+    return error_answer(f"the answer cannot be read: {crash}") if answer is None else answer
 
 
 def _checked(result: object) -> CheckedAnswer:
@@ -105,7 +105,7 @@ def ask(
     else:
         taken = [_ask_single(tracker, reference, view, prior) for view, prior in zip(views, each, strict=True)]
     seconds = time.perf_counter() - start
-    return [checked_answer(result) if broke is None else error_answer(broke) for result, broke in taken], seconds
+    return [checked_answer(result) if crash is None else error_answer(crash) for result, crash in taken], seconds
 
 
 _Taken = tuple[Any, str | None]
@@ -125,9 +125,9 @@ def _ask_batch(
     """
     count = len(views)
     copies = [_shown(prior) for prior in priors]
-    given, broke = guarded(lambda: list(islice(tracker.track_batch(reference, list(views), copies), count + 1)))
-    if broke is not None:
-        return [(None, broke)] * count, True
+    given, crash = guarded(lambda: list(islice(tracker.track_batch(reference, list(views), copies), count + 1)))
+    if crash is not None:
+        return [(None, crash)] * count, True
     if len(given) != count:
         found = str(len(given)) if len(given) < count else f"more than {count}"
         return [(None, f"track_batch returned {found} results for {count} queries")] * count, False
@@ -139,10 +139,10 @@ def _shown(prior: Array | None) -> Array | None:
     return None if prior is None else read_only(prior.copy())
 
 
-def checked_pixels(ends: object, broke: str | None, count: int) -> tuple[Array | None, str | None]:
+def checked_pixels(ends: object, crash: str | None, count: int) -> tuple[Array | None, str | None]:
     """What ``match`` returned for ``count`` pixels as a copy (N, 2) in float64, or None and an error message."""
-    if broke is not None:
-        return None, broke
+    if crash is not None:
+        return None, crash
     pixels, fault = guarded(lambda: _pixels(ends, count))
     if fault is not None:
         return None, f"the pixels cannot be read: {fault}"

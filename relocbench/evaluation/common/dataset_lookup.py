@@ -1,7 +1,7 @@
-"""The datasets whose truth is at hand when results are read: those that were named, and those beside the results.
+"""The datasets whose truth is available when results are read: those that were named, and those beside the results.
 
 A dataset is that of the results if it has their fingerprint. One with the same question is a copy, from another
-processor: its poses are equal to a millionth. A cross-view set may be at hand as well.
+processor: its poses are equal to a millionth. Cross-view sets are found in the same way.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class DatasetLookup:
         self._noted: set[Path] = set()
 
     def of(self, record: DatasetRecord, path: Path) -> Truth | None:
-        """The dataset that results belong to; None where it is not at hand.
+        """The dataset that results belong to; None where it is not available.
 
         Args:
             record: what the results folder says of the dataset.
@@ -192,7 +192,7 @@ def _inside(folder: Path) -> list[Dataset | CrossViewSet]:
 
 def _beside(results: Path) -> list[Path]:
     """The folders beside the results folder that look like datasets."""
-    root = Path(os.path.normpath(results.absolute()))  # where it was named, be it by a link
+    root = Path(os.path.normpath(results.absolute()))  # the path as given; symlinks are not resolved
     if (root / "dataset.yaml").exists():
         root = root.parent
     try:

@@ -33,12 +33,12 @@ def guarded(call: Callable[[], Any], *, placed: bool = False) -> tuple[Any, str 
     """
     with _interrupts() as came:
         try:
-            value, broke = call(), None
+            value, crash = call(), None
         except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
-            value, broke = None, raised(bad) + (_place(bad) if placed else "")
+            value, crash = None, raised(bad) + (_place(bad) if placed else "")
     if came:
         raise KeyboardInterrupt
-    return value, broke
+    return value, crash
 
 
 def _place(bad: BaseException) -> str:
@@ -84,11 +84,11 @@ def implements(method: Any, protocol: Any) -> bool:
 
 def neighbours_of(tracker: Any) -> tuple[int, str | None]:
     """The number of frames on each side of a keyframe that a tracker requests; and what is wrong with its request."""
-    value, broke = guarded(lambda: getattr(tracker, "neighbours", 0))
-    if broke is not None:
-        return 0, f"its attribute 'neighbours' cannot be read: {broke}"
-    count, broke = guarded(lambda: operator.index(value))
-    if broke is not None or not 0 <= count <= MOST_NEIGHBOURS:
+    value, crash = guarded(lambda: getattr(tracker, "neighbours", 0))
+    if crash is not None:
+        return 0, f"its attribute 'neighbours' cannot be read: {crash}"
+    count, crash = guarded(lambda: operator.index(value))
+    if crash is not None or not 0 <= count <= MOST_NEIGHBOURS:
         shown = guarded(lambda: one_line(value, 100))[0]
         return 0, f"its attribute 'neighbours' is {shown}, expected a whole number from 0 to {MOST_NEIGHBOURS}"
     return int(count), None
@@ -98,11 +98,11 @@ def batch_of(tracker: Any) -> tuple[int, str | None]:
     """The number of queries that a tracker answers in one call; and what is wrong with its ``batch_size``."""
     if not implements(tracker, SupportsBatch):
         return 1, None
-    value, broke = guarded(lambda: getattr(tracker, "batch_size", MOST_QUERIES))
-    if broke is not None:
-        return 1, f"its attribute 'batch_size' cannot be read: {broke}"
-    count, broke = guarded(lambda: operator.index(value))
-    if broke is not None or count < 1:
+    value, crash = guarded(lambda: getattr(tracker, "batch_size", MOST_QUERIES))
+    if crash is not None:
+        return 1, f"its attribute 'batch_size' cannot be read: {crash}"
+    count, crash = guarded(lambda: operator.index(value))
+    if crash is not None or count < 1:
         return (
             1,
             f"its attribute 'batch_size' is {guarded(lambda: one_line(value, 100))[0]}, expected a whole number from 1",

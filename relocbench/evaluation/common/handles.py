@@ -43,7 +43,7 @@ class TrackerHandle(Protocol):
         ...
 
     def prepare(self, keyframe: Reference) -> str | None:
-        """Show the tracker a keyframe; returns how it broke on it, if it did."""
+        """Show the tracker a keyframe; returns how it crashed on it, if it did."""
         ...
 
     def ask(
@@ -79,8 +79,8 @@ class LocalTracker:
         self._reference = keyframe
         if not implements(self._tracker, SupportsPrepare):
             return None
-        self._reference, broke = guarded(lambda: self._tracker.prepare(keyframe))
-        return broke
+        self._reference, crash = guarded(lambda: self._tracker.prepare(keyframe))
+        return crash
 
     def ask(
         self, views: Sequence[Query], priors: Sequence[Array | None] | None = None
@@ -89,20 +89,20 @@ class LocalTracker:
 
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
         given = read_only(uv_ref), read_only(uv_start)
-        ends, broke = guarded(lambda: self._tracker.match(self._reference, query, *given))
-        return checked_pixels(ends, broke, len(uv_ref))
+        ends, crash = guarded(lambda: self._tracker.match(self._reference, query, *given))
+        return checked_pixels(ends, crash, len(uv_ref))
 
     def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[list[Array], str | None]:
         given = read_only(uv_ref), read_only(uv_start)
-        levels, broke = guarded(  # the levels may come from a generator
+        levels, crash = guarded(  # the levels may come from a generator
             lambda: list(islice(self._tracker.match_levels(self._reference, query, *given), _MOST_LEVELS + 1))
         )
-        if broke is None and len(levels) > _MOST_LEVELS:
-            broke = f"match_levels returned more than {_MOST_LEVELS} levels"
+        if crash is None and len(levels) > _MOST_LEVELS:
+            crash = f"match_levels returned more than {_MOST_LEVELS} levels"
         found: list[Array] = []
         for ends in levels or ():
-            pixels, broke = checked_pixels(ends, broke, len(uv_ref))
+            pixels, crash = checked_pixels(ends, crash, len(uv_ref))
             if pixels is None:
-                return [], broke
+                return [], crash
             found.append(pixels)
-        return found, broke
+        return found, crash

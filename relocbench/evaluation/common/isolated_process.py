@@ -109,12 +109,12 @@ class _RequestHandler:
         return [_words(answer) for answer in answers], poses
 
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
-        ends, broke = self._tracker.match(query, uv_ref, uv_start)
-        return {"broke": broke}, [] if ends is None else [ends]
+        ends, crash = self._tracker.match(query, uv_ref, uv_start)
+        return {"broke": crash}, [] if ends is None else [ends]
 
     def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
-        levels, broke = self._tracker.match_levels(query, uv_ref, uv_start)
-        return {"broke": broke}, levels
+        levels, crash = self._tracker.match_levels(query, uv_ref, uv_start)
+        return {"broke": crash}, levels
 
 
 def _words(answer: CheckedAnswer) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from relocbench.arrays import Array
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.common.answers import CheckedAnswer, checked_answer, checked_pixels, error_answer
 from relocbench.evaluation.common.handles import Declared
-from relocbench.evaluation.common.method_process import FORGED, MethodProcess, broke_of
+from relocbench.evaluation.common.method_process import FORGED, MethodProcess, crash_of
 from relocbench.methods import MethodSpec
 from relocbench.tracking import MOST_QUERIES, Query, Reference, TrackResult
 
@@ -30,7 +30,7 @@ class IsolatedTracker:
         self.declared = _declared(self._process.declared)
 
     def prepare(self, keyframe: Reference) -> str | None:
-        return broke_of(self._process.ask(("prepare", (keyframe,)))[0])
+        return crash_of(self._process.ask(("prepare", (keyframe,)))[0])
 
     def ask(
         self, views: Sequence[Query], priors: Sequence[Array | None] | None = None
@@ -46,7 +46,7 @@ class IsolatedTracker:
 
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
         answer, ends = self._process.ask(("match", (query, uv_ref, uv_start)))
-        return checked_pixels(ends[0] if ends else None, broke_of(answer), len(uv_ref))
+        return checked_pixels(ends[0] if ends else None, crash_of(answer), len(uv_ref))
 
     def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[list[Array], str | None]:
         answer, levels = self._process.ask(("match_levels", (query, uv_ref, uv_start)))
@@ -56,7 +56,7 @@ class IsolatedTracker:
             if pixels is None:
                 return [], fault
             found.append(pixels)
-        return found, broke_of(answer)
+        return found, crash_of(answer)
 
     def close(self) -> None:
         """End the process."""

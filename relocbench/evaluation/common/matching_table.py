@@ -43,7 +43,7 @@ class MatchingRow:
     group: str
     found: OffsetCounts
     message: str = ""
-    """how the method broke, in which case it answered no pixel"""
+    """how the method crashed, in which case it answered no pixel"""
 
 
 _COUNTS = tuple(field.name for field in fields(OffsetCounts))
@@ -67,7 +67,7 @@ def read_matching(path: Path) -> list[MatchingRow]:
 
 
 def _rows(path: Path) -> Iterator[TableRow]:
-    """The rows of the table; one of earlier versions, which asked each pixel from every offset, is told apart."""
+    """The rows of the table; one of earlier versions, which asked each pixel from every offset, is refused."""
     try:
         yield from read_rows(path, MATCHING_COLUMNS)
     except PredictionError as bad:

@@ -131,10 +131,10 @@ class MethodProcess:
         os._exit(max(code, 0))
 
 
-def broke_of(told: Any) -> str | None:
-    """How the method broke, of an answer that says so under ``broke``."""
-    broke = told.get("broke") if isinstance(told, dict) else FORGED
-    return None if broke is None else one_line(broke)
+def crash_of(told: Any) -> str | None:
+    """How the method broke, of an answer that says so under ``crash``."""
+    crash = told.get("broke") if isinstance(told, dict) else FORGED
+    return None if crash is None else one_line(crash)
 
 
 def _end(process: subprocess.Popen[bytes], connection: socket.socket, scratch: ScratchFolder) -> None:

@@ -43,7 +43,7 @@ Count = Annotated[int, Field(ge=0, le=10**15)]
 
 
 class PairSetRecord(Strict):
-    """What a leaderboard must know about a pair set when the dataset is not at hand."""
+    """What a leaderboard must know about a pair set when the dataset is not available."""
 
     reference: Name
     query: Name
@@ -108,9 +108,9 @@ class RunRecord(Strict):
     uses_times: bool = False
     """whether the method was shown the times of images, as it declared to need"""
     made_elsewhere: bool = False
-    """whether the predictions were made elsewhere and imported; all that the record says of them is hearsay"""
+    """whether the predictions were made elsewhere and imported; nothing in the record was verified"""
     answered_blind: str = ""
-    """of submitted predictions: the blind export of the dataset that was answered; empty where times were at hand"""
+    """of submitted predictions: the blind export of the dataset that was answered; empty where times were visible"""
     submitted: dict[str, str] = Field(default_factory=dict)
     """of submitted predictions: SHA-256 of the files as they were handed in, ``card.yaml`` among them"""
     remarks: tuple[str, ...] = ()
@@ -261,16 +261,16 @@ def write_record(path: Path, record: Strict) -> None:
         write_text(path, text)
 
 
-def first_breakage(label: str, what: str, broken: Sequence[tuple[object, str]]) -> list[tuple[str, str]]:
+def first_crash(label: str, what: str, crashed: Sequence[tuple[object, str]]) -> list[tuple[str, str]]:
     """The label and a message on what broke a method, with the first case; nothing where nothing broke it.
 
     Args:
-        what: how it broke, and on how many cases.
+        what: how it crashed, and on how many cases.
         broken: each case with the method's message.
     """
-    if not broken:
+    if not crashed:
         return []
-    place, message = broken[0]
+    place, message = crashed[0]
     return [(label, f"{what}; first on {place}: {message}")]
 
 

@@ -102,7 +102,7 @@ def _rng(text: str) -> np.random.Generator:
 
 
 def show_keyframe(unit: Unit, tracker: TrackerHandle) -> str | None:
-    """Show the tracker the unit's keyframe; returns how it broke on it, if it did. Raises DatasetError."""
+    """Show the tracker the unit's keyframe; returns how it crashed on it, if it did. Raises DatasetError."""
     if tracker.declared.fault:
         return tracker.declared.fault
     traversal = traversal_of(unit.dataset, unit.reference)

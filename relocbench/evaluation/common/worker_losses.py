@@ -45,7 +45,7 @@ class LossHandler(Generic[U]):
     """Remembers what has ended workers, and decides what is tried again, alone or not at all.
 
     Args:
-        write: writes an entry to a unit's journal that the method broke on a pair, and how.
+        write: writes an entry to a unit's journal that the method crashed on a pair, and how.
     """
 
     def __init__(self, write: Callable[[U, PairKey, str], None]) -> None:

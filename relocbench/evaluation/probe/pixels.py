@@ -40,24 +40,24 @@ def probe_pixels(
     """Probe the pixels of one pair.
 
     Args:
-        tracker: prepared for the keyframe; None if it broke on it, in which case nothing is asked.
+        tracker: prepared for the keyframe; None if it crashed on it, in which case nothing is asked.
 
     Returns:
-        the tallies, none with fewer visible correspondences than there are offsets; and how the method broke, empty if
-        it did not. A method that breaks has found nothing.
+        the tallies, none with fewer visible correspondences than there are offsets; and how the method crashed, empty
+        if it did not. A method that crashes has found nothing.
     """
     starts = draw_starts(known, query.camera, key, per_pair, OFFSETS_PX, seed)
     if len(starts) < len(OFFSETS_PX):
         return [], ""
     if tracker is None:
         return [_tally(None, starts, None)], ""
-    ends, broke = tracker.match(query, starts.uv_ref, starts.uv_start)
+    ends, crash = tracker.match(query, starts.uv_ref, starts.uv_start)
     tallies = [_tally(None, starts, ends)]
     if not tracker.declared.levels:
-        return tallies, broke or ""
-    levels, broke_too = tracker.match_levels(query, starts.uv_ref, starts.uv_start)
+        return tallies, crash or ""
+    levels, crash_too = tracker.match_levels(query, starts.uv_ref, starts.uv_start)
     tallies += [_tally(level, starts, e) for level, e in enumerate(levels)]
-    return tallies, broke or broke_too or ""
+    return tallies, crash or crash_too or ""
 
 
 def with_structure(known: Correspondences, image: NDArray[np.uint8], share: float) -> Correspondences:

@@ -59,18 +59,18 @@ def probe_poses(
     """Probe the whole pose of one pair.
 
     Args:
-        tracker: prepared for the keyframe; None if it broke on it, in which case nothing is asked.
+        tracker: prepared for the keyframe; None if it crashed on it, in which case nothing is asked.
 
     Returns:
-        the tallies of translation and rotation; and how the method broke, empty if it did not.
+        the tallies of translation and rotation; and how the method crashed, empty if it did not.
     """
-    tallies, broke = [], ""
+    tallies, crash = [], ""
     for what, offsets in OFFSETS.items():
         priors = draw_priors(T_query_ref, what, key, directions, seed)
         flat = priors.reshape(-1, 4, 4)
         nothing = [error_answer("")] * len(flat)
         results = nothing if tracker is None else tracker.ask([query] * len(flat), list(flat))[0]
-        broke = broke or next((r.message for r in results if r.status == "error"), "")
+        crash = crash or next((r.message for r in results if r.status == "error"), "")
         answers = [np.full((4, 4), np.nan) if r.T_query_ref is None else r.T_query_ref for r in results]
         truth = np.repeat(T_query_ref[None], len(flat), axis=0)
         ends = pose_errors(np.array(answers, dtype=np.float64), truth)
@@ -85,7 +85,7 @@ def probe_poses(
                 {name: _starts_near(what, offsets, name, directions) for name in WITHIN},
             )
         )
-    return tallies, broke
+    return tallies, crash
 
 
 def _near(errors: PoseErrors, name: str) -> NDArray[np.bool_]:

@@ -19,7 +19,7 @@ from relocbench.evaluation.common.blindness import blind_methods
 from relocbench.evaluation.common.capabilities import capabilities_of
 from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.opening import open_for_evaluation
-from relocbench.evaluation.common.results import first_breakage
+from relocbench.evaluation.common.results import first_crash
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
 from relocbench.evaluation.probe.starts import StartLine
 from relocbench.evaluation.probe.table import Line, result_lines, start_lines
@@ -74,8 +74,8 @@ class ProbeReport:
 
     lines: list[Line]
     files: list[Path]
-    broken: list[tuple[str, str]]
-    """label and message of each method that broke on pairs"""
+    crashed: list[tuple[str, str]]
+    """label and message of each method that crashed on pairs"""
     starts: Sequence[StartLine] = ()
     """convergence from the keyframe's pose, where that was probed"""
 
@@ -112,7 +112,7 @@ class ProbeReport:
                 for line in self.starts
             ],
             "files": [str(path) for path in self.files],
-            "broken": [{"method": label, "message": message} for label, message in self.broken],
+            "broken": [{"method": label, "message": message} for label, message in self.crashed],
         }
 
 
@@ -160,8 +160,8 @@ def _probe(
     if not lines and not starts:
         raise ConfigError("no pair has a visible correspondence: there is no pixel to probe", dataset.root)
     files = write_probe(options.out, dataset, lines, starts, _about(dataset, options, tasks))
-    broken = [b for label, found in answers.items() for b in _broken(label, found)]
-    return ProbeReport(lines, [*files, *pictures], broken, starts)
+    crashed = [b for label, found in answers.items() for b in _broken(label, found)]
+    return ProbeReport(lines, [*files, *pictures], crashed, starts)
 
 
 def chosen_pairs(dataset: Dataset, options: ProbeOptions) -> list[tuple[PairSet, list[PairKey]]]:
@@ -264,8 +264,8 @@ def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[Method
 
 
 def _broken(label: str, found: dict[tuple[str, PairKey], PairResult]) -> list[tuple[str, str]]:
-    broken = [(f"{name} {key[0]} {key[1]}", r.message) for (name, key), r in sorted(found.items()) if r.message]
-    return first_breakage(label, f"broke on {len(broken)} of {len(found)} pairs, counted as not found", broken)
+    crashed = [(f"{name} {key[0]} {key[1]}", r.message) for (name, key), r in sorted(found.items()) if r.message]
+    return first_crash(label, f"crashed on {len(crashed)} of {len(found)} pairs, counted as not found", crashed)
 
 
 def _bounds(interval: Any) -> list[float] | None:

@@ -67,10 +67,10 @@ def probe_starts(
     """Probe the starts of one pair.
 
     Args:
-        tracker: prepared for the keyframe; None if it broke on it, in which case nothing is asked.
+        tracker: prepared for the keyframe; None if it crashed on it, in which case nothing is asked.
 
     Returns:
-        the tally, whose offsets are the indices of :data:`KINDS`; and how the method broke, empty if it did not.
+        the tally, whose offsets are the indices of :data:`KINDS`; and how the method crashed, empty if it did not.
     """
     starts = draw_starts(T_query_ref, key, directions, seed)
     kind = np.minimum(np.arange(len(starts)), KINDS.index("random"))

@@ -73,7 +73,7 @@ class PairResult:
 
     tallies: tuple[Tally, ...]
     message: str
-    """how the method broke; empty if it did not"""
+    """how the method crashed; empty if it did not"""
 
 
 def task_for(capabilities: Capabilities, wanted: Task) -> Task:
@@ -158,11 +158,11 @@ def _left(asked: ChosenPairs, journals: dict[str, Path]) -> int:
 def _probe_unit(unit: ProbeUnit) -> int:
     """Probe the pairs of a unit in a worker; returns their number."""
     tracker = tracker_of(unit)
-    broke = show_keyframe(unit, tracker)
+    crash = show_keyframe(unit, tracker)
     with open_journal(unit.journal) as stream:
         for key in unit.keys:
-            answered = _ask(unit, key, None if broke else tracker)
-            write_entry(stream, _entry(key, answered[0], broke or answered[1]))
+            answered = _ask(unit, key, None if crash else tracker)
+            write_entry(stream, _entry(key, answered[0], crash or answered[1]))
     return len(unit.keys)
 
 

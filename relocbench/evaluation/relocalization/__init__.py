@@ -1,1 +1,1 @@
-"""Chains: a retriever ranks keyframes, a tracker runs against the best of them, and its surest answer is kept."""
+"""The full pipeline: a retriever ranks keyframes, a tracker runs against the best, one answer is kept."""

@@ -1,4 +1,4 @@
-"""``TASK.csv`` of a chain: one row for each query, with what was retrieved, the tracker's answer and its errors."""
+"""``TASK.csv`` of a pipeline: one row for each query, with what was retrieved, the tracker's answer and its errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from relocbench.metrics import PoseErrors
 
 Outcome = Literal["right", "choice", "unreachable", "retrieval", "tracking"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-"""The outcome of a query, where the chain kept the answer against one of K retrieved keyframes:
+"""The outcome of a query, where the pipeline kept the answer against one of K retrieved keyframes:
 
 - ``right``: the kept answer is right.
 - ``choice``: another of the K answers was right.

@@ -81,29 +81,29 @@ class RelocalizationOptions(ExecutionOptions):
 
 @dataclass(frozen=True)
 class RelocalizationReport:
-    """The results of an evaluation of chains."""
+    """The results of an evaluation of pipelines."""
 
     tasks: PipelineTasks
     folders: list[PipelineResults]
     results: Path
-    broken: list[tuple[str, str]] = field(default_factory=list)
-    """chain and message of each chain that broke on queries"""
+    crashed: list[tuple[str, str]] = field(default_factory=list)
+    """label and message of each pipeline that crashed on queries"""
 
     @cached_property
     def _scores(self) -> dict[str, PipelineScores]:
         return {folder.label: folder.scores() for folder in self.folders}
 
     def scores(self, folder: PipelineResults) -> dict[str, Values]:
-        """A chain's scores on the evaluated tasks."""
+        """A pipeline's scores on the evaluated tasks."""
         tasks = self._scores[folder.label].tasks
         return {name: values for name, values in tasks.items() if name in self.tasks.names}
 
     def basins(self, folder: PipelineResults) -> dict[str, PipelineBasin]:
-        """A chain's basins on the evaluated tasks."""
+        """A pipeline's basins on the evaluated tasks."""
         return {name: basin for name, basin in self._scores[folder.label].basins.items() if name in self.tasks.names}
 
     def to_dict(self) -> dict[str, Any]:
-        """Tasks, chains with their scores, and broken methods, as plain values for scripts."""
+        """Tasks, pipelines with their scores, and broken methods, as plain values for scripts."""
         return {
             "task": "relocalization",
             "dataset": self.tasks.record.dataset,
@@ -122,12 +122,12 @@ class RelocalizationReport:
                 for folder in self.folders
                 for run in (folder.run_record(),)
             ],
-            "broken": [{"chain": label, "message": message} for label, message in self.broken],
+            "broken": [{"chain": label, "message": message} for label, message in self.crashed],
         }
 
 
 def evaluate_pipelines(options: RelocalizationOptions, reporter: Reporter) -> RelocalizationReport:
-    """Run and score every retriever with every tracker, and with the floor that takes the first keyframe's pose.
+    """Run and score every retriever with every tracker, and with the trivial baseline, the first keyframe's pose.
 
     Raises:
         RelocbenchError: a bad dataset, method, option or list.

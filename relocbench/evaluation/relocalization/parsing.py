@@ -22,7 +22,7 @@ def parse_pipeline(
 
     Raises:
         MethodError: an unknown method, one of another kind, or a wrong parameter.
-        ConfigError: a repeated label, the name of a floor, or a setting without the label of its method.
+        ConfigError: a repeated label, the name of a trivial baseline, or a setting without the label of its method.
     """
     for setting in settings:
         if setting_label(setting) is None:
@@ -35,7 +35,9 @@ def parse_pipeline(
         if "+" in label:
             raise ConfigError(f"label '{label}': '+' joins the two halves of a pipeline; choose another")
         if label == KEYFRAME or (label == ORACLE and not floors):
-            raise ConfigError(f"'{label}' is the name of a floor; give the method another label: LABEL=METHOD")
+            raise ConfigError(
+                f"'{label}' is the name of a trivial baseline; give the method another label: LABEL=METHOD"
+            )
         if labels.count(label) > 1:
             raise ConfigError(f"two methods are called '{label}'; give one a label of its own: LABEL=METHOD")
     for setting in settings:

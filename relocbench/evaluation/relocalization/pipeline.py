@@ -41,7 +41,7 @@ class Tracked:
 
 
 def keyframe_poses(truth: MapTruth, retrieved: Sequence[Retrieved]) -> Tracked:
-    """The floor of a retriever: the query gets the pose of its first keyframe, and no tracker runs."""
+    """The trivial baseline of a retriever: the query gets the pose of its first keyframe, and no tracker runs."""
     keys = [
         (truth.keyframe_times[found.keyframes[0]], time)
         for time, found in zip(truth.query_times, retrieved, strict=True)
@@ -150,5 +150,5 @@ def _why_not(found: Retrieved, answers: Sequence[Answer]) -> tuple[str, str]:
     if not answers:
         status = "error" if found.status == "error" else "failed"
         return status, f"retrieval: {found.message or 'nothing was retrieved'}"
-    broke = [a for a in answers if a.status == "error"]
-    return ("error", broke[0].message) if broke else ("failed", answers[0].message)
+    crash = [a for a in answers if a.status == "error"]
+    return ("error", crash[0].message) if crash else ("failed", answers[0].message)

@@ -1,4 +1,4 @@
-"""The rankings that chains start from: those of retrievers, and the oracle's."""
+"""The rankings that pipelines start from: those of retrievers, and the oracle's."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ KEYFRAME = "keyframe-pose"
 
 
 class PipelineTask(Strict):
-    """What a leaderboard must know about a task when the dataset is not at hand."""
+    """What a leaderboard must know about a task when the dataset is not available."""
 
     queries: int
     gallery: int

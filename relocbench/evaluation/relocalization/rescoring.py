@@ -1,4 +1,4 @@
-"""Computing the rows of chains anew from rankings, trackers' answers and the dataset's truth."""
+"""Computing the rows of pipelines anew from rankings, trackers' answers and the dataset's truth."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ AGAIN = "run `relocbench evaluate-relocalization` again to score"
 
 
 class PipelineTruth:
-    """The truth of a dataset's chains, with the rankings and answers that their results folder holds."""
+    """The truth of a dataset's pipelines, with the rankings and answers that their results folder holds."""
 
     def __init__(self, dataset: Dataset, folder: PipelineSetResults) -> None:
         """Open the tasks of the dataset.
@@ -49,7 +49,7 @@ class PipelineTruth:
 
     @property
     def dataset(self) -> Dataset:
-        """The dataset of the chains."""
+        """The dataset of the pipelines."""
         return self._dataset
 
     def truth(self, name: str) -> MapTruth:
@@ -57,7 +57,7 @@ class PipelineTruth:
         return self._tasks.truth[name]
 
     def asked(self, run: PipelineRun, name: str) -> tuple[list[Retrieved], Tracked] | None:
-        """What a chain's halves said on a task: the keyframes of each query, and the tracker's answers.
+        """What a pipeline's halves said on a task: the keyframes of each query, and the tracker's answers.
 
         Returns:
             None where the ranking or the tracker's answers are not in the results folder.
@@ -69,7 +69,7 @@ class PipelineTruth:
     def rescored(
         self, run: PipelineRun, name: str, basin: PipelineBasin, claimed: Sequence[PipelineAnswer], path: Path
     ) -> bool:
-        """Whether the rows of a chain on a task follow from rankings, answers and truth.
+        """Whether the rows of a pipeline on a task follow from rankings, answers and truth.
 
         Args:
             basin: the basin that the rows were judged by; where it is given or measured it is believed.

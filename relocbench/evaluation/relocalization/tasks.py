@@ -1,4 +1,4 @@
-"""The tasks of chains on a dataset: place recognition by pairs, with the true poses that answers are judged by."""
+"""The tasks of pipelines on a dataset: place recognition by pairs, with the true poses that answers are judged by."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class PipelineTasks:
-    """The chosen tasks of chains on one dataset."""
+    """The chosen tasks of pipelines on one dataset."""
 
     asked: OpenedSet
     """the tasks as retrievers see them"""

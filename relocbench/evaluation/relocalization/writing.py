@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from relocbench import version
 from relocbench.datasets.core.pairfile import write_pose_lines
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import first_breakage, write_record
+from relocbench.evaluation.common.results import first_crash, write_record
 from relocbench.evaluation.relocalization.answers import read_pipeline, write_pipeline
 from relocbench.evaluation.relocalization.basin import Basins
 from relocbench.evaluation.relocalization.pipeline import Retrieved, Tracked, pipeline_answers
@@ -69,8 +69,8 @@ def write_pipeline_results(
 def broken_queries(folder: PipelineResults, names: Sequence[str]) -> list[tuple[str, str]]:
     """The label and a message if a method broke, rather than failed, on any query; else nothing."""
     rows = [row for name in names for row in read_pipeline(folder.answers(name))]
-    broken = [(row.query_timestamp_ns, row.message) for row in rows if row.status == "error"]
-    return first_breakage(folder.label, f"no answer to {len(broken)} of {len(rows)} queries for an error", broken)
+    crashed = [(row.query_timestamp_ns, row.message) for row in rows if row.status == "error"]
+    return first_crash(folder.label, f"no answer to {len(crashed)} of {len(rows)} queries for an error", crashed)
 
 
 def _drop_other(folder: PipelineResults, run: PipelineRun, tasks: PipelineTasks) -> None:

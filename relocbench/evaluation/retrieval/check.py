@@ -119,8 +119,8 @@ def _reranks(made: RerankingRetriever, values: NDArray[Any]) -> Finding:
         return Finding(name, False, "no image has a descriptor")
     for count in dict.fromkeys((min(len(known), top), 1)):
         with messages_to_stderr():
-            scores, broke = guarded(lambda k=count: made.rerank(known[0], known[:k]), placed=True)  # type: ignore[misc]
-        _, problem = checked_scores(scores, broke, count)
+            scores, crash = guarded(lambda k=count: made.rerank(known[0], known[:k]), placed=True)  # type: ignore[misc]
+        _, problem = checked_scores(scores, crash, count)
         if problem:
             return Finding(name, False, problem)
     return Finding(name, True)

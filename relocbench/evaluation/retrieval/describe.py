@@ -32,7 +32,7 @@ class Described:
     values: NDArray[np.floating]
     """(N, D); a row of NaN for an image without a descriptor; (N, 1) where no image has one"""
     messages: tuple[str, ...]
-    """(N,) how the method broke on an image; empty where it did not"""
+    """(N,) how the method crashed on an image; empty where it did not"""
     seconds: NDArray[np.float64]
     """(N,) an equal share of the batch's time, without reading the images"""
 
@@ -98,25 +98,25 @@ class Describer:
         if not images:
             return []
         views = list(anonymous(images, self._salt))
-        values, seconds, broke = self._ask(views)
-        if broke and len(views) > 1 and (self._broken < _HOPELESS or self._dimensions is not None):
+        values, seconds, crash = self._ask(views)
+        if crash and len(views) > 1 and (self._broken < _HOPELESS or self._dimensions is not None):
             return [one for view in views for one in self._single(view)]
-        return self._taken(values, seconds, broke, len(views))
+        return self._taken(values, seconds, crash, len(views))
 
     def _single(self, view: ImageView) -> list[_One]:
         return self._taken(*self._ask([view]), 1)
 
-    def _taken(self, values: Any, seconds: float, broke: str, count: int) -> list[_One]:
-        if broke:
+    def _taken(self, values: Any, seconds: float, crash: str, count: int) -> list[_One]:
+        if crash:
             self._broken += count
-            return [_One(None, seconds / count, broke)] * count
+            return [_One(None, seconds / count, crash)] * count
         self._dimensions = values.shape[1]
         return [_One(row.copy(), seconds / count) for row in values]
 
     def _ask(self, views: list[ImageView]) -> tuple[Any, float, str]:
-        """Return descriptors, the seconds they took, and how the method broke."""
-        values, seconds, broke = self.handle.describe(views)
-        return values, seconds, broke or fault_of(values, len(views), self._dimensions) or ""
+        """Return descriptors, the seconds they took, and how the method crashed."""
+        values, seconds, crash = self.handle.describe(views)
+        return values, seconds, crash or fault_of(values, len(views), self._dimensions) or ""
 
 
 def _local_handle(retriever: Any) -> RetrieverHandle:

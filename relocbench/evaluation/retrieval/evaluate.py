@@ -12,7 +12,7 @@ from relocbench.datasets.pairs.street_places import Positives
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.execution_options import LimitOptions
-from relocbench.evaluation.common.results import first_breakage
+from relocbench.evaluation.common.results import first_crash
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
@@ -79,8 +79,8 @@ class RetrievalReport:
     record: SetRecord
     folders: list[RetrieverResults]
     results: Path
-    broken: list[tuple[str, str]]
-    """label and message of each retriever that broke on queries"""
+    crashed: list[tuple[str, str]]
+    """label and message of each retriever that crashed on queries"""
     suspicions: list[tuple[str, str]]
     """label and advice for each retriever whose R@1 is no better than chance"""
 
@@ -100,7 +100,7 @@ class RetrievalReport:
             "results": str(self.results),
             "chance": {task.name: self.record.tasks[task.name].chance for task in self.asked.chosen},
             "methods": {folder.label: self.scores(folder) for folder in self.folders},
-            "broken": [{"method": label, "message": message} for label, message in self.broken],
+            "broken": [{"method": label, "message": message} for label, message in self.crashed],
             "suspicious": [{"method": label, "message": message} for label, message in self.suspicions],
         }
 
@@ -139,13 +139,13 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
         write_set_record(results, asked, asked.chosen)
     record = results.record
     names = [task.name for task in asked.chosen]
-    broken = [b for folder in folders for b in _broken(folder, names)]
+    crashed = [b for folder in folders for b in _broken(folder, names)]
     if record.is_withheld:
         reporter.note(f"{asked.name} is a blind export: answers are kept, and scored by who has the truth")
-        return RetrievalReport(asked, record, folders, results.root, broken, [])
+        return RetrievalReport(asked, record, folders, results.root, crashed, [])
     for folder in folders:
         score_retriever(record, folder)
-    return RetrievalReport(asked, record, folders, results.root, broken, _suspicions(record, folders, names))
+    return RetrievalReport(asked, record, folders, results.root, crashed, _suspicions(record, folders, names))
 
 
 def _set_options(options: RetrievalOptions) -> SetOptions:
@@ -166,9 +166,9 @@ def _label(options: RetrievalOptions) -> str:
 
 def _broken(folder: RetrieverResults, names: list[str]) -> list[tuple[str, str]]:
     answers = [a for name in names if folder.complete(name) for a in read_answers(folder.answers(name))]
-    broken = [(a.query, a.message) for a in answers if a.status == BROKEN]
-    return first_breakage(
-        folder.label, f"broke on {len(broken)} of {len(answers)} queries, counted as not found", broken
+    crashed = [(a.query, a.message) for a in answers if a.status == BROKEN]
+    return first_crash(
+        folder.label, f"crashed on {len(crashed)} of {len(answers)} queries, counted as not found", crashed
     )
 
 

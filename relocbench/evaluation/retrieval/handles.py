@@ -1,4 +1,4 @@
-"""Calling a retriever, in this process or in a worker process: its result, the seconds it took, and how it broke."""
+"""Calling a retriever, in this process or in a worker process: its result, the seconds it took, and how it crashed."""
 
 from __future__ import annotations
 
@@ -67,17 +67,17 @@ class WorkerRetriever:
         self._answered = False
         self._losses = 0
         self._gone = ""
-        about, _, broke = self._call("about", (), tries=TRIES)
-        if broke:
-            self._gone = f"{CONSTRUCTOR}: {broke}"
-        self.fits = not broke and about.fits
-        self.rerank_top = 0 if broke else about.rerank_top
-        self.rerank_fault = "" if broke else about.rerank_fault
+        about, _, crash = self._call("about", (), tries=TRIES)
+        if crash:
+            self._gone = f"{CONSTRUCTOR}: {crash}"
+        self.fits = not crash and about.fits
+        self.rerank_top = 0 if crash else about.rerank_top
+        self.rerank_fault = "" if crash else about.rerank_fault
 
     @property
     def info(self) -> dict[str, Any]:
-        info, _, broke = self._call("info", (), tries=1)
-        return {} if broke else dict(info)
+        info, _, crash = self._call("info", (), tries=1)
+        return {} if crash else dict(info)
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
         self._fitted_by = ()

@@ -102,7 +102,7 @@ def _views(images: Sequence[Shown]) -> list[ImageView]:
 
 def _answer(call: Callable[[], CallResult]) -> tuple[Any, Arrays]:
     try:
-        values, _, broke = call()
+        values, _, crash = call()
     except RelocbenchError as bad:
         return {"raised": str(bad)}, []
-    return {"broke": broke}, [] if values is None else [values]
+    return {"broke": crash}, [] if values is None else [values]

@@ -9,7 +9,7 @@ from typing import Any
 
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.common.info_text import info_text
-from relocbench.evaluation.common.method_process import FORGED, MethodProcess, broke_of
+from relocbench.evaluation.common.method_process import FORGED, MethodProcess, crash_of
 from relocbench.evaluation.retrieval.local import CallResult
 from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores
 from relocbench.execution import MANY_TIMES, step
@@ -49,21 +49,21 @@ class IsolatedRetriever:
             return gallery[index].image
 
         named = [(view.key, view.view) for view in gallery]
-        _, seconds, broke = self._timed(("fit", (named, seed)), MANY_TIMES, needed=image_of)
-        return None, seconds, broke
+        _, seconds, crash = self._timed(("fit", (named, seed)), MANY_TIMES, needed=image_of)
+        return None, seconds, crash
 
     def describe(self, images: Sequence[ImageView]) -> CallResult:
         shown = [(view.key, view.view, view.image) for view in images]
         if not self._warm:  # compilation and first allocations should not count as the method's speed
             self._warm = True
             self._timed(("warm_up", (shown[:1],)), MANY_TIMES)
-        values, seconds, broke = self._timed(("describe", (shown,)), min(float(len(images)), MANY_TIMES))
-        descriptors, fault = checked_descriptors(values, broke or None, len(images))
+        values, seconds, crash = self._timed(("describe", (shown,)), min(float(len(images)), MANY_TIMES))
+        descriptors, fault = checked_descriptors(values, crash or None, len(images))
         return descriptors, seconds, fault or ""
 
     def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult:
-        values, seconds, broke = self._timed(("rerank", (query, candidates)), 1.0)
-        scores, fault = checked_scores(values, broke or None, len(candidates))
+        values, seconds, crash = self._timed(("rerank", (query, candidates)), 1.0)
+        scores, fault = checked_scores(values, crash or None, len(candidates))
         return scores, seconds, fault or ""
 
     def close(self) -> None:
@@ -77,4 +77,4 @@ class IsolatedRetriever:
         seconds = time.perf_counter() - start
         if isinstance(answer, dict) and "raised" in answer:
             raise MethodError(one_line(answer["raised"], 2000))
-        return arrays[0] if arrays else None, seconds, broke_of(answer) or ""
+        return arrays[0] if arrays else None, seconds, crash_of(answer) or ""

@@ -1,4 +1,4 @@
-"""A retriever in this process: its results, the seconds they took, and how it broke."""
+"""A retriever in this process: its results, the seconds they took, and how it crashed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from relocbench.methods import MethodSpec
 from relocbench.retrieval import Descriptors, FittingRetriever, ImageView, Retriever
 
 CallResult = tuple[Any, float, str]
-"""what a call returned, its seconds, and how it broke (empty if it did not)"""
+"""what a call returned, its seconds, and how it crashed (empty if it did not)"""
 
 
 class LocalRetriever:
@@ -42,8 +42,8 @@ class LocalRetriever:
             view.image  # noqa: B018  read it before the clock starts
         if not self._warm:
             self.warm_up(images)
-        values, seconds, broke = _timed(lambda: self._retriever.describe(images), min(float(len(images)), MANY_TIMES))
-        values, fault = checked_descriptors(values, broke or None, len(images))
+        values, seconds, crash = _timed(lambda: self._retriever.describe(images), min(float(len(images)), MANY_TIMES))
+        values, fault = checked_descriptors(values, crash or None, len(images))
         return values, seconds, fault or ""
 
     def warm_up(self, images: Sequence[ImageView]) -> CallResult:
@@ -53,8 +53,8 @@ class LocalRetriever:
         return None, 0.0, ""
 
     def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult:
-        values, seconds, broke = _timed(lambda: self._retriever.rerank(query, candidates), 1.0)
-        scores, fault = checked_scores(values, broke or None, len(candidates))
+        values, seconds, crash = _timed(lambda: self._retriever.rerank(query, candidates), 1.0)
+        scores, fault = checked_scores(values, crash or None, len(candidates))
         return scores, seconds, fault or ""
 
 
@@ -80,8 +80,8 @@ def _timed(call: Callable[[], Any], times: float) -> CallResult:
 
     start = time.perf_counter()
     with messages_to_stderr(), step("", times=times):
-        value, broke = guarded(kept)
+        value, crash = guarded(kept)
     seconds = time.perf_counter() - start
     if raised:
         raise raised[0]
-    return value, seconds, broke or ""
+    return value, seconds, crash or ""

@@ -34,15 +34,15 @@ def _is_float(values: NDArray[Any]) -> bool:
 
 
 def checked_descriptors(
-    values: object, broke: str | None, count: int, dimensions: int | None = None
+    values: object, crash: str | None, count: int, dimensions: int | None = None
 ) -> tuple[NDArray[np.floating] | None, str | None]:
     """What ``describe`` returned for ``count`` images as a plain array (N, D), or None and an error message."""
-    if broke is not None:
-        return None, broke
+    if crash is not None:
+        return None, crash
     # np.asarray turns a subclass of ndarray, which could behave differently at each look, into a plain array.
-    plain, broke = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
-    if broke is not None:
-        return None, f"what describe returned cannot be read: {broke}"
+    plain, crash = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
+    if crash is not None:
+        return None, f"what describe returned cannot be read: {crash}"
     fault = fault_of(plain, count, dimensions)
     return (None, fault) if fault else (plain, None)
 
@@ -51,21 +51,21 @@ def rerank_top_of(retriever: object) -> tuple[int, str | None]:
     """The number of candidates that a retriever reranks, 0 for none; and what is wrong with its ``rerank_top``."""
     if guarded(lambda: callable(getattr(retriever, "rerank", None)))[0] is not True:
         return 0, None
-    top, broke = guarded(lambda: operator.index(getattr(retriever, "rerank_top", 0)))
-    if broke is not None or not 0 <= top <= _MOST_RERANKED:
-        shown = broke or str(top)[:30]
+    top, crash = guarded(lambda: operator.index(getattr(retriever, "rerank_top", 0)))
+    if crash is not None or not 0 <= top <= _MOST_RERANKED:
+        shown = crash or str(top)[:30]
         return 0, f"its attribute 'rerank_top' is no whole number from 0 to {_MOST_RERANKED}: {shown}"
     return int(top), None
 
 
-def checked_scores(values: object, broke: str | None, count: int) -> tuple[NDArray[np.float64] | None, str | None]:
+def checked_scores(values: object, crash: str | None, count: int) -> tuple[NDArray[np.float64] | None, str | None]:
     """What ``rerank`` returned for ``count`` candidates as (K,) float64, or None and an error message."""
-    if broke is not None:
-        return None, broke
+    if crash is not None:
+        return None, crash
     plain: Any
-    plain, broke = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
-    if broke is not None:
-        return None, f"what rerank returned cannot be read: {broke}"
+    plain, crash = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
+    if crash is not None:
+        return None, f"what rerank returned cannot be read: {crash}"
     if not isinstance(plain, np.ndarray) or plain.shape != (count,):
         shape = f"shape {plain.shape}" if isinstance(plain, np.ndarray) else type(plain).__name__
         return None, f"rerank returned {shape} for {count} candidates, expected ({count},)"

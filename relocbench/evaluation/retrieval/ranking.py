@@ -30,7 +30,7 @@ class Ranked:
     """1-based ranks of the positives, by the same rule"""
     seconds: float = 0.0
     """of reranking"""
-    broke: str = ""
+    crash: str = ""
 
 
 def rank_task(
@@ -66,7 +66,7 @@ def rank_task(
         for offset, row in enumerate(scores):
             q = rows.start + offset
             if fault:
-                ranked = Ranked(live[:0], (), broke=fault)
+                ranked = Ranked(live[:0], (), crash=fault)
             else:
                 ranked = _ranked(row, place[task.relevance.of(q)], count, again, of_queries[q], of_gallery)
             yield _answer(task, q, queries, ranked), [task.gallery[i].key for i in live[ranked.first]]
@@ -89,9 +89,9 @@ def _ranked(
     if again is None or first.size == 0:
         return Ranked(first[:count], _ranks(scores, positives))
     head = first[:top]
-    values, seconds, broke = again.rerank(query, gallery[head])
-    if broke:
-        return Ranked(first[:0], (), seconds, broke)
+    values, seconds, crash = again.rerank(query, gallery[head])
+    if crash:
+        return Ranked(first[:0], (), seconds, crash)
     ordered = np.concatenate([head[np.lexsort((right[head], -values))], first[top:]])
     # The reranked images by their new scores come first, and all others follow by the old ones.
     new = np.full(len(scores), np.nan)
@@ -121,7 +121,7 @@ def _ranks(scores: Array, positives: Indices) -> tuple[int, ...]:
 
 
 def _answer(task: RetrievalTask, q: int, queries: Described, ranked: Ranked) -> QueryAnswer:
-    message = queries.messages[q] or ranked.broke
+    message = queries.messages[q] or ranked.crash
     if message:
         status = "error"
     elif not np.isfinite(queries.values[q]).all():

@@ -36,7 +36,7 @@ METRICS = ("R@1", "R@5", "R@10", "R@20", "R@top1%", "AP", "MRR")
 
 
 class TaskRecord(Strict):
-    """What a leaderboard must know about a task when the images are not at hand."""
+    """What a leaderboard must know about a task when the images are not available."""
 
     queries: Count
     gallery: Count

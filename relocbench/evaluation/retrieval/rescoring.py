@@ -47,7 +47,7 @@ class Confirmed:
 
 
 class RetrievalTruth:
-    """The tasks of a retrieval set that is at hand."""
+    """The tasks of a retrieval set that is available."""
 
     def __init__(self, folder: SetResults, places: StreetPlaces | CrossViewSet) -> None:
         """Check what the results folder says of the set.
@@ -108,7 +108,7 @@ class RetrievalTruth:
 
 
 def truth_of(folder: SetResults, lookup: DatasetLookup) -> RetrievalTruth | None:
-    """The truth of a retrieval set; None where its dataset is not at hand.
+    """The truth of a retrieval set; None where its dataset is not available.
 
     A copy of the dataset, from another processor, will do where labels or pairs decide which images are right. Where a
     radius does, the last digits of a pose can decide, and it will not.

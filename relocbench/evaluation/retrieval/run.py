@@ -141,19 +141,19 @@ class RetrieverSession:
         self, task: RetrievalTask, keep: int | None, advance: Callable[[int], None] = lambda count: None
     ) -> TaskAnswers:
         """Fit the retriever if it can be fitted, describe both sides, and rank. Raises MethodError and DatasetError."""
-        fit_seconds, broke = None, ""
+        fit_seconds, crash = None, ""
         keys = [image.key for image in task.gallery]
         if self._describer.handle.fits and self._fitted_on != keys:
             if self._fitted_on is not None:
                 self._describer = self._new()
-            _, seconds, broke = self._describer.handle.fit(AnonymousViews(task.gallery, self._salt), self._seed)
-            fit_seconds, broke = round(seconds, 3), f"fit: {broke}" if broke else ""
+            _, seconds, crash = self._describer.handle.fit(AnonymousViews(task.gallery, self._salt), self._seed)
+            fit_seconds, crash = round(seconds, 3), f"fit: {crash}" if crash else ""
             self._fitted_on = keys
         describer = self._describer
         again = describer.knows(task.gallery)
-        if broke:
+        if crash:
             self._fitted_on = []  # so that it is fitted again for the next task
-            queries, gallery = nothing(len(task.queries), broke), nothing(len(task.gallery), broke)
+            queries, gallery = nothing(len(task.queries), crash), nothing(len(task.gallery), crash)
             advance(len(task.queries) + len(task.gallery))
         else:
             gallery = describer(task.gallery, advance)
@@ -193,7 +193,7 @@ def check_task(task: RetrievalTask) -> None:
 
 
 def _with_gallery_failure(answer: QueryAnswer, of_gallery: Sequence[str]) -> QueryAnswer:
-    """The answer of a query that found nothing because the method broke on the whole gallery becomes an error."""
+    """The answer of a query that found nothing because the method crashed on the whole gallery becomes an error."""
     if answer.status == "failed" and of_gallery and all(of_gallery):
         return QueryAnswer(
             answer.query, answer.group, BROKEN, answer.positives, (), answer.seconds, f"on the gallery: {of_gallery[0]}"

@@ -80,7 +80,7 @@ def add_submission(
     """Score a submission that was checked, and put it into a results folder.
 
     Raises:
-        PredictionError: the submission has faults, the truth is not at hand, the label is taken, or another process
+        PredictionError: the submission has faults, the truth is not available, the label is taken, or another process
             writes to the results.
         ConfigError: ``results`` lies inside a dataset or the submission.
     """

@@ -23,7 +23,7 @@ _UNFILLED = "FILL IN"
 _URL = re.compile(r"https?://[A-Za-z0-9._~:/?#\[\]@!$&()*+,;=%-]{3,300}")
 _LONGEST = 1000
 RESERVED = ("identity", "clock")
-"""labels of the floors, which every other row is read against"""
+"""labels of the trivial baselines, which every other row is read against"""
 _WHAT = "the card of a submission"
 _TEMPLATE_WRITER = "`relocbench submit-check --new FOLDER` writes one to fill in"
 
@@ -40,7 +40,7 @@ def _filled(text: str) -> str:
 
 def _own_label(label: str) -> str:
     if label.lower() in RESERVED:
-        raise ValueError(f"{quoted(label)} is the label of a floor; choose another")
+        raise ValueError(f"{quoted(label)} is the label of a trivial baseline; choose another")
     return label
 
 
@@ -73,7 +73,7 @@ class Answered(Strict):
 
     fingerprint: Fingerprint
     asked_once: bool
-    """whether it was asked once, by the finished method"""
+    """whether it was evaluated once, by the finished method"""
     note: Text | None = None
 
 

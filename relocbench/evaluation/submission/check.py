@@ -236,7 +236,7 @@ def _check_poses(
 
 def _check_blind_only(name: str, folder: Path, options: SubmissionOptions, *, is_blind: bool) -> None:
     if options.blind_only and not is_blind:
-        message = f"answers '{name}', where names, times or truth are at hand; expected answers to a blind export of it"
+        message = f"answers '{name}', where names, times or truth are visible; expected answers to a blind export of it"
         raise PredictionError(message, folder)
 
 
@@ -301,7 +301,7 @@ def _tell(checked: Checked, card: Card, places: YamlPlaces) -> None:
             checked.found.note(f"{row.asked}: {message}", checked.root / row.dataset)
     for name, answered in card.datasets.items():
         if not answered.asked_once:
-            checked.suspicions.append(f"{name}: was not asked once only, as the card says")
+            checked.suspicions.append(f"{name}: was evaluated more than once, as the card says")
     for name in card.datasets:
         named = re.compile(rf"(?<![\w.+-]){re.escape(name.partition('.blind')[0])}(?![\w+-]|\.\w)")
         seen = [split for split in card.weights.splits_seen if named.search(split)]

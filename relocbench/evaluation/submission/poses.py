@@ -37,7 +37,7 @@ class PairSetAnswers:
     unknown: int = 0
     duplicate: int = 0
     invalid: int = 0
-    """lines that cannot be read, or whose pose is none"""
+    """unreadable lines, or invalid poses"""
 
     @property
     def missing(self) -> int:

@@ -74,7 +74,7 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
         name: of the dataset or blind export, as the card has it.
         fingerprint: the same.
         question: of the dataset, where a run.yaml beside the answers says it; empty elsewhere.
-        datasets: those at hand; of a blind export the dataset that it was made of, or the export itself.
+        datasets: those that were given; of a blind export the dataset that it was made of, or the export itself.
 
     Raises:
         PredictionError: without a place: it is none of them, or another version or export of one.
@@ -102,8 +102,8 @@ def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, Ope
     Args:
         name: of the dataset or blind export, as the card has it.
         fingerprint: the same.
-        sets: those at hand, by what a card calls them, each with the fingerprint that the card names; of a blind
-            export the dataset that it was made of, or the export itself.
+        sets: those that were given, by what a card calls them, each with the fingerprint that the card names; of a
+            blind export the dataset that it was made of, or the export itself.
 
     Raises:
         PredictionError: without a place: it is none of them, or another version or export of one.

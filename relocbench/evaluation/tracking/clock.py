@@ -1,7 +1,7 @@
-"""The floor of times: poses from the times of keyframe and query alone, without a look at any image.
+"""The timestamp-only baseline: poses from the times of keyframe and query alone, without a look at any image.
 
 Drives along one road keep a similar pace, so that times tell much of a pose. Trackers see no times; what times would
-have told them is shown beside their scores. The floor is fitted to other pairs of the same set, which no method is
+have told them is shown beside their scores. The baseline is fitted to other pairs of the same set, which no method is
 given: it is at least what a method could learn of times.
 """
 
@@ -26,7 +26,7 @@ CLOCK = "clock"
 TARGET = "floor:clock"
 FOLDS = 5
 _RIDGE = 1e-3
-_WITHHELD = "the truth is withheld, to which the floor is fitted"
+_WITHHELD = "the truth is withheld, to which the baseline is fitted"
 
 
 def clock_poses(
@@ -89,14 +89,17 @@ def _ridge(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetResults) -> MethodResults:
-    """Write the floor's predictions as those of a method called ``clock``; they are computed anew each time.
+    """Write the baseline's predictions as those of a method called ``clock``; they are computed anew each time.
 
     Raises:
         PredictionError: the folder holds predictions of a method.
     """
     folder = results.method(CLOCK)
     if folder.run_yaml.exists() and (target := folder.run_record().target) != TARGET:
-        raise PredictionError(f"holds predictions of '{target}'; the label '{CLOCK}' is the floor's", folder.run_yaml)
+        raise PredictionError(
+            f"holds predictions of '{target}'; the label '{CLOCK}' is that of the timestamp-only baseline",
+            folder.run_yaml,
+        )
     for pair_set in pair_sets:
         pairs = pair_set.evaluated
         truth = [pair.T_query_ref for pair in pairs if pair.T_query_ref is not None]
@@ -104,7 +107,7 @@ def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetRe
         answers = [Answer(pair.key, "failed", message=_WITHHELD) for pair in pairs]
         if pairs and len(truth) == len(pairs):
             ref, query = zip(*(pair.key for pair in pairs), strict=True)
-            # Pairs of different places are drawn at random, so that fitting them would only spoil the floor.
+            # Pairs of different places are drawn at random, so that fitting them would only spoil the baseline.
             fitted = np.array([not pair.is_negative for pair in pairs])
             poses = clock_poses(ref, query, np.array(truth), fitted)
             lines = [PoseLine(*pair.key, pose) for pair, pose in zip(pairs, poses, strict=True)]

@@ -22,7 +22,7 @@ from relocbench.evaluation.common.results import (
     DatasetResults,
     MethodResults,
     dataset_results,
-    first_breakage,
+    first_crash,
     write_dataset_record,
 )
 from relocbench.evaluation.tracking.clock import CLOCK, run_clock
@@ -72,8 +72,8 @@ class Report:
     pair_sets: list[PairSet]
     folders: list[MethodResults]
     results: Path
-    broken: list[tuple[str, str]]
-    """label and message of each method that broke on pairs, rather than reporting failures"""
+    crashed: list[tuple[str, str]]
+    """label and message of each method that crashed on pairs, rather than reporting failures"""
 
     def to_dict(self) -> dict[str, Any]:
         """Scores and broken methods, as plain values for scripts."""
@@ -86,7 +86,7 @@ class Report:
             "methods": {label: scores.pair_sets for label, scores in scored.items()},
             "elsewhere": {label: scores.elsewhere for label, scores in scored.items() if scores.elsewhere},
             "matching": {label: scores.matching for label, scores in scored.items() if scores.matching},
-            "broken": [{"method": label, "message": message} for label, message in self.broken],
+            "broken": [{"method": label, "message": message} for label, message in self.crashed],
         }
 
 
@@ -127,7 +127,8 @@ def _check_images(dataset: Dataset, pair_sets: list[PairSet], specs: list[Method
     """Whether there are images of all pairs. Raises DatasetError where there are not, for trackers that need them."""
     if any(not is_identity(spec) for spec in specs):
         dataset.require_images(
-            pair_sets, "no tracker can run, but the floors identity and clock; score predictions with --predictions"
+            pair_sets,
+            "no tracker can run except the baselines identity and clock; score predictions with --predictions",
         )
     return all(dataset.has_images(pair_set) for pair_set in pair_sets)
 
@@ -197,13 +198,13 @@ def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, 
         if folder.answers(pair_set.name).exists()
         for answer in read_answers(folder.answers(pair_set.name)).values()
     ]
-    broken = [(_pair_text(a.key), a.message) for a in answers if a.status == "error"]
+    crashed = [(_pair_text(a.key), a.message) for a in answers if a.status == "error"]
     tables = [path for s in pair_sets if (path := folder.matching(s.name)).exists()]
     unmatched = {_pair_text(row.key): row.message for path in tables for row in read_matching(path) if row.message}
     return [
-        *first_breakage(folder.label, f"broke on {len(broken)} of {len(answers)} pairs, counted as failures", broken),
-        *first_breakage(
-            folder.label, f"match broke on {len(unmatched)} pairs, counted as not found", list(unmatched.items())
+        *first_crash(folder.label, f"crashed on {len(crashed)} of {len(answers)} pairs, counted as failures", crashed),
+        *first_crash(
+            folder.label, f"match crashed on {len(unmatched)} pairs, counted as not found", list(unmatched.items())
         ),
     ]
 

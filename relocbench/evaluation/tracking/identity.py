@@ -1,4 +1,4 @@
-"""The identity pose where there are no images: the floor that needs none, as the tracker `identity` answers it."""
+"""The identity pose where there are no images: what the tracker `identity` would answer."""
 
 from __future__ import annotations
 

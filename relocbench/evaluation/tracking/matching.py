@@ -190,11 +190,11 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
 def _match_unit(unit: Unit) -> int:
     """Measure the pairs of a unit in a worker; returns their number."""
     tracker = tracker_of(unit)
-    broke = show_keyframe(unit, tracker)
+    crash = show_keyframe(unit, tracker)
     with open_journal(unit.journal) as stream:
         for key in unit.keys:
             starts = _starts(unit, key)
-            ends, message = (None, broke) if broke else _ask(tracker, unit, key, starts)
+            ends, message = (None, crash) if crash else _ask(tracker, unit, key, starts)
             write_entry(stream, _entry(key, starts, ends, message))
     return len(unit.keys)
 
@@ -212,7 +212,7 @@ def _correspondence_file(dataset: Path, pair_set: str) -> Path:
 
 
 def _ask(tracker: TrackerHandle, unit: Unit, key: PairKey, starts: Starts) -> tuple[Array | None, str | None]:
-    """Return where the method's matches end (N, 2), or None and how it broke."""
+    """Return where the method's matches end (N, 2), or None and how it crashed."""
     if not len(starts):
         return None, None
     query = query_of(unit, key)
@@ -221,7 +221,7 @@ def _ask(tracker: TrackerHandle, unit: Unit, key: PairKey, starts: Starts) -> tu
 
 
 def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None) -> dict[str, Any]:
-    """A line of the journal; a method that broke has found nothing."""
+    """A line of the journal; a method that crashed has found nothing."""
     where = np.full((len(starts), 2), np.nan) if ends is None else ends
     found = [_count(offset, starts, where) for offset in OFFSETS_PX]
     return {

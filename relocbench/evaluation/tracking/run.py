@@ -143,13 +143,13 @@ def _run_pair_set(
 def _run_unit(unit: Unit) -> int:
     """Answer the pairs of a unit in a worker; returns their number."""
     tracker = tracker_of(unit)
-    broke = show_keyframe(unit, tracker)
+    crash = show_keyframe(unit, tracker)
     with open_journal(unit.journal) as stream:
         for batch in _batches(unit.keys, tracker):
             views = [query_of(unit, key) for key in batch]
             seconds: float | None
-            if broke is not None:
-                answered, seconds = [error_answer(broke)] * len(batch), None
+            if crash is not None:
+                answered, seconds = [error_answer(crash)] * len(batch), None
             else:
                 _warm_up(tracker, views[0], unit, batch)
                 with step("", tuple(batch), time_factor(_TRACK, unit, len(batch))):

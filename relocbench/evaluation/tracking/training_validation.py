@@ -103,9 +103,9 @@ def _track(tracker: Tracker, asked: Sequence[_ValidationPair]) -> list[CheckedAn
     times = bool(getattr(tracker, "uses_times", False))
     handle = LocalTracker(tracker)
     keyframe = first.dataset.reference(first.pair_set, first.pair, handle.declared.neighbours)
-    broke = handle.declared.fault or handle.prepare(shown_reference(keyframe, times))
-    if broke:
-        return [error_answer(broke)] * len(asked)
+    crash = handle.declared.fault or handle.prepare(shown_reference(keyframe, times))
+    if crash:
+        return [error_answer(crash)] * len(asked)
     queries = (shown_query(each.dataset.query(each.pair_set, each.pair), times) for each in asked)
     return [handle.ask([query])[0][0] for query in queries]
 

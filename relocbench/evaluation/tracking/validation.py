@@ -38,7 +38,7 @@ class _Expected:
     record: DatasetRecord | None
     """the results folder's record of its dataset"""
     dataset: Dataset | None
-    """the dataset itself, where it is at hand"""
+    """the dataset itself, where it is available"""
 
     @property
     def pair_sets(self) -> dict[str, int] | None:
@@ -250,7 +250,7 @@ def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> s
 def _check_scores(
     folder: MethodResults, run: RunRecord | None, complete: set[str], asked: _Expected, found: Findings
 ) -> None:
-    """Check that scores belong to the files beside them and, with the dataset at hand, that its truth confirms them."""
+    """Check that scores belong to the files beside them and, with the dataset, that its truth confirms them."""
     if not folder.scores_yaml.exists():
         if complete:
             found.note("not scored yet: `relocbench evaluate` scores it", folder.root)
@@ -277,7 +277,7 @@ def _check_scores(
 def _check_scored(
     folder: MethodResults, name: str, scores: ScoreRecord, dataset: Dataset | None, found: Findings
 ) -> None:
-    """Check errors and matching quality of a pair set, their summaries and, with the dataset at hand, each error."""
+    """Check errors and matching quality of a pair set, their summaries and, with the dataset, each error."""
     before = len(found.faults)
     for fault in faults_of_pair_set(folder, name, scores, _AGAIN):
         found.fault(fault.expected, fault.path)

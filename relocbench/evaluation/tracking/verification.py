@@ -1,7 +1,7 @@
 """Whether scores belong to the files beside them, and whether predictions and truth confirm them.
 
 Digests recognise a file that was changed after scoring. Whoever changes a file on purpose can compute them again:
-only scoring again, with the truth at hand, shows that errors are those of the predictions.
+only scoring again, with the truth, shows that errors are those of the predictions.
 """
 
 from __future__ import annotations

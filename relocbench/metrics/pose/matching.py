@@ -40,7 +40,7 @@ class MatchingQuality:
     share: Mapping[str, float]
     """by name such as ``match@1px``, over all starts"""
     start_share: Mapping[str, float]
-    """the shares of the start pixels themselves, which a solver that does not move would get: the floor"""
+    """the shares of the start pixels themselves, which a solver that does not move would get: a trivial baseline"""
     by_offset: tuple[OffsetShare, ...]
 
 

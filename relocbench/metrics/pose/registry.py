@@ -228,8 +228,8 @@ def _wrong_of_answered() -> Metric:
 
 def _risk_coverage_area() -> Metric:
     description = (
-        "area under the risk-coverage curve, 1/N sum over k of the share of wrong ones among the k surest pairs; pairs "
-        "without an answer come last and are wrong"
+        "area under the risk-coverage curve, 1/N sum over k of the share of wrong ones among the k most confident "
+        "pairs; pairs without an answer come last and are wrong"
     )
     return _of_confidence("aurc", False, description, lambda judged: risk_coverage_area(*judged))
 

@@ -32,7 +32,7 @@ from relocbench.arrays import Array
 from relocbench.metrics.statistics.roads import aligned
 
 MIN_EFFECTIVE = 10.0
-"""effective pairs below which nothing is said"""
+"""effective sample size below which there is no interval"""
 PRIOR_CORRELATION = 0.95
 """correlation of neighbouring pairs where nothing varies, so that none can be measured"""
 

@@ -146,7 +146,7 @@ def test_structured_pixels_are_the_corners_among_those_that_are_visible() -> Non
 
 def test_a_method_that_does_not_move_finds_what_it_started_at(dataset: Dataset, tmp_path: Path) -> None:
     report = probe_methods(options(dataset, tmp_path, BASIN), Silent())
-    assert not report.broken
+    assert not report.crashed
     line = next(li for li in report.lines if li.criterion == NEAR and li.conditions == ACROSS_CONDITIONS)
     np.testing.assert_array_equal(line.shares, [1, 1, 0, 0, 0, 0])
     np.testing.assert_array_equal(line.shares, line.start_shares)
@@ -219,9 +219,9 @@ def test_a_method_that_breaks_has_found_nothing_and_is_told(dataset: Dataset, tm
     report = probe_methods(given, Silent())
     broken = sum(pair.query_timestamp_ns == last for pair in dataset.pair_set(ACROSS).pairs)
     total = len(dataset.pair_set(ACROSS).pairs)
-    assert report.broken[0][0] == "b"
-    assert f"broke on {broken} of {total} pairs" in report.broken[0][1]
-    assert "ZeroDivisionError: on purpose" in report.broken[0][1]
+    assert report.crashed[0][0] == "b"
+    assert f"crashed on {broken} of {total} pairs" in report.crashed[0][1]
+    assert "ZeroDivisionError: on purpose" in report.crashed[0][1]
     line = next(li for li in report.lines if li.criterion == NEAR)
     assert line.shares[0] == pytest.approx(1 - broken / total)
 
@@ -231,7 +231,7 @@ def test_a_method_that_kills_its_worker_has_found_nothing_on_that_pair(dataset: 
     last = max(pair.query_timestamp_ns for pair in dataset.pair_set(ACROSS).pairs)
     given = options(dataset, tmp_path, BASIN, set=(f"b.dies_at={last}",), pair_sets=(ACROSS,), pairs=100, workers=2)
     report = probe_methods(given, Silent())
-    assert "died twice" in report.broken[0][1]
+    assert "died twice" in report.crashed[0][1]
     line = next(li for li in report.lines if li.criterion == NEAR)
     assert line.pairs == len(dataset.pair_set(ACROSS).pairs)
     assert 0 < line.shares[0] < 1
@@ -249,18 +249,18 @@ def test_levels_that_break_on_a_pair_are_not_found_there(dataset: Dataset, tmp_p
         poses=False,
     )
     report = probe_methods(given, Silent())
-    assert "match returned shape" in report.broken[0][1]
+    assert "match returned shape" in report.crashed[0][1]
     whole = next(li for li in report.lines if li.criterion == NEAR and li.level is None)
     alone = next(li for li in report.lines if li.criterion == NEAR_ON_LEVEL and li.level == 1)
     assert whole.shares[0] == 1
     assert whole.pairs == alone.pairs
-    assert 0 < alone.shares[2] < 1  # 2 px off is within 1 px of level 1, except where it broke
+    assert 0 < alone.shares[2] < 1  # 2 px off is within 1 px of level 1, except where it crashed
 
 
 def test_a_level_that_a_method_does_not_have_has_no_row(dataset: Dataset, tmp_path: Path) -> None:
     given = options(dataset, tmp_path, "b=trackers_for_probe:NoFinestLevel", pair_sets=(ACROSS,), poses=False)
     report = probe_methods(given, Silent())
-    assert not report.broken
+    assert not report.crashed
     assert {line.level for line in report.lines} == {None, 1}
 
 

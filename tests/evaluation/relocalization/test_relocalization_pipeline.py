@@ -158,7 +158,7 @@ def test_failures_cost_their_query(dataset: Dataset, tmp_path: Path, beyond: str
     assert [r.status for r in got] == ["ok", status, "ok", "ok", "ok", "ok", "ok", status]
     assert [r.rank for r in got] == [1, None, 1, 2, 1, 1, 1, None]
     assert per_query(got, "coverage").mean() == pytest.approx(6 / 8)
-    assert bool(report.broken) == (beyond == "raise")
+    assert bool(report.crashed) == (beyond == "raise")
     kept = folder(report, "t").predictions(ACROSS).read_text().splitlines()
     assert len(kept) == 6
 

@@ -174,7 +174,7 @@ def test_an_image_that_breaks_costs_itself_alone(views: Path, tmp_path: Path) ->
     assert (values["failed"], values["broke"], values["queries"]) == (1, 1, len(queries))
     assert values["R@1"] is not None
     assert values["R@1"] <= 1 - 2 / len(queries)
-    assert "broke on 1 of 16 queries" in report.broken[0][1]
+    assert "crashed on 1 of 16 queries" in report.crashed[0][1]
 
 
 def test_a_method_that_always_breaks_has_failed_on_every_query(views: Path, tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_a_method_that_always_breaks_has_failed_on_every_query(views: Path, tmp_
     for task in (D2S, S2D):
         assert {a.status for a in read_answers(report.folders[0].answers(task))} == {"error"}
         assert report.scores(report.folders[0])[task]["R@1"] == 0.0
-    assert "on purpose" in report.broken[0][1]
+    assert "on purpose" in report.crashed[0][1]
     assert "0 of 16 queries and 0 of 9 gallery images were described" in report.suspicions[0][1]
 
 
@@ -196,7 +196,7 @@ def test_a_fitting_retriever_is_fitted_anew_to_each_gallery(views: Path, tmp_pat
     expected = score_retrieval(rank_descriptors(queries, gallery - gallery.mean(axis=0), task.relevance))
     assert report.scores(report.folders[0])[task.name]["AP"] == pytest.approx(expected.average_precision.mean())
     broken = run(views, tmp_path, f"b={HERE}:Whitened", set=("breaks=true",))
-    assert "fit: ValueError: too few images" in broken.broken[0][1]
+    assert "fit: ValueError: too few images" in broken.crashed[0][1]
 
 
 def test_a_retriever_lives_in_one_process_wherever_the_rest_of_the_work_runs(views: Path) -> None:
@@ -504,7 +504,7 @@ def test_wrong_shapes_are_the_methods_error(tmp_path: Path) -> None:
     made = make_small_views(tmp_path / "town", places=2)
     for answer in range(5):
         report = run(made, tmp_path / "out", f"w{answer}={HERE}:WrongShapes", set=(f"answer={answer}",))
-        assert "describe returned" in report.broken[0][1]
+        assert "describe returned" in report.crashed[0][1]
 
 
 def test_answers_keep_their_order_and_their_digits(views: Path, tmp_path: Path) -> None:
@@ -542,4 +542,4 @@ def test_a_grey_image_is_seen_in_three_channels(tmp_path: Path) -> None:
         grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         assert grey is not None
         cv2.imwrite(str(path), grey)
-    assert run(made, tmp_path / "out", f"t={HERE}:Thumbnail").broken == []
+    assert run(made, tmp_path / "out", f"t={HERE}:Thumbnail").crashed == []

@@ -217,8 +217,8 @@ def test_a_card_of_50_megabytes_is_not_read(town: Dataset, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"label": "identity"}, "is the label of a floor"),
-        ({"label": "Clock"}, "is the label of a floor"),
+        ({"label": "identity"}, "is the label of a trivial baseline"),
+        ({"label": "Clock"}, "is the label of a trivial baseline"),
         ({"label": "../x"}, "must be letters"),
         ({"label": "dsо"}, "must be letters a to z"),  # a Cyrillic letter
         ({"links": ["javascript:alert(1)"]}, "is no address"),
@@ -332,7 +332,7 @@ def test_what_is_odd_about_tables_and_cards_is_named(town: Dataset, tmp_path: Pa
     assert [odd.partition(": ")[2] for odd in check(root, town).suspicions] == [
         "no answer has seconds",
         "all confidences are 0.5",
-        "was not asked once only, as the card says",
+        "was evaluated more than once, as the card says",
         f"training or tuning has seen '{town.name}, test', as the card says",
     ]
     for pair_set in town.pair_sets():

@@ -86,5 +86,5 @@ def test_a_methods_folder_is_not_overwritten(tmp_path: Path) -> None:
     data = make_small_dataset(tmp_path / "small")
     common = {"dataset": data.root, "out": tmp_path / "out", "workers": 0}
     evaluate_methods(EvaluateOptions(methods=("clock=identity",), **common), Silent())
-    with pytest.raises(PredictionError, match="the label 'clock' is the floor's"):
+    with pytest.raises(PredictionError, match="the label 'clock' is that of the timestamp-only baseline"):
         evaluate_methods(EvaluateOptions(methods=("clock",), **common), Silent())

@@ -107,7 +107,7 @@ def test_the_failures_of_a_method_are_infinite_errors_and_break_nothing(dataset:
     failed = sum(r.key[1] in (first, second) for r in every)
     assert summary["pairs"] == pairs
     assert summary["coverage"] == pytest.approx(1 - failed / pairs)
-    assert "broke on" in report.broken[0][1]
+    assert "crashed on" in report.crashed[0][1]
 
 
 @pytest.mark.parametrize("answer", range(7))

@@ -220,9 +220,9 @@ def test_an_answer_that_breaks_the_contract_finds_nothing_and_is_told(
     report = evaluate(dataset, tmp_path, MATCHING, settings=(f"answer={answer}",), pair_sets=(ACROSS,))
     rows = read_matching(report.folders[0].matching(ACROSS))
     assert all(r.found.answered == 0 < r.found.pixels for r in rows)
-    ((label, message),) = report.broken
+    ((label, message),) = report.crashed
     assert label == "m"
-    assert "match broke on" in message
+    assert "match crashed on" in message
     assert re.search(words, message)
 
 

@@ -95,7 +95,7 @@ def test_a_method_that_ends_its_worker_costs_one_pair_and_what_it_starts_ends_wi
         assert [pair for pair, answer in told.items() if answer.status == "error"] == [at]
         assert words in told[at].message
     assert {a.status for a in answers(report, 2).values()} == {"ok"}
-    assert [label for label, _ in (*hung.broken, *report.broken)] == ["hang_in_native_code", "leave", "take_memory"]
+    assert [label for label, _ in (*hung.crashed, *report.crashed)] == ["hang_in_native_code", "leave", "take_memory"]
     wait_until(lambda: not any(is_running(int(pid)) for pid in left.read_text().split()))
 
 
@@ -127,7 +127,7 @@ def test_a_constructor_that_does_not_return_gives_the_method_up_and_later_method
         assert words in answer.message
     assert len(mark.read_text().splitlines()) == tries
     assert {a.status for a in answers(report, 1).values()} == {"ok"}
-    assert [label for label, _ in report.broken] == ["bad"]
+    assert [label for label, _ in report.crashed] == ["bad"]
 
 
 @pytest.mark.thorough

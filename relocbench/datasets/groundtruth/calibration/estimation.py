@@ -44,7 +44,7 @@ _SETTLED = 0.5
 _LEAST_COUNT = 20
 """least number of matched points of a fit"""
 _LEAST_FITS = 30
-"""with fewer fits, nothing is said of the calibration"""
+"""with fewer fits, no calibration is reported"""
 _CONNECTED_M = 20.0
 """largest distance along the road to a trusted registration: further away matches may be wrong"""
 _OUTLIER = 5.6

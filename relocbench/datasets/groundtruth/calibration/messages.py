@@ -1,4 +1,4 @@
-"""What is said of the calibration: lines for the user."""
+"""The report of the calibration: lines for the user."""
 
 from __future__ import annotations
 

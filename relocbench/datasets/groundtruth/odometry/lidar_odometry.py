@@ -21,7 +21,7 @@ _FEWEST_POINTS = 100
 _START_SCANS = 4
 """the speed at the start is estimated from so many scans"""
 _PASSES = 2
-"""scans that motion distorts are registered so many times more; each is deskewed by what the one before left over"""
+"""extra registration passes over motion-distorted scans; each deskews by what the one before left over"""
 _SLICES = 64
 """the motion during a scan is computed at the borders of so many slices; points are interpolated between them"""
 

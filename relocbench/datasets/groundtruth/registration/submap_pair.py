@@ -88,7 +88,7 @@ def register(
     a, b = ref.at(pair[0]), query.at(pair[1])
     refined: IcpResult = icp_by_backend(options.backend, a, b, T_ref_query, options.icp, levels)
     if refined.count < options.icp.least_matches:
-        reason = f"nothing to hold on to: {refined.count} points of both found a surface of the other"
+        reason = f"too little overlap: {refined.count} matched points, at least {options.icp.least_matches} needed"
         return unregistered(pair, refined.T_ref_query, reason)
     evidence = verification_evidence(a, b, refined.T_ref_query, refined.information)
     return Registration(

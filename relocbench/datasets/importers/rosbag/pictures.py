@@ -125,7 +125,7 @@ def calibration_of(info: Any, size: tuple[int, int], rectified: bool) -> Calibra
         rectified: images are rectified, so that P applies instead of K and the distortion.
 
     Raises:
-        ValueError: the camera is not calibrated, its model is none of ours, or the images have another size.
+        ValueError: the camera is not calibrated, its camera model is unsupported, or the images have another size.
     """
     K, P = _numbers(info, "k").reshape(3, 3), _numbers(info, "p").reshape(3, 4)
     matrix = P[:, :3] if rectified else K
