@@ -31,10 +31,10 @@ class FramingFault(Exception):
     """An answer that is not what the protocol says."""
 
 
-def send_question(connection: socket.socket, question: Any) -> None:
+def send_request(connection: socket.socket, request: Any) -> None:
     """Send any object that can be pickled. Raises OSError if the other side is gone."""
     buffers: list[pickle.PickleBuffer] = []
-    text = pickle.dumps(question, protocol=5, buffer_callback=buffers.append)
+    text = pickle.dumps(request, protocol=5, buffer_callback=buffers.append)
     parts = [buffer.raw() for buffer in buffers]
     sizes = [len(text), *(part.nbytes for part in parts)]
     connection.sendall(b"".join(map(_COUNT.pack, [len(sizes), *sizes])) + text)
@@ -42,7 +42,7 @@ def send_question(connection: socket.socket, question: Any) -> None:
         connection.sendall(part)
 
 
-def receive_question(connection: socket.socket) -> Any:
+def receive_request(connection: socket.socket) -> Any:
     """The object that the evaluator sent; its arrays are read-only. Raises EOFError if the evaluator is gone."""
     count = _number(connection)
     sizes = [_number(connection) for _ in range(count)]

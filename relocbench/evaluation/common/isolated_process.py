@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from relocbench.arrays import Array
 from relocbench.errors import RelocbenchError, raised
 from relocbench.evaluation.common.answers import CheckedAnswer
-from relocbench.evaluation.common.framing import receive_question, send_answer
+from relocbench.evaluation.common.framing import receive_request, send_answer
 from relocbench.evaluation.common.handles import LocalTracker
 from relocbench.execution import pin_threads
 from relocbench.methods import MethodSpec
@@ -33,7 +33,7 @@ _SET_PDEATHSIG = 1
 
 
 def main(descriptor: int, parent: int) -> None:
-    """Answer questions about a tracker from a socket until its other end is closed.
+    """Answer requests about a tracker from a socket until its other end is closed.
 
     Args:
         descriptor: file descriptor of the socket.
@@ -45,17 +45,17 @@ def main(descriptor: int, parent: int) -> None:
 def serve(
     descriptor: int, parent: int, make: Callable[[MethodSpec, Connection], tuple[object, dict[str, Any]]]
 ) -> None:
-    """Make a method and answer questions about it until the socket's other end is closed.
+    """Make a method and answer requests about it until the socket's other end is closed.
 
     Args:
-        make: returns an object whose methods are named as the questions, and what the method declares of itself.
+        make: returns an object whose methods are named as the requests, and what the method declares of itself.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with(parent)
     pin_threads()
     connection = Connection(socket.socket(fileno=descriptor))
     try:
-        spec: MethodSpec = connection.question()
+        spec: MethodSpec = connection.request()
         try:
             asked, declared = make(spec, connection)
         except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
@@ -64,7 +64,7 @@ def serve(
         pin_threads()
         connection.answer({"declared": declared})
         while True:
-            what, given = connection.question()
+            what, given = connection.request()
             answer: Callable[..., tuple[Any, Arrays]] = getattr(asked, what)
             connection.answer(*answer(*given))
     except (EOFError, OSError):
@@ -77,10 +77,10 @@ class Connection:
     def __init__(self, connection: socket.socket) -> None:
         self._connection, self._pid = connection, os.getpid()
 
-    def question(self) -> Any:
+    def request(self) -> Any:
         if os.getpid() != self._pid:
             os._exit(1)
-        return receive_question(self._connection)
+        return receive_request(self._connection)
 
     def answer(self, words: Any, arrays: Arrays = ()) -> None:
         if os.getpid() != self._pid:
@@ -94,7 +94,7 @@ def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, A
 
 
 class _RequestHandler:
-    """The questions of the protocol, by name."""
+    """The requests of the protocol, by name."""
 
     def __init__(self, tracker: LocalTracker) -> None:
         self._tracker = tracker

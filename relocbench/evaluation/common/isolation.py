@@ -38,9 +38,9 @@ class IsolatedTracker:
         different = list({id(view): view for view in views}.values())
         places = {id(view): place for place, view in enumerate(different)}
         order = [places[id(view)] for view in views]
-        question = ("ask", (different, order, None if priors is None else list(priors)))
+        request = ("ask", (different, order, None if priors is None else list(priors)))
         start = time.perf_counter()  # before the method's process gets the images, where it might begin to work
-        answer, poses = self._process.ask(question)
+        answer, poses = self._process.ask(request)
         seconds = time.perf_counter() - start
         return _answers(answer, poses, len(views)), seconds
 

@@ -1,4 +1,4 @@
-"""The process of a method as the evaluator sees it: started, asked one question at a time, and ended.
+"""The process of a method as the evaluator sees it: started, sent one request at a time, and ended.
 
 A method that looks around in its process (the stack, the garbage collector, open files, arguments) finds what its
 contract shows it, and no dataset, no truth and no folder of results. ``docs/blind-protocol.md`` says what this does
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import MethodError, RelocbenchError, one_line
-from relocbench.evaluation.common.framing import FramingFault, receive_answer, send_question
+from relocbench.evaluation.common.framing import FramingFault, receive_answer, send_request
 from relocbench.execution import ScratchFolder, end_descendants
 from relocbench.methods import MethodSpec
 
@@ -75,11 +75,11 @@ class MethodProcess:
         self.declared: dict[str, Any] = answer["declared"]
         """what the method declares of itself, as plain values that are not checked"""
 
-    def ask(self, question: Any, needed: Callable[[Any], Any] | None = None) -> tuple[Any, Arrays]:
-        """Ask a question and wait for the answer.
+    def ask(self, request: Any, needed: Callable[[Any], Any] | None = None) -> tuple[Any, Arrays]:
+        """Send a request and wait for the answer.
 
         Args:
-            question: any object that can be pickled.
+            request: any object that can be pickled.
             needed: returns what the child needs meanwhile, by what it names.
 
         Raises:
@@ -87,7 +87,7 @@ class MethodProcess:
             Exception: whatever ``needed`` raises; the child is then ended.
         """
         try:
-            self._send(question)
+            self._send(request)
             while True:
                 answer, arrays = receive_answer(self._connection, lambda: self._process.poll() is None)
                 if needed is None or not isinstance(answer, dict) or NEEDS not in answer:
@@ -103,9 +103,9 @@ class MethodProcess:
         """End the process."""
         self._finalizer()
 
-    def _send(self, question: Any) -> None:
+    def _send(self, request: Any) -> None:
         with suppress(BrokenPipeError, ConnectionResetError):  # what it has answered before is still to be read
-            send_question(self._connection, question)
+            send_request(self._connection, request)
 
     def _needed(self, needed: Callable[[Any], Any], named: Any) -> Any:
         try:

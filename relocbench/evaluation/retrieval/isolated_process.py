@@ -25,7 +25,7 @@ Shown = tuple[str, str, Image]
 
 
 def main(descriptor: int, parent: int) -> None:
-    """Answer questions about a retriever from a socket until its other end is closed.
+    """Answer requests about a retriever from a socket until its other end is closed.
 
     Args:
         descriptor: file descriptor of the socket.
@@ -45,7 +45,7 @@ def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, A
 
 
 class _RequestHandler:
-    """The questions of the protocol, by name."""
+    """The requests of the protocol, by name."""
 
     def __init__(self, retriever: LocalRetriever, connection: Connection) -> None:
         self._retriever = retriever
@@ -92,7 +92,7 @@ class _Gallery(Sequence[ImageView]):
     def _fetch(self, index: int) -> Image:
         with self._lock:
             self._connection.answer({NEEDS: index})
-            image: NDArray[np.uint8] = self._connection.question()
+            image: NDArray[np.uint8] = self._connection.request()
         return read_only(image)
 
 

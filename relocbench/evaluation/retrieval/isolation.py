@@ -70,10 +70,10 @@ class IsolatedRetriever:
         """End the process."""
         self._process.close()
 
-    def _timed(self, question: Any, times: float, needed: Callable[[Any], Any] | None = None) -> tuple[Any, float, str]:
+    def _timed(self, request: Any, times: float, needed: Callable[[Any], Any] | None = None) -> tuple[Any, float, str]:
         start = time.perf_counter()
         with step("", times=times):
-            answer, arrays = self._process.ask(question, needed)
+            answer, arrays = self._process.ask(request, needed)
         seconds = time.perf_counter() - start
         if isinstance(answer, dict) and "raised" in answer:
             raise MethodError(one_line(answer["raised"], 2000))
