@@ -97,7 +97,7 @@ def compare(name: str, setting: str, plain: Dataset, other: Dataset) -> dict[str
         "images": sum(level is not None for level in levels),
         "grey_levels": max((level for level in levels if level is not None), default=0),
         "others": [k for k in differ if "/images/" not in k],
-        "same_question": plain.question == other.question,
+        "same_question": plain.content_id == other.content_id,
     }
 
 

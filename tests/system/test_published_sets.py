@@ -71,7 +71,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
 @pytest.mark.parametrize("name", ["kitti_06", "fr1_xyz", "fr1_xyz_to_desk"])
 def test_a_published_dataset_is_what_its_command_gives_on_this_machine(name: str, built: Built) -> None:
     question, fingerprint = published()[name]
-    assert built(name).question == question
+    assert built(name).content_id == question
     if name == "kitti_06":  # it links its images, and nothing in it depends on the processor
         assert built(name).fingerprint == fingerprint
 

@@ -23,7 +23,7 @@ class DatasetOptions(Strict):
     )
 
     def recorded(self) -> dict[str, Any]:
-        """The options as ``build.yaml`` and ``dataset.yaml`` keep them; the question digest covers these."""
+        """The options as ``build.yaml`` and ``dataset.yaml`` keep them; the content id covers these."""
         return self.model_dump(mode="json")
 
     def condition_of(self, traversal: str) -> Condition:

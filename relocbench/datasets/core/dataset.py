@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 
-from relocbench.datasets.core import fingerprint, question
+from relocbench.datasets.core import content_id, fingerprint
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
@@ -49,15 +49,15 @@ class Dataset:
         return self.file.fingerprint
 
     @cached_property
-    def question(self) -> str:
-        """SHA-256 of what the dataset asks of methods, the same on every processor; see ``question_of``.
+    def content_id(self) -> str:
+        """SHA-256 of the recipe, rigs, poses and pairs, the same on every processor; see ``content_id_of``.
 
         Raises:
             DatasetError: a file of the dataset is bad.
         """
         traversals = {name: self.traversal(name) for name in self.traversal_names}
         pair_sets = {name: self.pair_set(name) for name in self.pair_set_names}
-        return question.question_of(self.file, traversals, pair_sets)
+        return content_id.content_id_of(self.file, traversals, pair_sets)
 
     @property
     def splits(self) -> Mapping[str, tuple[str, ...]]:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from relocbench.datasets.core import manifest
+from relocbench.datasets.core.content_id import recipe
 from relocbench.datasets.core.manifest import Row
-from relocbench.datasets.core.question import recipe
 from relocbench.datasets.core.schema import Strict
 from relocbench.errors import DatasetError
 from relocbench.files import check_name, read_csv
@@ -44,7 +44,7 @@ def fingerprint_of(rows: Sequence[Row]) -> str:
     return hashlib.sha256(f"cross-view {FORMAT_VERSION}\n{text}".encode()).hexdigest()
 
 
-def question_of(file: CrossViewFile, keys: Iterable[str]) -> str:
+def content_id_of(file: CrossViewFile, keys: Iterable[str]) -> str:
     """SHA-256 of what a rendered set asks, the same on every processor: its recipe and the paths of its images."""
     asked = {"format_version": FORMAT_VERSION, "recipe": recipe(file.made_by), "images": sorted(keys)}
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()

@@ -53,8 +53,8 @@ class CrossViewSet:
     fingerprinted: Callable[[], str]
     notes: tuple[str, ...] = field(default=())
     """notes for the user on empty folders and on classes that are in both train and test"""
-    question_digest: str = ""
-    """question of a rendered set; empty for other sets, whose images are the same everywhere"""
+    stored_content_id: str = ""
+    """content id of a rendered set; empty for other sets, whose images are the same everywhere"""
 
     @cached_property
     def fingerprint(self) -> str:
@@ -62,14 +62,14 @@ class CrossViewSet:
         return self.fingerprinted()
 
     @property
-    def question(self) -> str:
+    def content_id(self) -> str:
         """Digest that is the same for every copy of a rendered set, whose images differ slightly between processors."""
-        return self.question_digest or self.fingerprint
+        return self.stored_content_id or self.fingerprint
 
     @property
     def is_plain(self) -> bool:
         """Whether the set was not rendered here: its name is that of its folder, and it has no copies."""
-        return not self.question_digest
+        return not self.stored_content_id
 
     @property
     def positives(self) -> str:

@@ -91,9 +91,9 @@ class StreetPlaces:
         return self._with_rule(self.dataset.fingerprint)
 
     @property
-    def question(self) -> str:
-        """SHA-256 of the dataset's question and the relevance rule, the same on every processor."""
-        return self._with_rule(self.dataset.question)
+    def content_id(self) -> str:
+        """SHA-256 of the dataset's content id and the relevance rule, the same on every processor."""
+        return self._with_rule(self.dataset.content_id)
 
     def _with_rule(self, dataset: str) -> str:
         radius = None if self.rule == "pairs" else self.radius_m

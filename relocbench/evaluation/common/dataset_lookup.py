@@ -1,6 +1,6 @@
 """The datasets whose truth is available when results are read: those that were named, and those beside the results.
 
-A dataset is that of the results if it has their fingerprint. One with the same question is a copy, from another
+A dataset is that of the results if it has their fingerprint. One with the same content id is a copy, from another
 processor: its poses are equal to a millionth. Cross-view sets are found in the same way.
 """
 
@@ -40,7 +40,7 @@ class Truth:
 
     dataset: Dataset
     copy: bool
-    """whether it only asks the same question, with another fingerprint"""
+    """whether it only has the same content id, with another fingerprint"""
 
 
 class DatasetLookup:
@@ -95,7 +95,7 @@ class DatasetLookup:
         dataset = self.find(lambda one: one.name == name and one.fingerprint == record.fingerprint)
         copy = dataset is None
         if copy and question:
-            dataset = self.find(lambda one: one.name == name and one.question == question)
+            dataset = self.find(lambda one: one.name == name and one.content_id == question)
         if dataset is None:
             return None
         check_record(record, dataset, path, copy=copy)
@@ -222,7 +222,7 @@ def check_record(record: DatasetRecord, dataset: Dataset, path: Path, *, copy: b
 
     Args:
         path: the file of that record, for the message.
-        copy: whether the dataset only asks the same question; medians may then differ in their last digits.
+        copy: whether the dataset only has the same content id; medians may then differ in their last digits.
     """
     expected = dataset_record(dataset)
     difference = _first_difference(record, expected, copy=copy)

@@ -74,14 +74,14 @@ class DatasetRecord(Strict):
     name: FolderName
     fingerprint: Fingerprint
     question: str = ""
-    """digest of what the dataset asks, equal on all processors; empty in results of versions that did not record it"""
+    """the content id, equal on all processors; empty in results of versions that did not record it"""
     licence: str
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     pair_sets: dict[JoinedName, PairSetRecord]
 
     @property
     def compared_by(self) -> str:
-        """The question, or the fingerprint where none is recorded: results with the same value are compared."""
+        """The content id, or the fingerprint where none is recorded: results with the same value are compared."""
         return self.question or self.fingerprint
 
 
@@ -291,7 +291,7 @@ def adopted_run(theirs: Path, run: Run, what: str) -> Run:
     changed: dict[str, Any] = {"method": run.method, "made_elsewhere": True}
     changed |= {"submitted": {}, "remarks": (), "answered_blind": ""}  # only a submission that was checked has these
     if record.fingerprint != run.fingerprint and run.question and record.question == run.question:
-        # Another machine's copy: the question is the same, and images differ in last digits only.
+        # Another machine's copy: the content id is the same, and images differ in last digits only.
         changed |= {"fingerprint": run.fingerprint, "answered_on": record.fingerprint}
     else:
         check_made_for(record, run.dataset, run.fingerprint, theirs)
@@ -339,7 +339,7 @@ def dataset_record(dataset: Dataset) -> DatasetRecord:
     return DatasetRecord(
         name=dataset.name,
         fingerprint=dataset.fingerprint,
-        question=dataset.question,
+        question=dataset.content_id,
         licence=dataset.file.licence,
         splits=dict(dataset.splits),
         pair_sets={s.name: _pair_set_record(dataset, s) for s in dataset.pair_sets()},

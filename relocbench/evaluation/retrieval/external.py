@@ -31,7 +31,7 @@ def import_rankings(
         target=f"{PREDICTIONS}{source.resolve().name}",
         dataset=asked.name,
         fingerprint=asked.fingerprint,
-        question=getattr(asked, "question", ""),
+        question=getattr(asked, "content_id", ""),
     )
     record = adopted_run(source / "run.yaml", known, "the record of a retrieval run")
     folder = results.method(label)

@@ -41,7 +41,7 @@ class OpenedSet:
     splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     options: Mapping[str, float | str] = field(default_factory=dict)
     """command-line options that define this set"""
-    question: str = ""
+    content_id: str = ""
     """digest of what is asked, equal for copies whose images differ in last digits only"""
     source: StreetPlaces | CrossViewSet | None = None
     """what the tasks are of; None for a blind export, whose truth is withheld"""
@@ -108,7 +108,7 @@ def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) ->
             places.positives,
             places.splits,
             places.options,
-            places.question,
+            places.content_id,
             places,
         )
     )
@@ -138,7 +138,7 @@ def _cross_view(folder: Path, out: Path, options: SetOptions, reporter: Reporter
     found: CrossViewSet = open_cross_view(folder, reporter)
     tasks = tuple(found.tasks(by_condition=options.by_condition))
     chosen = _chosen(tasks, options, folder)
-    opened = OpenedSet(found.name, found.fingerprint, tasks, chosen, found.positives, question=found.question)
+    opened = OpenedSet(found.name, found.fingerprint, tasks, chosen, found.positives, content_id=found.content_id)
     return _checked(replace(opened, source=found))
 
 

@@ -78,7 +78,7 @@ class SetRecord(Strict):
     name: FolderName
     fingerprint: Fingerprint
     question: str = ""
-    """digest of what the set asks, equal on all processors; empty in results of versions that did not record it"""
+    """the content id, equal on all processors; empty in results of versions that did not record it"""
     positives: str = ""
     """which images are right, in words"""
     options: dict[str, float | str] = Field(default_factory=dict)
@@ -94,7 +94,7 @@ class SetRecord(Strict):
 
     @property
     def compared_by(self) -> str:
-        """The question, or the fingerprint where none is recorded: results with the same value are compared."""
+        """The content id, or the fingerprint where none is recorded: results with the same value are compared."""
         return self.question or self.fingerprint
 
 
@@ -189,7 +189,7 @@ def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[Re
     record = SetRecord(
         name=asked.name,
         fingerprint=asked.fingerprint,
-        question=getattr(asked, "question", ""),
+        question=getattr(asked, "content_id", ""),
         positives=getattr(asked, "positives", ""),
         options=dict(getattr(asked, "options", {})),
         splits=splits_of(asked, all_tasks),

@@ -131,7 +131,7 @@ def belongs(dataset: Dataset | CrossViewSet, record: SetRecord) -> bool:
         return False  # without reading its images
     places = _street(dataset, record) if isinstance(dataset, Dataset) else dataset
     return places is not None and (
-        _has_fingerprint(places, record) or (places.name == record.name and places.question == record.question)
+        _has_fingerprint(places, record) or (places.name == record.name and places.content_id == record.question)
     )
 
 
@@ -169,7 +169,7 @@ def _has_fingerprint(places: StreetPlaces | CrossViewSet, record: SetRecord) -> 
 def _asks_the_same(places: StreetPlaces | CrossViewSet, record: SetRecord) -> bool:
     if places.rule == "radius" if isinstance(places, StreetPlaces) else places.is_plain:
         return False
-    return places.name == record.name and bool(record.question) and places.question == record.question
+    return places.name == record.name and bool(record.question) and places.content_id == record.question
 
 
 def _tasks(places: StreetPlaces | CrossViewSet, record: SetRecord) -> Sequence[RetrievalTask]:
@@ -182,17 +182,22 @@ def _first_difference(
     record: SetRecord, places: StreetPlaces | CrossViewSet, tasks: Mapping[str, RetrievalTask]
 ) -> str | None:
     """The first entry of a record that differs from the set's own, in words."""
-    for entry in ("question", "positives", "options"):
-        if getattr(record, entry) != getattr(places, entry):
+    entries = {
+        "question": (record.question, places.content_id),
+        "positives": (record.positives, places.positives),
+        "options": (record.options, places.options),
+    }
+    for entry, (recorded, true) in entries.items():
+        if recorded != true:
             return f"the entry '{entry}'"
     for name, claimed in record.tasks.items():
         if name not in tasks:
             return f"the task '{name}'"
-        true = task_record(tasks[name])
-        if claimed.model_copy(update={"chance": {}}) != true.model_copy(update={"chance": {}}):
+        expected = task_record(tasks[name])
+        if claimed.model_copy(update={"chance": {}}) != expected.model_copy(update={"chance": {}}):
             return f"the entry of the task '{name}'"
-        if claimed.chance.keys() != true.chance.keys() or any(
-            not math.isclose(value, true.chance[metric], abs_tol=1e-6) for metric, value in claimed.chance.items()
+        if claimed.chance.keys() != expected.chance.keys() or any(
+            not math.isclose(value, expected.chance[metric], abs_tol=1e-6) for metric, value in claimed.chance.items()
         ):
             return f"the chance level of the task '{name}'"
     if record.splits != splits_of(places, record.tasks):

@@ -234,7 +234,7 @@ def _new_record(asked: RetrievalSet, spec: MethodSpec, seed: int, keep: int | No
     return RetrievalRun(
         dataset=asked.name,
         fingerprint=asked.fingerprint,
-        question=getattr(asked, "question", ""),
+        question=getattr(asked, "content_id", ""),
         keep=keep,
         **made_by(spec, default_workers(), seed),
     )

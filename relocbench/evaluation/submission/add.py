@@ -136,7 +136,7 @@ def _tracked(checked: Checked, card: Card, one: TrackedDataset, results: Path) -
             **_provenance(checked, card, one.name, remarks),
             dataset=dataset.name,
             fingerprint=dataset.fingerprint,
-            question=dataset.question,
+            question=dataset.content_id,
             answered_on=one.asked.answered_on,
             answered_blind="" if one.asked.blind is None else str(one.asked.blind.name),
         )
@@ -172,7 +172,7 @@ def _ranked(checked: Checked, card: Card, one: RankedDataset, results: Path) -> 
             **_provenance(checked, card, one.name, remarks),
             dataset=asked.name,
             fingerprint=asked.fingerprint,
-            question=asked.question,
+            question=asked.content_id,
             answered_blind="" if one.asked.blind is None else str(one.asked.blind.name),
         )
         write_bytes(row.root / CARD, card_bytes(checked.root))

@@ -83,7 +83,7 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
     blind = blind_name(name)
     source = None if blind is None else next((d for d in datasets if d.name == blind.dataset), None)
     if own is not None and own.fingerprint != fingerprint:
-        if source is None and question and own.question == question:
+        if source is None and question and own.content_id == question:
             return ResolvedDataset(own, answered_on=fingerprint)
         raise PredictionError(other_fingerprint(name, fingerprint, own.fingerprint))
     if blind is not None and source is not None:

@@ -120,7 +120,7 @@ def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetRe
         target=TARGET,
         dataset=dataset.name,
         fingerprint=dataset.fingerprint,
-        question=dataset.question,
+        question=dataset.content_id,
         versions=versions(),
         uses_times=True,
     )

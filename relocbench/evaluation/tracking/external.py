@@ -44,7 +44,7 @@ def import_predictions(
         target=f"{PREDICTIONS}{source.name}",
         dataset=dataset.name,
         fingerprint=dataset.fingerprint,
-        question=dataset.question,
+        question=dataset.content_id,
     )
     record = adopted_run(theirs.run_yaml, known, "the record of a run")
     files = [_single(pair_sets, source)] if source.is_file() else _in_folder(dataset, pair_sets, source)

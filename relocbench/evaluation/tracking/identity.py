@@ -45,7 +45,7 @@ def run_identity(
         target=spec.target,
         dataset=dataset.name,
         fingerprint=dataset.fingerprint,
-        question=dataset.question,
+        question=dataset.content_id,
         versions=versions(),
         isolated=True,  # no method ran, and so none beside the truth
     )

@@ -253,7 +253,7 @@ def new_record(dataset: Dataset, spec: MethodSpec, run: Run, visibility: Visibil
     return RunRecord(
         dataset=dataset.name,
         fingerprint=dataset.fingerprint,
-        question=dataset.question,
+        question=dataset.content_id,
         isolated=visibility.isolated,
         uses_times=visibility.times,
         **made_by(spec, run.workers, seed),

@@ -92,7 +92,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         relocbench=version.__version__,
         formulas=FORMULAS,
         fingerprint=dataset.fingerprint,
-        question=dataset.question,
+        question=dataset.content_id,
         run=run_hash(folder),
         predictions={k: v for k, v in sorted(hashes.items()) if k in known},
         errors={k: v for k, v in sorted(errors.items()) if k in known},

@@ -205,7 +205,7 @@ def load_results(
 def _belongs(dataset: Dataset | CrossViewSet, record: DatasetRecord) -> bool:
     """Whether results are of a dataset or of a copy of it."""
     return dataset.name == record.name and (
-        dataset.fingerprint == record.fingerprint or dataset.question == record.question
+        dataset.fingerprint == record.fingerprint or dataset.content_id == record.question
     )
 
 

@@ -139,13 +139,13 @@ def test_an_image_of_another_size_is_refused(tmp_path: Path) -> None:
 def test_the_digests_cover_the_cameras_of_images(tmp_path: Path) -> None:
     plain = make_small_dataset(tmp_path / "plain")
     dataset, own = with_own_cameras(tmp_path / "own")
-    assert plain.question != dataset.question
+    assert plain.content_id != dataset.content_id
     assert dataset.file.format_version == INTRINSICS_VERSION
     last = max(own)
     other = {**own, last: Camera("pinhole", own[last].width, own[last].height, 71.0, 72.0, 40.0, 35.5)}
     write_intrinsics(dataset.traversal("winter").layout.intrinsics(CAMERA), other)
     assert any("intrinsics/cam0.csv" in str(fault) for fault in fingerprint.faults(dataset.layout))
-    assert sealed(dataset.root, INTRINSICS_VERSION).question != dataset.question
+    assert sealed(dataset.root, INTRINSICS_VERSION).content_id != dataset.content_id
 
 
 def test_validation_names_every_fault_of_a_table(tmp_path: Path) -> None:

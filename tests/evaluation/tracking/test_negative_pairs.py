@@ -279,4 +279,4 @@ def test_the_question_covers_which_pairs_they_are(dataset: Dataset, tmp_path: Pa
         layout.dataset_yaml,
         lambda v: v.update(fingerprint=fingerprint.compute(layout, 2, {k: tuple(n) for k, n in v["splits"].items()})),
     )
-    assert Dataset(tmp_path / "d").question != dataset.question
+    assert Dataset(tmp_path / "d").content_id != dataset.content_id

@@ -3,5 +3,5 @@
 RENDERER_REVISION = 2
 """Part of every rendered dataset's recipe; to be increased with each change that affects images, depths or drives.
 
-Two datasets with the same recipe have the same question digest, although processors differ in the last digits.
+Two datasets with the same recipe have the same content id, although processors differ in the last digits.
 """

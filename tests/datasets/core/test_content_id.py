@@ -96,13 +96,13 @@ def test_last_digits_and_grey_levels_change_the_fingerprint_and_not_the_question
 ) -> None:
     other = changed(original, tmp_path / "there", last_digits)
     assert other.fingerprint != original.fingerprint
-    assert other.question == original.question
+    assert other.content_id == original.content_id
 
 
 def test_where_and_under_which_name_a_dataset_was_made_is_no_part_of_the_question(
     original: Dataset, tmp_path: Path
 ) -> None:
-    assert changed(original, tmp_path / "there", elsewhere).question == original.question
+    assert changed(original, tmp_path / "there", elsewhere).content_id == original.content_id
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_where_and_under_which_name_a_dataset_was_made_is_no_part_of_the_questio
 def test_what_is_asked_changes_the_question(
     original: Dataset, tmp_path: Path, change: Callable[[Dataset], None]
 ) -> None:
-    assert changed(original, tmp_path / "there", change).question != original.question
+    assert changed(original, tmp_path / "there", change).content_id != original.content_id
 
 
 def test_a_quaternion_and_its_negative_are_one_rotation(original: Dataset, tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_a_quaternion_and_its_negative_are_one_rotation(original: Dataset, tmp_p
         turned = [[*r[:4], *(repr(-float(v)) for v in r[4:])] for r in rows[1:]]
         write_text(path, "".join(",".join(r) + "\n" for r in [rows[0], *turned]))
 
-    assert changed(original, tmp_path / "there", turn_signs).question == original.question
+    assert changed(original, tmp_path / "there", turn_signs).content_id == original.content_id
 
 
 def test_predictions_of_another_copy_of_the_question_are_scored_and_say_so(original: Dataset, tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_results_that_claim_a_question_and_hold_other_pairs_are_refused(original
     for dataset in (original, other):
         evaluate_methods(EvaluateOptions(dataset=dataset.root, methods=("identity",), out=results, workers=0), Silent())
     for path in results.glob("*/dataset.yaml"):
-        write_text(path, path.read_text().replace(other.question, original.question))
+        write_text(path, path.read_text().replace(other.content_id, original.content_id))
     with pytest.raises(PredictionError, match="answered other pairs of 'summer__winter__cam0'"):
         load_results(results)
     with pytest.raises(PredictionError, match="the entry 'question' is not that of the dataset"):
@@ -254,7 +254,7 @@ def test_a_rendered_cross_view_set_asks_the_same_whatever_the_last_digits_of_its
             format_version=1, kind="cross-view", name="x", licence="", made_by={**recipe, **by}, made={},
             fingerprint=fingerprint,
         )  # fmt: skip
-        return content.question_of(file, ["test/b.jpg", "test/a.jpg"])
+        return content.content_id_of(file, ["test/b.jpg", "test/a.jpg"])
 
     assert made() == made("cd" * 32, versions={"numpy": "2"}, options={"size": 64, "name": "y"})
     assert made() != made(renderer=2)

@@ -1,8 +1,8 @@
-"""The question digest: what a dataset asks of methods, independent of the bytes that it is stored in.
+"""The content id: a digest of what a dataset contains, independent of the bytes that it is stored in.
 
 Processors differ in the last digits of floats. On another machine the same command renders images in which some pixels
-differ by a grey level, and the fingerprint, which covers every byte, differs too. What methods are asked is the same:
-the recipe, the rigs, the poses and the pairs. The question digest covers these, with lengths rounded to a micrometre
+differ by a grey level, and the fingerprint, which covers every byte, differs too. The content is the same:
+the recipe, the rigs, the poses and the pairs. The content id covers these, with lengths rounded to a micrometre
 and rotations to a millionth, so that results from both machines can be compared in one table.
 """
 
@@ -28,7 +28,7 @@ _NOT_ASKED = frozenset({"sources", "versions", "name", "licence", "copy_images"}
 """keys of a recipe that do not change what is asked: the sources, the software and the names"""
 
 
-def question_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_sets: Mapping[str, PairSet]) -> str:
+def content_id_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_sets: Mapping[str, PairSet]) -> str:
     """SHA-256 of what a dataset asks of methods, the same on every processor.
 
     It covers the format's version, the splits, the recipe (without folders and versions), each traversal's condition,
