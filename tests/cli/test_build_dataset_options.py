@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
 from command_line import relocbench
+from refusals import assert_names
 
 from relocbench.datasets.importers import KINDS, options_of
 
@@ -20,6 +22,7 @@ RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap", "kapture
 RENDERED = ("synthetic", "cross-view")
 
 
+@cache
 def help_of(kind: str) -> str:
     """The help as one line, without its frame."""
     return " ".join(re.sub("[│╭╮╰╯─]", " ", relocbench("build-dataset", kind, "--help").out).split())
@@ -51,7 +54,7 @@ def test_options_stand_under_what_they_are_about() -> None:
     assert "Photo collections" in help_of("colmap")
 
 
-@pytest.mark.parametrize("kind", LIDAR)
+@pytest.mark.parametrize("kind", ["robotcar", "rosbag"])
 @pytest.mark.parametrize(("option", "value"), [("--pair-step", "1"), ("--pair-rule", "nearest")])
 def test_an_option_of_other_kinds_is_refused_with_their_names(
     tmp_path: Path, kind: str, option: str, value: str
@@ -59,24 +62,23 @@ def test_an_option_of_other_kinds_is_refused_with_their_names(
     those = "build-dataset kitti, tum-rgbd, four-seasons, generic, colmap, kapture, poses and synthetic"
     done = relocbench("build-dataset", kind, "a", "b", option, value, "--out", tmp_path / "o")
     assert done.status == 2
-    assert f"No such option: {option}; it is an option of relocbench {those} (see" in done.complaint
+    assert_names(done.complaint, "", None, option, those)
     config = tmp_path / "c.yaml"
     config.write_text(f"depth: lidar\n{option[2:].replace('-', '_')}: {value}\n")
     done = relocbench("build-dataset", kind, "a", "b", "--config", config, "--out", tmp_path / "o")
     assert done.status == 2
-    assert done.complaint.endswith(
-        f"c.yaml:2: unknown key '{option[2:].replace('-', '_')}'; it is an option of {those}"
-    )
+    assert_names(done.complaint, "c.yaml", 2, option[2:].replace("-", "_"), those)
     assert not (tmp_path / "o").exists()
 
 
 def test_an_unknown_kind_or_key_is_refused_with_the_nearest(tmp_path: Path) -> None:
     done = relocbench("build-dataset", "kiti", "a", "--out", tmp_path / "o")
-    assert (done.status, "no kind 'kiti' (did you mean 'kitti'?); there is kitti, " in done.complaint) == (2, True)
+    assert done.status == 2
+    assert_names(done.complaint, "", None, "kiti", "kitti", *KINDS)
     config = tmp_path / "c.yaml"
     config.write_text("submop: 60\n")
     done = relocbench("build-dataset", "robotcar", "a", "b", "--config", config, "--out", tmp_path / "o")
-    assert "unknown key 'submop' (did you mean 'submap'?)" in done.complaint
+    assert_names(done.complaint, "c.yaml", 1, "submop", "submap")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -89,18 +91,11 @@ def test_the_shown_licence_is_that_of_the_dataset(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "words"),
-    [
-        ("synthetic", "name of the dataset; default: synthetic-PRESET"),
-        ("cross-view", "name of the set; default: cross-view-SPLIT"),
-        ("kitti", "name of the dataset; default: made from the kind and the recordings"),
-        ("synthetic", "widest pair in degrees (default and nearest rule)"),
-        ("robotcar", "widest pair in degrees [default: 60.0]"),
-        ("cross-view", "Folder to write the places to."),
-    ],
+    ("kind", "default"),
+    [("synthetic", "synthetic-PRESET"), ("cross-view", "cross-view-SPLIT"), ("robotcar", "[default: 60.0]")],
 )
-def test_a_help_says_what_holds_for_its_kind(kind: str, words: str) -> None:
-    assert words in help_of(kind)
+def test_a_help_shows_the_defaults_of_its_kind(kind: str, default: str) -> None:
+    assert default in help_of(kind)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -118,5 +113,4 @@ def test_a_kind_that_converts_every_image_does_not_copy() -> None:
 
 def test_the_old_option_for_the_task_is_answered_with_the_commands_of_the_tasks() -> None:
     told = relocbench("evaluate", "--task", "retrieval").complaint
-    assert "No such option: --task" in told
-    assert "relocbench evaluate-retrieval and relocbench evaluate-relocalization" in told
+    assert_names(told, "", None, "--task", "evaluate-retrieval", "evaluate-relocalization")

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from killing import Fault, run_until_killed
+from refusals import refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -85,10 +86,8 @@ def test_rejected_pairs_are_never_asked_and_their_number_is_kept(dataset: Datase
 
 
 def test_predictions_do_not_depend_on_the_number_of_workers(dataset: Dataset, tmp_path: Path) -> None:
-    one = evaluate(dataset, tmp_path / "one", "orb-pnp", "dso", workers=1).results
-    two = evaluate(dataset, tmp_path / "two", "orb-pnp", "dso", workers=2).results
-    for method in ("orb-pnp", "dso"):
-        assert predictions(one, method) == predictions(two, method)
+    none, two = (evaluate(dataset, tmp_path / str(n), "orb-pnp", workers=n).results for n in (0, 2))
+    assert predictions(none, "orb-pnp") == predictions(two, "orb-pnp")
 
 
 def test_the_failures_of_a_method_are_infinite_errors_and_break_nothing(dataset: Dataset, tmp_path: Path) -> None:
@@ -118,20 +117,11 @@ def test_an_answer_that_breaks_the_contract_is_no_answer(dataset: Dataset, tmp_p
     assert report.folders[0].predictions(ACROSS).read_text() == ""
 
 
+@pytest.mark.thorough
 def test_a_worker_that_dies_once_costs_nothing(dataset: Dataset, tmp_path: Path) -> None:
     settings = (f"log={tmp_path / 'log'}", f"dies_at={query_time(dataset, 2)}", "dies_once=true")
     report = evaluate(dataset, tmp_path, f"m={HERE}:Logging", settings=settings, workers=2)
     assert {r.status for r in read_errors(report.folders[0].errors(ACROSS))} == {"ok"}
-
-
-def test_a_pair_that_kills_every_worker_costs_that_pair_alone(dataset: Dataset, tmp_path: Path) -> None:
-    deadly = query_time(dataset, 2)
-    settings = (f"log={tmp_path / 'log'}", f"dies_at={deadly}")
-    report = evaluate(dataset, tmp_path, f"m={HERE}:Logging", settings=settings, workers=2, pair_sets=(ACROSS,))
-    rows = read_errors(report.folders[0].errors(ACROSS))
-    assert {r.key[1]: r.status == "ok" for r in rows} == {r.key[1]: r.key[1] != deadly for r in rows}
-    messages = {a.message for a in read_answers(report.folders[0].answers(ACROSS)).values() if a.status == "error"}
-    assert all("worker process died" in m for m in messages)
 
 
 @pytest.mark.parametrize(
@@ -175,7 +165,7 @@ def test_two_processes_never_answer_the_same_pair_set_at_once(dataset: Dataset, 
     folder = evaluate(dataset, tmp_path, method, pair_sets=(WITHIN,)).folders[0]
     journal = folder.journal(ACROSS)
     journal.mkdir(parents=True)
-    with alone_in(journal), pytest.raises(PredictionError, match="another process is at work here"):
+    with alone_in(journal), refused(PredictionError, journal):
         evaluate(dataset, tmp_path, method)
     assert not folder.predictions(ACROSS).exists()
     evaluate(dataset, tmp_path, method)
@@ -196,12 +186,11 @@ class T:
         return TrackResult.failure("none")
 """
     )
-    for workers in ("1", "2"):
-        command = [sys.executable, "-m", "relocbench", "evaluate", "-d", str(dataset.root), "-m", f"w{workers}=loud:T"]
-        command += ["--json", "--out", "results", "-j", workers]
-        ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-        assert set(json.loads(ended.stdout)["methods"]) == {f"w{workers}"}
-        assert {"imported", "made", "asked", "from a library"} <= set(ended.stderr.splitlines())
+    command = [sys.executable, "-m", "relocbench", "evaluate", "-d", str(dataset.root), "-m", "w=loud:T"]
+    command += ["--json", "--out", "results", "-j", "1"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert set(json.loads(ended.stdout)["methods"]) == {"w"}
+    assert {"imported", "made", "asked", "from a library"} <= set(ended.stderr.splitlines())
 
 
 def test_answers_there_are_not_asked_for_again(dataset: Dataset, tmp_path: Path) -> None:
@@ -239,9 +228,9 @@ def test_overwrite_always_asks_for_everything_again(dataset: Dataset, tmp_path: 
 def test_two_configurations_never_share_a_folder(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path, f"m={HERE}:Shift", settings=("metres=0.1",))
     before = predictions(DatasetResults(next(tmp_path.iterdir())).root, "m")
-    with pytest.raises(PredictionError, match=r"run\.yaml: holds predictions made differently \(metres: 0.1 there"):
+    with refused(PredictionError, "run.yaml", None, "metres", 0.1, 0.2):
         evaluate(dataset, tmp_path, f"m={HERE}:Shift", settings=("metres=0.2",))
-    with pytest.raises(PredictionError, match="holds predictions of"):
+    with refused(PredictionError, "run.yaml", None, f"{HERE}:Shift"):
         evaluate(dataset, tmp_path, "m=identity")
     assert predictions(DatasetResults(next(tmp_path.iterdir())).root, "m") == before
 
@@ -262,9 +251,9 @@ def test_other_weights_are_another_configuration(
     evaluate(dataset, out, f"w={HERE}:Weighted", settings=(given,))
     weights.write_text("0.75")
     own.write_text("0.75")
-    with pytest.raises(PredictionError, match=r"\(weights: another content of the file there, SHA-256 \w{12}, "):
+    with refused(PredictionError, "run.yaml", None, "weights", hashlib.sha256(b"0.25").hexdigest()[:12]):
         evaluate(dataset, out, f"w={HERE}:Weighted", settings=(given,))
-    with pytest.raises(PredictionError, match="weights: another content"):
+    with refused(PredictionError, "run.yaml", None, "weights"):
         evaluate(dataset, out, f"own={HERE}:Weighted")
 
 
@@ -288,7 +277,7 @@ def test_a_method_that_cannot_be_made_costs_no_answers(dataset: Dataset, tmp_pat
     before = predictions(Path(report.results), "w")
     assert before
     weights.write_text("not a number")
-    with pytest.raises(MethodError, match="cannot be made"):
+    with refused(MethodError, "", None, "w"):
         evaluate(dataset, tmp_path / "out", f"w={HERE}:Weighted", settings=(given,), overwrite="always")
     assert predictions(Path(report.results), "w") == before
 
@@ -299,7 +288,6 @@ def test_a_mistyped_method_leaves_no_folder(dataset: Dataset, tmp_path: Path) ->
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 def test_a_killed_run_resumes_and_ends_with_the_same_bytes(dataset: Dataset, tmp_path: Path) -> None:
     log, out = tmp_path / "log", tmp_path / "out"
     arguments = ["evaluate", "-d", dataset.root, "-m", f"m={HERE}:Logging", "--set", f"log={log}"]
@@ -355,32 +343,35 @@ def test_validation_names_a_negative_error_as_reading_does(dataset: Dataset, tmp
     rows = [line.split(",") for line in path.read_text().splitlines()]
     rows[1][4] = "-0.5"
     path.write_text("".join(",".join(row) + "\n" for row in rows))
-    with pytest.raises(PredictionError, match=r"errors\.csv:2: rotation_error_deg is -0\.5, expected an error"):
+    with refused(PredictionError, "errors.csv", 2, "rotation_error_deg", -0.5):
         read_errors(path)
     faults = validate_results(report.results, dataset, Silent()).faults
-    assert [fault.line for fault in faults if "rotation_error_deg is -0.5" in fault.message] == [2]
+    assert [fault.line for fault in faults if "rotation_error_deg" in fault.message] == [2]
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "line", "names"),
     [
         (
             "{ref} {query} 0 0 0 0 0 0 1\n{ref} {query} 0 0 0 0 0 0 1\n",
-            r"txt:2: pair .* occurs again \(first on line 1\)",
+            2,
+            (1,),
         ),
-        ("# comment\n{ref} 17 0 0 0 0 0 0 1\n", r"txt:2: unknown pair \d+ 17"),
-        ("{ref} {query} 0 0 0 0 0 0 2\n", r"txt:1: quaternion qx qy qz qw has norm 2, expected 1"),
-        ("{ref} {query} 0 0 0\n", r"txt:1: expected 2 or 9 columns"),
-        ("{ref} {query} 0 0 zero 0 0 0 1\n", r"txt:1: tz is 'zero', expected a number"),
-        ("{ref}.5 {query} 0 0 0 0 0 0 1\n", r"txt:1: '\d+\.5' is not a timestamp in integer nanoseconds"),
+        ("# comment\n{ref} 17 0 0 0 0 0 0 1\n", 2, (17,)),
+        ("{ref} {query} 0 0 0 0 0 0 2\n", 1, ("qw", 2)),
+        ("{ref} {query} 0 0 0\n", 1, (9,)),
+        ("{ref} {query} 0 0 zero 0 0 0 1\n", 1, ("tz", "zero")),
+        ("{ref}.5 {query} 0 0 0 0 0 0 1\n", 1, ()),
     ],
 )
-def test_a_bad_prediction_file_is_named_with_its_line(dataset: Dataset, tmp_path: Path, text: str, words: str) -> None:
+def test_a_bad_prediction_file_is_named_with_its_line(
+    dataset: Dataset, tmp_path: Path, text: str, line: int, names: tuple[object, ...]
+) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     ref, query = dataset.pair_set(ACROSS).pairs[0].key
     (theirs / f"{ACROSS}.txt").write_text(text.format(ref=ref, query=query))
-    with pytest.raises(PredictionError, match=words):
+    with refused(PredictionError, f"{ACROSS}.txt", line, *names):
         evaluate(dataset, tmp_path / "out", predictions=theirs)
     assert not list((tmp_path / "out").rglob("*.txt"))
 
@@ -388,14 +379,14 @@ def test_a_bad_prediction_file_is_named_with_its_line(dataset: Dataset, tmp_path
 def test_predictions_for_a_pair_set_that_is_not_there_are_refused(dataset: Dataset, tmp_path: Path) -> None:
     (tmp_path / "p").mkdir()
     (tmp_path / "p" / "a__b__c.txt").write_text("")
-    with pytest.raises(PredictionError, match="no pair set 'a__b__c'"):
+    with refused(PredictionError, "", None, "a__b__c"):
         evaluate(dataset, tmp_path / "out", predictions=tmp_path / "p")
 
 
 def test_predictions_for_another_fingerprint_are_refused(dataset: Dataset, tmp_path: Path) -> None:
     other = make_small_dataset(tmp_path / "other", seed=3)
     report = evaluate(other, tmp_path / "results", "identity")
-    with pytest.raises(PredictionError, match=rf"run\.yaml: predictions are for small@{other.fingerprint[:12]}"):
+    with refused(PredictionError, "run.yaml", None, f"small@{other.fingerprint[:12]}"):
         evaluate(dataset, tmp_path / "out", predictions=report.folders[0].root)
 
 
@@ -411,7 +402,7 @@ def test_a_dataset_changed_after_it_was_made_is_refused(tmp_path: Path) -> None:
     changed = make_small_dataset(tmp_path / "changed")
     path = changed.layout.pair_file(ACROSS)
     path.write_text(path.read_text().replace("1", "2", 1))
-    with pytest.raises(DatasetError, match=rf"{ACROSS}\.txt: (has \d+ bytes|content was changed)"):
+    with refused(DatasetError, f"{ACROSS}.txt"):
         evaluate(changed, tmp_path / "out", "identity")
 
 
@@ -421,7 +412,7 @@ def test_a_truncated_image_is_named_and_loses_nothing(tmp_path: Path) -> None:
     before = predictions(report.results, "identity")
     image = next((broken.root / "traversals" / "winter" / "images").rglob("*.png"))
     image.write_bytes(image.read_bytes()[:-20])
-    with pytest.raises(DatasetError, match=rf"{image.name}: has \d+ bytes, manifest.csv says"):
+    with refused(DatasetError, image.name, None, "manifest.csv"):
         evaluate(broken, tmp_path / "out", "orb-pnp")
     assert predictions(report.results, "identity") == before
 
