@@ -149,13 +149,14 @@ def test_a_method_that_stays_at_its_starts_scores_what_the_starts_score(dataset:
     assert set(folder.score_record().matching[WITHIN]) == {"all", "step_1", "step_2"}
 
 
-def test_dso_finds_more_pixels_than_its_starts_and_the_same_with_any_number_of_workers(
-    dataset: Dataset, tmp_path: Path
-) -> None:
-    one, two = (evaluate(dataset, tmp_path / str(w), "dso", workers=w).folders[0] for w in (1, 2))
+def test_any_number_of_workers_measures_the_same(dataset: Dataset, tmp_path: Path) -> None:
+    none, two = (evaluate(dataset, tmp_path / str(w), MATCHING, workers=w).folders[0] for w in (0, 2))
     for name in (ACROSS, WITHIN):
-        assert one.matching(name).read_bytes() == two.matching(name).read_bytes()
-    near = one.score_record().matching[WITHIN]["step_1"]
+        assert none.matching(name).read_bytes() == two.matching(name).read_bytes()
+
+
+def test_dso_finds_more_pixels_than_its_starts(dataset: Dataset, tmp_path: Path) -> None:
+    near = evaluate(dataset, tmp_path, "dso", pair_sets=(WITHIN,)).folders[0].score_record().matching[WITHIN]["step_1"]
     assert near["2px"]["match@1px"] > 0.3  # type: ignore[operator]
     assert near["2px"]["match@1px"] > near["16px"]["match@1px"]  # type: ignore[operator]
 
@@ -226,15 +227,20 @@ def test_an_answer_that_breaks_the_contract_finds_nothing_and_is_told(
     assert re.search(words, message)
 
 
-def test_a_pair_that_raises_or_kills_its_worker_costs_that_pair_alone(dataset: Dataset, tmp_path: Path) -> None:
-    pairs = dataset.pair_set(ACROSS).pairs
-    raising, deadly = pairs[0].query_timestamp_ns, pairs[2].query_timestamp_ns
-    settings = (f"raises_at={raising}", f"dies_at={deadly}")
-    report = evaluate(dataset, tmp_path, MATCHING, settings=settings, pair_sets=(ACROSS,), workers=2)
+@pytest.mark.parametrize(
+    ("how", "workers", "told"),
+    [
+        ("raises_at", 0, "ZeroDivisionError: on purpose"),
+        pytest.param("dies_at", 1, "SIGKILL", marks=pytest.mark.thorough),
+    ],
+)
+def test_a_pair_that_raises_or_kills_its_worker_costs_that_pair_alone(
+    dataset: Dataset, tmp_path: Path, how: str, workers: int, told: str
+) -> None:
+    lost = dataset.pair_set(ACROSS).pairs[2].query_timestamp_ns
+    report = evaluate(dataset, tmp_path, MATCHING, settings=(f"{how}={lost}",), pair_sets=(ACROSS,), workers=workers)
     for row in read_matching(report.folders[0].matching(ACROSS)):
-        expected = {raising: "ZeroDivisionError: on purpose", deadly: "the worker process died twice"}
-        assert row.message.startswith(expected.get(row.key[1], ""))
-        assert bool(row.message) == (row.key[1] in expected)
+        assert (told in row.message) == bool(row.message) == (row.key[1] == lost)
         assert (row.found.answered > 0) == (not row.message)
 
 
@@ -256,7 +262,7 @@ def test_files_of_predictions_cannot_be_asked(tmp_path: Path) -> None:
 
 
 def test_the_leaderboard_shows_it_for_the_methods_that_have_it(dataset: Dataset, tmp_path: Path) -> None:
-    report = evaluate(dataset, tmp_path / "r", "identity", "dso", MATCHING)
+    report = evaluate(dataset, tmp_path / "r", "identity", "dso", MATCHING, pair_sets=())
     board = tmp_path / "b"
     write_leaderboard(tmp_path / "r", board)
     page = board_pages(board)
