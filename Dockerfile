@@ -13,7 +13,7 @@ ENV UV_NO_CACHE=1 UV_COMPILE_BYTECODE=1 UV_TORCH_BACKEND=$TORCH_BACKEND
 COPY constraints.txt /source/
 RUN grep -oE '^(torch|torchvision)==[^ ]+' /source/constraints.txt > /source/torch.txt \
  && uv pip install --system --quiet -r /source/torch.txt
-COPY pyproject.toml README.md LICENSE /source/
+COPY pyproject.toml hatch_build.py README.md LICENSE /source/
 COPY baselines /source/baselines
 COPY relocbench /source/relocbench
 RUN uv pip install --system --quiet -c /source/constraints.txt "/source[cluster]" && rm -rf /source
