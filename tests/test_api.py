@@ -97,8 +97,8 @@ def test_registries_name_the_installed_methods() -> None:
 
 
 def test_the_lines_of_the_readme_run(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    section = (ROOT / "README.md").read_text().split("## In a notebook")[1]
-    lines = section.split("```python\n")[1].split("```")[0].replace('"D"', repr(str(dataset)))
+    section = (ROOT / "README.md").read_text().split("## In Python")[1]
+    lines = section.split("```python\n")[1].split("```")[0].replace('"demo/dataset"', repr(str(dataset)))
     monkeypatch.chdir(tmp_path)
     known: dict[str, Any] = {}
     exec(lines, known)

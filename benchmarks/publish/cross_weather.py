@@ -24,8 +24,10 @@ errors.
 
     python benchmarks/publish/cross_weather.py --scratch S [--out leaderboard/weather] [--workers N] [-m METHOD ...]
     python benchmarks/publish/cross_weather.py --only-print --errors leaderboard/weather/errors
+    python benchmarks/publish/cross_weather.py --summary --errors leaderboard/weather/errors
 
-The last line is JSON.
+The last line is JSON. ``--summary`` makes nothing either, and prints the tables of the README and of ``docs/results.md``
+alone.
 """
 
 from __future__ import annotations
@@ -118,6 +120,28 @@ STARTED = {
     "gn-net": "gn-net-pnp",
 }
 """alignments by the method whose pose they start from; gn-net starts from the keyframe's pose and along the road too"""
+SUMMARY_METHODS = ("gn-net", "aliked-pnp", "sift-pnp", "orb-pnp", "dso", "identity")
+_ALL, _SAME, _NEAR, _FAR = (
+    "across conditions",
+    "within a condition",
+    "across, keyframe within 1 m",
+    "across, keyframe farther off",
+)
+SUMMARY = {
+    "all changes": (METRICS[0], _ALL),
+    **{name: (METRICS[0], f"from or to {name}") for name in ("Rain", "Snow", "Night", "Fog")},
+    "same condition": (METRICS[0], _SAME),
+}
+"""methods and columns of the README's table: the metric and the group of each"""
+RESULTS = {
+    "all changes": (METRICS[0], _ALL),
+    "keyframe within 1 m": (METRICS[0], _NEAR),
+    "farther off": (METRICS[0], _FAR),
+    "same condition": (METRICS[0], _SAME),
+    f"{METRICS[2]}, all changes": (METRICS[2], _ALL),
+    f"{METRICS[2]}, same condition": (METRICS[2], _SAME),
+}
+"""columns of the table in ``docs/results.md``, which has all methods by their first column"""
 VALIDATION_PHRASE = "validation of the page across weathers"
 STEPS, SPEED_MPS = 52, 40
 """images of a drive and its speed: at 10 images a second, 204 m of road"""
@@ -172,6 +196,9 @@ class Group:
 
 def main() -> None:
     options = _options()
+    if options.summary:
+        print("\n".join(summaries(options.errors)))
+        return
     with tempfile.TemporaryDirectory() as temporary:
         scratch = options.scratch or Path(temporary)
         for district in () if options.only_print else districts(options.phrase, options.districts):
@@ -233,11 +260,14 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("--errors", type=Path, help="folder of the packed errors of each method in each district")
     parser.add_argument("--only-print", action="store_true", help="render and ask nothing, print what there is")
+    parser.add_argument("--summary", action="store_true", help="print the tables of README and results page from --errors")
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
     parser.add_argument("--set", dest="settings", action="append", help="method.key=value")
     options = parser.parse_args()
     if options.first > options.districts:
         parser.error(f"--first {options.first} lies behind the last district, --districts {options.districts}")
+    if options.summary and options.errors is None:
+        parser.error("--summary needs --errors FOLDER")
     options.settings = options.settings or ([] if options.methods else list(SETTINGS))
     options.methods = options.methods or list(METHODS)
     options.phrase = VALIDATION_PHRASE if options.split != "test" else NEXT_PHRASE if options.next else PHRASE
@@ -333,6 +363,31 @@ def _errors(results: Path, methods: Sequence[str]) -> tuple[pd.DataFrame, dict[s
                         }
                     )
     return pd.DataFrame(rows), {method: DifferentPlaces.total(parts) for method, parts in elsewhere.items()}
+
+
+def summaries(folder: Path) -> list[str]:
+    """The table of the README, and that of ``docs/results.md``."""
+    methods = [method.split("=")[0] for method in METHODS]
+    with tempfile.TemporaryDirectory() as unpacked:
+        errors, _ = _errors(unpack(folder, Path(unpacked)), methods)
+    rows = _scored(errors)
+    together, single = _groups(rows)
+    groups = {group.name: group for group in (*together, *_by_distance(rows), *single)}
+    best_first = sorted(methods, key=lambda method: -groups[_ALL].mean(method, METRICS[0]))
+    return [*_summary(groups, SUMMARY_METHODS, SUMMARY), "", *_summary(groups, best_first, RESULTS)]
+
+
+def _summary(groups: Mapping[str, Group], methods: Sequence[str], columns: Mapping[str, tuple[str, str]]) -> list[str]:
+    lines = [f"| method | {' | '.join(columns)} |", f"|---|{'---:|' * len(columns)}"]
+    for method in methods:
+        shares = [groups[group].mean(method, metric) for metric, group in columns.values()]
+        lines.append(f"| `{method}` | {' | '.join(map(rounded_percent, shares))} |")
+    return lines
+
+
+def rounded_percent(share: float) -> str:
+    """A share in whole percent, about as fine as its interval; with a decimal where 100 would say that none is missed."""
+    return f"{100 * min(share, 0.999):.1f}" if 0.995 <= share < 1.0 else f"{100 * share:.0f}"
 
 
 def _distances(results: Path) -> list[str]:

@@ -42,6 +42,30 @@ def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_
         cross_weather.unpack(tmp_path / "none", tmp_path / "there")
 
 
+@pytest.mark.parametrize(
+    ("page", "tables"), [("README.md", ("SUMMARY",)), ("docs/results.md", ("RESULTS", "SUMMARY"))]
+)
+def test_the_tables_that_people_read_have_the_published_shares(page: str, tables: tuple[str, ...]) -> None:
+    text = (WEATHER / "cross_weather.md").read_text()
+    published = {metric: table_of(text.split(f"## {metric}, %\n")[1]) for metric in cross_weather.METRICS}
+    shown = [part for part in (ROOT / page).read_text().split("\n\n") if part.startswith("| method |")]
+    for name, part in zip(tables, shown, strict=True):
+        columns = getattr(cross_weather, name)
+        for method, shares in table_of(part).items():
+            for (column, (metric, group)), (head, share) in zip(columns.items(), shares.items(), strict=True):
+                # the page has one decimal, so that a rounded share may be off by half a percent and half a decimal
+                apart = abs(float(share) - float(published[metric][group][method]))
+                assert head == column
+                assert apart < (0.11 if "." in share else 0.56), (method, column)
+
+
+def table_of(text: str) -> dict[str, dict[str, str]]:
+    """The cells of the first table of a text, by the first cell of their row and by the head of their column."""
+    text = text.replace("`", "")
+    rows = [line.strip("| ").split(" | ") for line in re.findall(r"(?:^\|.*\n?)+", text, re.MULTILINE)[0].splitlines()]
+    return {row[0]: dict(zip(rows[0][1:], row[1:], strict=True)) for row in rows[2:]}
+
+
 @pytest.mark.thorough
 def test_the_page_is_printed_again_from_the_published_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (WEATHER / "cross_weather.md").read_text()
