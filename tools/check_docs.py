@@ -1,4 +1,4 @@
-"""Check that links in the pages have targets, anchors included, and that the commands and tests named there exist."""
+"""Check the pages: links have targets, anchors included, commands and tests exist, and no page is too long to be read."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ import typer
 from relocbench.cli.app import app
 
 ROOT = Path(__file__).parents[1]
+MOST_WORDS = 2500
+MOST_WORDS_OF_README, MOST_LINES_OF_README = 1000, 120
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 _HEADING = re.compile(r"^#{1,6} +(.+?) *#*$", re.MULTILINE)
 _ID = re.compile(r"<[a-z0-9]+ [^>]*\b(?:id|name)=[\"']([^\"']+)[\"']")
 _BLOCK = re.compile(r"^(```+|~~~+).*?^\1[`~]* *$", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"(`+)(?!`).+?(?<!`)\1(?!`)", re.DOTALL)
-_TEST = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
+_TEST = re.compile(r"`((?:\w+/)*test_\w+\.py)(?:::(test_\w+))?`")
 _FENCE = re.compile(r"^```(\w*)(?: +title=\"([^\"]+)\")?\s*$")
 
 
@@ -166,16 +168,28 @@ def unknown_words(command: str) -> Iterator[str]:
 
 
 def unknown_tests(page: Path) -> Iterator[str]:
-    """Faults of a page: tests named as ``file.py::test_name`` that do not exist."""
+    """Faults of a page: tests named as ``test_file.py`` or ``test_file.py::test_name`` that do not exist."""
     for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
         for file, name in _TEST.findall(line):
             found = (ROOT / "tests").rglob(Path(file).name)
-            if not any(f"def {name}(" in path.read_text(encoding="utf-8") for path in found):
-                yield f"{shown(page)}:{number}: test '{file}::{name}', which does not exist"
+            if not any(not name or f"def {name}(" in path.read_text(encoding="utf-8") for path in found):
+                yield f"{shown(page)}:{number}: test '{file}{'::' if name else ''}{name}', which does not exist"
+
+
+def too_long(page: Path) -> Iterator[str]:
+    """Faults of a page: more words or lines than a reader has patience for."""
+    text = page.read_text(encoding="utf-8")
+    words, lines = len(text.split()), text.count("\n")
+    limit = MOST_WORDS_OF_README if page == ROOT / "README.md" else MOST_WORDS
+    if words > limit and page.name != "decisions.md":
+        yield f"{shown(page)}: {words} words, more than {limit}; split it, or shorten it"
+    if page == ROOT / "README.md" and lines > MOST_LINES_OF_README:
+        yield f"{shown(page)}: {lines} lines, more than {MOST_LINES_OF_README}"
 
 
 def main() -> int:
     faults = [fault for page in pages() for fault in (*dead_links(page), *unknown_tests(page))]
+    faults += [fault for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")) for fault in too_long(page)]
     count = 0
     for page in pages():
         for number, command in commands(page):

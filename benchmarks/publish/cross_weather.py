@@ -26,8 +26,7 @@ errors.
     python benchmarks/publish/cross_weather.py --only-print --errors leaderboard/weather/errors
     python benchmarks/publish/cross_weather.py --summary --errors leaderboard/weather/errors
 
-The last line is JSON. ``--summary`` makes nothing either, and prints the tables of the README and of ``docs/results.md``
-alone.
+The last line is JSON. ``--summary`` makes nothing either, and prints the tables of README and ``docs/results.md`` alone.
 """
 
 from __future__ import annotations
@@ -260,7 +259,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("--errors", type=Path, help="folder of the packed errors of each method in each district")
     parser.add_argument("--only-print", action="store_true", help="render and ask nothing, print what there is")
-    parser.add_argument("--summary", action="store_true", help="print the tables of README and results page from --errors")
+    parser.add_argument(
+        "--summary", action="store_true", help="print the tables of README and results page from --errors"
+    )
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
     parser.add_argument("--set", dest="settings", action="append", help="method.key=value")
     options = parser.parse_args()
@@ -386,7 +387,7 @@ def _summary(groups: Mapping[str, Group], methods: Sequence[str], columns: Mappi
 
 
 def rounded_percent(share: float) -> str:
-    """A share in whole percent, about as fine as its interval; with a decimal where 100 would say that none is missed."""
+    """A share in whole percent, about as fine as its interval; with a decimal where 100 would say that none is lost."""
     return f"{100 * min(share, 0.999):.1f}" if 0.995 <= share < 1.0 else f"{100 * share:.0f}"
 
 
