@@ -1,4 +1,4 @@
-"""Check the pages: links have targets, anchors included, commands and tests exist, and no page is too long to be read."""
+"""Check the pages: links have targets, anchors included, commands and tests exist, and no page is too long."""
 
 from __future__ import annotations
 

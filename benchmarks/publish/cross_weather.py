@@ -26,7 +26,7 @@ errors.
     python benchmarks/publish/cross_weather.py --only-print --errors leaderboard/weather/errors
     python benchmarks/publish/cross_weather.py --summary --errors leaderboard/weather/errors
 
-The last line is JSON. ``--summary`` makes nothing either, and prints the tables of README and ``docs/results.md`` alone.
+The last line is JSON. ``--summary`` makes nothing either, and prints the tables of README and ``docs/results.md``.
 """
 
 from __future__ import annotations
