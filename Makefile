@@ -19,7 +19,7 @@ $(VENV)/.ready: tools/setup.sh tools/hashes.txt pyproject.toml relocbench/versio
 browser:         ## Chromium, which the tests of the pages in HTML open them in (they are skipped without one)
 	tools/browser.sh
 
-PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n logical --dist loadfile --no-loadscope-reorder --durations=20
+PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n logical --dist worksteal --durations=20
 
 test: setup      ## the quick tests: each promise once, on all cores
 	$(PYTEST) -m "not thorough"

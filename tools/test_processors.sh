@@ -44,7 +44,7 @@ for name in ${SETTINGS:-$order}; do
   [ -n "${settings[$name]-}" ] || { echo "test_processors.sh: no setting '$name'; expected one of:" $order >&2; exit 2; }
   IFS='|' read -ra variables <<<"${settings[$name]}"
   echo "== $name: ${variables[*]}"
-  env "${variables[@]}" "$python" -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder -p no:cacheprovider "$@" \
+  env "${variables[@]}" "$python" -m pytest -q -n 2 --dist worksteal -p no:cacheprovider "$@" \
     >"$logs/$name" 2>&1
   status=$?
   tail -n 1 "$logs/$name"

@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from built_once import built_once
 from fenced_street import fenced_street_mesh
 from numpy.typing import NDArray
 from projected_depth import depth_errors, true_depth
@@ -86,10 +87,14 @@ def _no_lidar(
 def record_street(out: Path, number: int, frames: int = 26, *, rings: int = 16, azimuths: int = 720) -> StreetDrive:
     """Record a drive; drives of different numbers differ in all that is random."""
     options = DriveOptions("boreas", number=number, frames=frames, scale=0.08, rings=rings, azimuths=azimuths)
+    return StreetDrive(_recorded(out, number, frames, rings, azimuths), options)
+
+
+@built_once(Path)
+def _recorded(out: Path, number: int, frames: int, rings: int, azimuths: int) -> None:
     chosen = {"frames": frames, "scale": 0.08, "rings": rings, "azimuths": azimuths, "number": number}
     how = {"renderer_factory": SolidTexture, "compose": fenced_street_mesh}
     record(Street(), StraightRoad(), Factors(), out, "boreas", **chosen, **how)  # type: ignore[arg-type]
-    return StreetDrive(out, options)
 
 
 def street_scene() -> LidarScene:

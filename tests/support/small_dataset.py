@@ -1,4 +1,4 @@
-"""A small dataset for tests, rendered in a second: ``from small_dataset import make_small_dataset``.
+"""A small dataset for tests, rendered once a run: ``from small_dataset import make_small_dataset``.
 
 It lies in ``tests/support``, which pytest puts on the path. The scene is a street corner of three
 textured planes (ground, a house on the left, a house ahead), ray-cast exactly, so that images, depth and poses agree.
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from built_once import built_once
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.build import Build
@@ -92,6 +93,7 @@ def photograph(camera: Camera, T_world_cam: Array) -> NDArray[np.uint8]:
     return np.asarray(cv2.remap(render(wide, T_world_cam)[0], at[..., 0], at[..., 1], cv2.INTER_LINEAR))
 
 
+@built_once(Dataset)
 def make_small_dataset(
     root: Path,
     *,
@@ -110,7 +112,7 @@ def make_small_dataset(
     pose_fault: Array | None = None,
     sigma_translation_m: float | None = 0.01,
     splits: dict[str, list[str]] | None = None,
-) -> Dataset:
+) -> None:
     """Two traversals of ``frames`` frames and two pair sets, :data:`ACROSS` and :data:`WITHIN`.
 
     Args:
@@ -160,7 +162,7 @@ def make_small_dataset(
             kept = [_with_pose(p, None) for p in kept]
         options = ImportOptions(correspondences=correspondences, seed=seed)
         write_pair_set(Build(writer, options, Silent(), Run()), "summer", query, CAMERA, [*extra, *kept])
-    return writer.finish(splits or {"test": [ACROSS], "all": [ACROSS, WITHIN]})
+    writer.finish(splits or {"test": [ACROSS], "all": [ACROSS, WITHIN]})
 
 
 def _write_traversal(
