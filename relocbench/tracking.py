@@ -247,14 +247,14 @@ def plain_pixels(ends: object, count: int) -> Array:
     if not isinstance(ends, np.ndarray) or not np.issubdtype(ends.dtype, np.floating):
         kind = f"an array of {ends.dtype}" if isinstance(ends, np.ndarray) else type(ends).__name__
         raise ContractFault(f"match returned {kind}, expected an array of floats")
-    found = np.asarray(ends)  # a plain array: a subclass could behave differently at each look
-    if found.shape != (count, 2):
-        raise ContractFault(f"match returned shape {found.shape}, expected ({count}, 2)")
+    pixels = np.asarray(ends)  # a plain array: a subclass could behave differently at each look
+    if pixels.shape != (count, 2):
+        raise ContractFault(f"match returned shape {pixels.shape}, expected ({count}, 2)")
     with np.errstate(over="ignore"):
-        found = np.array(found, dtype=np.float64)
-    if np.isinf(found).any():
+        pixels = np.array(pixels, dtype=np.float64)
+    if np.isinf(pixels).any():
         raise ContractFault("match returned an infinite pixel; a pixel without an answer is NaN")
-    return found
+    return pixels
 
 
 def plain_result(result: object) -> TrackResult:

@@ -305,8 +305,8 @@ def kind_of(target: str) -> MethodKind:
         MethodError: nothing of that name is installed, or a class cannot be imported.
     """
     if ":" in target and not target.startswith(SUBPROCESS):
-        found = load_dotted(target, "method")
-        fitting = [kind for kind in KINDS if callable(getattr(found, kind.call, None))]
+        loaded = load_dotted(target, "method")
+        fitting = [kind for kind in KINDS if callable(getattr(loaded, kind.call, None))]
     else:
         fitting = [kind for kind in KINDS if target in installed_methods(kind)]
         if not fitting and not target.startswith(SUBPROCESS):
@@ -321,9 +321,9 @@ def _nothing_called(name: str) -> MethodError:
     trainers = installed_trainers()
     if name in trainers:
         return MethodError(f"'{name}' is a trainer; its options are shown by `relocbench train {name} --show-options`")
-    found = {kind.made.split()[-1]: installed_methods(kind) for kind in KINDS} | {"trainer": trainers}
-    alike = hint(name, [known for points in found.values() for known in points])
-    available = "; ".join(f"{noun}s: {', '.join(points) or 'none'}" for noun, points in found.items())
+    installed = {kind.made.split()[-1]: installed_methods(kind) for kind in KINDS} | {"trainer": trainers}
+    alike = hint(name, [known for points in installed.values() for known in points])
+    available = "; ".join(f"{noun}s: {', '.join(points) or 'none'}" for noun, points in installed.items())
     return MethodError(
         f"no method '{name}'{alike}; installed {available} (or name a class as package.module:Class, or a tracker's "
         "program as subprocess:COMMAND)"
@@ -386,19 +386,19 @@ def _split_label(text: str, kind: MethodKind) -> tuple[str, str]:
 
 
 def _load_class(target: str, kind: MethodKind) -> Any:
-    found = load_dotted(target, kind.noun)
+    loaded = load_dotted(target, kind.noun)
     attribute = target.partition(":")[2]
-    if not callable(getattr(found, kind.call, None)) and inspect.isclass(found):
-        others = [k for k in KINDS if callable(getattr(found, k.call, None))]
+    if not callable(getattr(loaded, kind.call, None)) and inspect.isclass(loaded):
+        others = [k for k in KINDS if callable(getattr(loaded, k.call, None))]
         other = (
             f", but {others[0].call}(): it is {others[0].made} for `relocbench {others[0].command}`"
             if others
             else " method"
         )
         raise MethodError(f"{kind.noun} '{target}': class '{attribute}' has no {kind.call}(){other}")
-    if not callable(found):
+    if not callable(loaded):
         raise MethodError(f"{kind.noun} '{target}': '{attribute}' is not a class or function that makes {kind.made}")
-    return found
+    return loaded
 
 
 def _validated(named: str, parameter: Parameter, value: Any, text: str) -> Any:

@@ -33,16 +33,16 @@ def published_files(method: MethodSpec) -> dict[Path, PublishedFile]:
         MethodError: it needs none.
     """
     tell = getattr(method_class(method.target, method.kind), "published", None)
-    found: Any = {}
+    files: Any = {}
     if callable(tell):
-        found = call_third_party(
+        files = call_third_party(
             f"the published files of '{method.label}' cannot be listed", lambda: tell(**method.parameters)
         )
-    if not isinstance(found, Mapping) or not all(isinstance(file, PublishedFile) for file in found.values()):
+    if not isinstance(files, Mapping) or not all(isinstance(file, PublishedFile) for file in files.values()):
         raise MethodError(f"method '{method.label}': published() returned no files by their paths")
-    if not found:
+    if not files:
         raise MethodError(f"method '{method.label}' needs no files that others publish")
-    return {Path(path): file for path, file in found.items()}
+    return {Path(path): file for path, file in files.items()}
 
 
 def check_fetched(path: Path, file: PublishedFile) -> None:
@@ -51,8 +51,8 @@ def check_fetched(path: Path, file: PublishedFile) -> None:
     Raises:
         MethodError: its SHA-256 is known and another one.
     """
-    if file.sha256 is not None and (found := sha256_file(path)) != file.sha256:
-        raise MethodError(f"is not the published file: its SHA-256 is {found}, expected {file.sha256}", path)
+    if file.sha256 is not None and (digest := sha256_file(path)) != file.sha256:
+        raise MethodError(f"is not the published file: its SHA-256 is {digest}, expected {file.sha256}", path)
 
 
 def fetch(file: PublishedFile, path: Path, reporter: Reporter | None = None) -> str:

@@ -95,14 +95,14 @@ def _end_all() -> None:
 
 def _children() -> list[int]:
     """The ids of this process's children, including those that have ended but were not waited for."""
-    found = []
+    children = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
             # The program's name is in parentheses and may contain anything.
             fields = stat.read_bytes().rpartition(b")")[2].split()
             if int(fields[1]) == os.getpid():
-                found.append(int(stat.parent.name))
-    return found
+                children.append(int(stat.parent.name))
+    return children
 
 
 def _prctl(option: int, value: int) -> None:

@@ -27,15 +27,15 @@ def entry_points_of(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
     Raises:
         MethodError: two packages provide different things by the same name.
     """
-    found: dict[str, metadata.EntryPoint] = {}
+    points: dict[str, metadata.EntryPoint] = {}
     for point in metadata.entry_points(group=group):
-        if point.name in found and found[point.name].value != point.value:
+        if point.name in points and points[point.name].value != point.value:
             raise MethodError(
-                f"{kind} '{point.name}' is provided twice ({found[point.name].value} and {point.value}); "
+                f"{kind} '{point.name}' is provided twice ({points[point.name].value} and {point.value}); "
                 "uninstall one, or name the class by its dotted path"
             )
-        found[point.name] = point
-    return dict(sorted(found.items()))
+        points[point.name] = point
+    return dict(sorted(points.items()))
 
 
 def load_dotted(target: str, kind: str) -> Any:
@@ -48,12 +48,12 @@ def load_dotted(target: str, kind: str) -> Any:
     # As with `python -m`, a class in the user's current folder is found without installing it.
     if "" not in sys.path and str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
-    found = call_third_party(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
+    loaded = call_third_party(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
     for part in attribute.split("."):
-        found = getattr(found, part, None)
-    if found is None:
+        loaded = getattr(loaded, part, None)
+    if loaded is None:
         raise MethodError(f"{kind} '{target}': module '{module_name}' has no '{attribute}'")
-    return found
+    return loaded
 
 
 def _import(module_name: str, target: str, kind: str) -> Any:

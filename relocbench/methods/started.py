@@ -47,8 +47,8 @@ class StartedTracker:
 
     def track(self, reference: StartedReference, query: Query, prior: Array | None = None) -> TrackResult:
         """The answer of the tracker from the start's pose."""
-        found, how = self._started(reference.start, query, prior)
-        result: TrackResult = self._tracker.track(reference.own, query, prior if found is None else found)
+        started, how = self._started(reference.start, query, prior)
+        result: TrackResult = self._tracker.track(reference.own, query, prior if started is None else started)
         return replace(result, info={**result.info, "start": how})
 
     def close(self) -> None:
@@ -59,10 +59,10 @@ class StartedTracker:
 
     def _started(self, reference: Any, query: Query, prior: Array | None) -> tuple[Array | None, str]:
         try:
-            found: TrackResult = self._start.track(reference, query, prior)
+            started: TrackResult = self._start.track(reference, query, prior)
         except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
             return None, raised(bad)
-        return found.T_query_ref, "found" if found.answered else f"none: {found.message}"
+        return started.T_query_ref, "found" if started.answered else f"none: {started.message}"
 
     def _passing_on(self, name: str) -> Any:
         def call(reference: StartedReference, query: Query, uv_ref: Array, uv_start: Array) -> Array | Sequence[Array]:

@@ -159,13 +159,13 @@ class SubprocessTracker:
                 answer = self._ready_program(reference).ask(
                     {"type": "queries", "queries": asked}, "results", len(asked) * self.time_limit_s
                 )
-                found = _results(answer, len(asked))
+                results = _results(answer, len(asked))
             except ProgramFault:
                 self._drop_program()
                 self._most_at_once = max(1, len(asked) // 2)
             else:
                 self._lost_in_a_row = 0
-                return found
+                return results
         return [self.track(reference, query, prior) for query, prior in zip(queries, priors, strict=True)]
 
     @property

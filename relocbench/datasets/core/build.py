@@ -27,9 +27,9 @@ class Build(Generic[Options]):
 
     def work(self, title: str, step: Callable[[Unit], Result], units: Sequence[Unit]) -> list[Result]:
         """The results of ``step`` for all units, in their order, with a progress bar of this title."""
-        found: dict[int, Result] = {}
+        results: dict[int, Result] = {}
         with self.reporter.stage(title, len(units)) as advance:
             for index, result in run_units(step, units, self.run):
-                found[index] = result
+                results[index] = result
                 advance(1)
-        return [found[index] for index in range(len(units))]
+        return [results[index] for index in range(len(units))]

@@ -122,8 +122,8 @@ class PosedRecordingOptions(RuleOptions, LinkingOptions):
 
 def plain_size(text: str) -> str:
     """The size WIDTHxHEIGHT in pixels that an option tells, perhaps as one number for both. Raises ValueError."""
-    found = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
-    sides = [int(side) for side in found.groups() if side] if found else []
+    match = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
+    sides = [int(side) for side in match.groups() if side] if match else []
     if not sides or not all(32 <= side <= 4096 for side in sides):
         raise ValueError("size is WIDTHxHEIGHT or one number, 32 to 4096 pixels")
     return f"{sides[0]}x{sides[-1]}"

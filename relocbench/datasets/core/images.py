@@ -41,8 +41,8 @@ class ExpectedSize:
     def check(self, size: tuple[int, int], path: Path) -> None:
         """Raise DatasetError if an image's size (width, height) is another one."""
         if size != self.size:
-            found, expected = ("x".join(map(str, s)) for s in (size, self.size))
-            raise DatasetError(f"image is {found}, expected {expected} ({self.source})", path)
+            actual, expected = ("x".join(map(str, s)) for s in (size, self.size))
+            raise DatasetError(f"image is {actual}, expected {expected} ({self.source})", path)
 
 
 def read_image(path: Path, expected: ExpectedSize | None = None) -> Image:

@@ -21,16 +21,16 @@ def read_named_poses(path: Path, error: type[RelocbenchError] = DatasetError) ->
     Raises:
         RelocbenchError: (as ``error``) with file and line.
     """
-    found: dict[str, Array] = {}
+    poses: dict[str, Array] = {}
     for line, fields in read_words(path, "poses (name qw qx qy qz tx ty tz)", error):
         numbers = parse_floats(fields[1:], path, line, POSE_NUMBERS, error)
-        if fields[0] in found:
+        if fields[0] in poses:
             raise error(f"image {quoted(fields[0])} occurs again", path, line)
         try:
-            found[fields[0]] = pose_of_numbers(numbers)
+            poses[fields[0]] = pose_of_numbers(numbers)
         except ValueError as bad:
             raise error(str(bad), path, line) from None
-    return found
+    return poses
 
 
 def pose_of_numbers(numbers: Sequence[float]) -> Array:

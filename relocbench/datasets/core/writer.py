@@ -200,11 +200,11 @@ class DatasetWriter:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the installed packages that can change a result."""
-    found = {"python": platform.python_version()}
+    installed = {"python": platform.python_version()}
     for name in _VERSIONED:
         with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            installed[name] = metadata.version(name)
+    return installed
 
 
 def _kept(path: Path) -> bool:

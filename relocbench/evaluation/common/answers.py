@@ -129,8 +129,8 @@ def _ask_batch(
     if crash is not None:
         return [(None, crash)] * count, True
     if len(given) != count:
-        found = str(len(given)) if len(given) < count else f"more than {count}"
-        return [(None, f"track_batch returned {found} results for {count} queries")] * count, False
+        returned = str(len(given)) if len(given) < count else f"more than {count}"
+        return [(None, f"track_batch returned {returned} results for {count} queries")] * count, False
     return [(result, None) for result in given], False
 
 

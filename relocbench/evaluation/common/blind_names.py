@@ -31,8 +31,8 @@ class BlindName:
 
 def blind_name(name: str) -> BlindName | None:
     """The parts of a blind export's name; None for the name of something else."""
-    found = _NAME.fullmatch(name)
-    return None if found is None else BlindName(found["dataset"], int(found["edition"]), found["id"])
+    match = _NAME.fullmatch(name)
+    return None if match is None else BlindName(match["dataset"], int(match["edition"]), match["id"])
 
 
 @dataclass(frozen=True)

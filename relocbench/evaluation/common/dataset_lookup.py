@@ -137,13 +137,13 @@ class DatasetLookup:
     @cached_property
     def _cross_view_beside(self) -> list[CrossViewSet]:
         """The cross-view sets beside the results that can be opened; they are when one is first needed."""
-        found = []
+        opened = []
         for folder in self._folders_of_places:
             try:
-                found.append(open_cross_view(folder))
+                opened.append(open_cross_view(folder))
             except RelocbenchError as bad:
                 self._reporter.note(f"not scored again with {folder}: {bad}")
-        return found
+        return opened
 
     def check_used(self) -> None:
         """Raise ConfigError for a dataset that was named although nothing in the results belongs to it."""
@@ -184,10 +184,10 @@ def _opened(folder: Path) -> Dataset | CrossViewSet:
 
 def _inside(folder: Path) -> list[Dataset | CrossViewSet]:
     """The datasets in a folder. Raises DatasetError where there is none."""
-    found = [_opened(path) for path in sorted(folder.iterdir()) if _looks_like_set(path)]
-    if not found:
+    opened = [_opened(path) for path in sorted(folder.iterdir()) if _looks_like_set(path)]
+    if not opened:
         raise DatasetError("expected a dataset, or a folder with datasets in it", folder)
-    return found
+    return opened
 
 
 def _beside(results: Path) -> list[Path]:

@@ -255,9 +255,9 @@ def _one_by_one(rows: Sequence[Sequence[str]], path: Path, lines: Sequence[int])
 
 def _status_index(statuses: Sequence[str], path: Path, lines: Sequence[int]) -> NDArray[np.int8]:
     place = {status: index for index, status in enumerate(STATUSES)}
-    found = [place.get(status, -1) for status in statuses]
-    if -1 in found:
-        wrong = found.index(-1)
+    indices = [place.get(status, -1) for status in statuses]
+    if -1 in indices:
+        wrong = indices.index(-1)
         message = f"status is '{statuses[wrong][:60]}', expected {', '.join(STATUSES)}"
         raise PredictionError(message, path, lines[wrong])
-    return np.array(found, dtype=np.int8)
+    return np.array(indices, dtype=np.int8)

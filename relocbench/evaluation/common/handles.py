@@ -99,10 +99,10 @@ class LocalTracker:
         )
         if crash is None and len(levels) > _MOST_LEVELS:
             crash = f"match_levels returned more than {_MOST_LEVELS} levels"
-        found: list[Array] = []
+        checked: list[Array] = []
         for ends in levels or ():
             pixels, crash = checked_pixels(ends, crash, len(uv_ref))
             if pixels is None:
                 return [], crash
-            found.append(pixels)
-        return found, crash
+            checked.append(pixels)
+        return checked, crash

@@ -50,13 +50,13 @@ class IsolatedTracker:
 
     def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[list[Array], str | None]:
         answer, levels = self._process.ask(("match_levels", (query, uv_ref, uv_start)))
-        found = []
+        checked = []
         for ends in levels:
             pixels, fault = checked_pixels(ends, None, len(uv_ref))
             if pixels is None:
                 return [], fault
-            found.append(pixels)
-        return found, crash_of(answer)
+            checked.append(pixels)
+        return checked, crash_of(answer)
 
     def close(self) -> None:
         """End the process."""

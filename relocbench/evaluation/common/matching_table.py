@@ -59,10 +59,10 @@ def read_matching(path: Path) -> list[MatchingRow]:
     """Read ``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
     out = []
     for row in _rows(path):
-        key, found = row.key(), OffsetCounts(*map(row.count, _COUNTS))
-        if not found.within_1px <= found.within_3px <= found.answered <= found.pixels:
+        key, counts = row.key(), OffsetCounts(*map(row.count, _COUNTS))
+        if not counts.within_1px <= counts.within_3px <= counts.answered <= counts.pixels:
             raise row.fault("expected within_1px <= within_3px <= answered <= pixels")
-        out.append(MatchingRow(key, row["group"], found, row["message"]))
+        out.append(MatchingRow(key, row["group"], counts, row["message"]))
     return out
 
 

@@ -231,13 +231,13 @@ class DatasetResults:
 
 def method_folders(root: Path) -> list[Path]:
     """The ``run.yaml`` of every method below a folder, sorted by name. Raises PredictionError for an invalid label."""
-    found = sorted(root.glob("*/run.yaml"))
-    for path in found:
+    records = sorted(root.glob("*/run.yaml"))
+    for path in records:
         try:
             check_label(path.parent.name, "method label")
         except ValueError as bad:
             raise PredictionError(f"the folder's name is no valid label: {bad}", path.parent) from None
-    return found
+    return records
 
 
 def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
@@ -319,11 +319,11 @@ def all_results(results: Path) -> list[DatasetResults]:
     """Every dataset's folder below a results folder. Raises PredictionError where there is none."""
     if not results.is_dir():
         raise PredictionError("no such folder; expected results of the evaluate commands", results)
-    found = list(map(DatasetResults, folders_with("dataset.yaml", results)))
-    if not found:
+    folders = list(map(DatasetResults, folders_with("dataset.yaml", results)))
+    if not folders:
         other = did_you_mean(results, lambda folder: any(folder.glob("*@*/dataset.yaml")))
         raise PredictionError(f"holds no results (expected DATASET@FINGERPRINT folders){other}", results)
-    return found
+    return folders
 
 
 def _named(asked: str) -> str:

@@ -163,8 +163,8 @@ def _evaluate(
     )
     results = pipeline_results(options.out, tasks.record.name, tasks.record.fingerprint)
     write_set(results, tasks.record)
-    found = {each.label: _found(each, tasks, options.top) for each in ranked}
-    wanted = {name: _pairs(tasks.truth[name], [of[name] for of in found.values()]) for name in tasks.names}
+    retrieved = {each.label: _found(each, tasks, options.top) for each in ranked}
+    wanted = {name: _pairs(tasks.truth[name], [of[name] for of in retrieved.values()]) for name in tasks.names}
     answered = [
         track_candidates(
             dataset,
@@ -181,7 +181,7 @@ def _evaluate(
     answers = {folder.label: {name: read_tracked(dataset, folder, name) for name in tasks.names} for folder in answered}
     folders = []
     for each in ranked:
-        of = found[each.label]
+        of = retrieved[each.label]
         floor = {name: keyframe_poses(tasks.truth[name], of[name]) for name in tasks.names}
         run = _run(tasks, each, KEYFRAME, 1, None)
         folders.append(write_pipeline_results(_folder(results, run), run, tasks, of, floor, basins))

@@ -43,9 +43,9 @@ class Tracked:
 def keyframe_poses(truth: MapTruth, retrieved: Sequence[Retrieved]) -> Tracked:
     """The trivial baseline of a retriever: the query gets the pose of its first keyframe, and no tracker runs."""
     keys = [
-        (truth.keyframe_times[found.keyframes[0]], time)
-        for time, found in zip(truth.query_times, retrieved, strict=True)
-        if found.keyframes
+        (truth.keyframe_times[one.keyframes[0]], time)
+        for time, one in zip(truth.query_times, retrieved, strict=True)
+        if one.keyframes
     ]
     return Tracked({key: Answer(key, "ok") for key in keys}, {key: np.eye(4) for key in keys})
 
@@ -68,15 +68,17 @@ def pipeline_answers(
     return rows, lines
 
 
-def _answer(truth: MapTruth, query: int, found: Retrieved, tracked: Tracked, top: int, basin: Basin) -> PipelineAnswer:
+def _answer(
+    truth: MapTruth, query: int, retrieved: Retrieved, tracked: Tracked, top: int, basin: Basin
+) -> PipelineAnswer:
     time = truth.query_times[query]
-    keyframes = list(found.keyframes[:top])
+    keyframes = list(retrieved.keyframes[:top])
     keys = [(truth.keyframe_times[k], time) for k in keyframes]
     T_query_ref = truth.relative(query)[keyframes]
     hits = np.flatnonzero(inside(*distance_and_angle(T_query_ref), basin.limits))
     hit_rank = int(hits[0]) + 1 if hits.size else None
     answers = [tracked.answers[key] for key in keys]
-    seconds = _together([found.seconds, *(a.seconds for a in answers)])
+    seconds = _together([retrieved.seconds, *(a.seconds for a in answers)])
     kept = most_confident(
         [a.confidence if key in tracked.poses else None for a, key in zip(answers, keys, strict=True)],
         [key in tracked.poses for key in keys],
@@ -85,7 +87,7 @@ def _answer(truth: MapTruth, query: int, found: Retrieved, tracked: Tracked, top
     right = np.flatnonzero(np.asarray(within(errors, *RIGHT)))
     right_rank = int(right[0]) + 1 if right.size else None
     if kept is None:
-        status, message = _why_not(found, answers)
+        status, message = _why_not(retrieved, answers)
         return PipelineAnswer(
             time,
             status,
@@ -145,10 +147,10 @@ def _together(seconds: Sequence[float | None]) -> float | None:
     return round(sum(known), 6) if known else None
 
 
-def _why_not(found: Retrieved, answers: Sequence[Answer]) -> tuple[str, str]:
+def _why_not(retrieved: Retrieved, answers: Sequence[Answer]) -> tuple[str, str]:
     """The status and message of a query without an answer."""
     if not answers:
-        status = "error" if found.status == "error" else "failed"
-        return status, f"retrieval: {found.message or 'nothing was retrieved'}"
+        status = "error" if retrieved.status == "error" else "failed"
+        return status, f"retrieval: {retrieved.message or 'nothing was retrieved'}"
     crash = [a for a in answers if a.status == "error"]
     return ("error", crash[0].message) if crash else ("failed", answers[0].message)

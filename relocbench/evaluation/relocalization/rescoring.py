@@ -62,9 +62,9 @@ class PipelineTruth:
         Returns:
             None where the ranking or the tracker's answers are not in the results folder.
         """
-        found = self._found(run, name)
-        tracked = None if found is None else self._tracked(run, name, found)
-        return None if found is None or tracked is None else (found, tracked)
+        retrieved = self._found(run, name)
+        tracked = None if retrieved is None else self._tracked(run, name, retrieved)
+        return None if retrieved is None or tracked is None else (retrieved, tracked)
 
     def rescored(
         self, run: PipelineRun, name: str, basin: PipelineBasin, claimed: Sequence[PipelineAnswer], path: Path
@@ -109,9 +109,9 @@ class PipelineTruth:
         folder = self._rankings.method(run.retriever)
         return StoredRankings(folder).of(task, truth, run.top) if folder.complete(name) else None
 
-    def _tracked(self, run: PipelineRun, name: str, found: Sequence[Retrieved]) -> Tracked | None:
+    def _tracked(self, run: PipelineRun, name: str, retrieved: Sequence[Retrieved]) -> Tracked | None:
         if run.tracker == KEYFRAME:
-            return keyframe_poses(self._tasks.truth[name], found)
+            return keyframe_poses(self._tasks.truth[name], retrieved)
         folder = self._folder.trackers.method(run.tracker)
         return read_tracked(self._dataset, folder, name) if folder.complete(name) else None
 

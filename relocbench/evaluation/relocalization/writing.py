@@ -26,7 +26,7 @@ def write_pipeline_results(
     folder: PipelineResults,
     run: PipelineRun,
     tasks: PipelineTasks,
-    found: Mapping[str, Sequence[Retrieved]],
+    retrieved: Mapping[str, Sequence[Retrieved]],
     tracked: Mapping[str, Tracked],
     basins: Basins,
 ) -> PipelineResults:
@@ -48,7 +48,7 @@ def write_pipeline_results(
         truth, record = tasks.truth[name], tasks.record.tasks[name]
         conditions = record.condition_gallery, record.condition_query
         basin = basins.of(run.tracker, *conditions, truth.reach)
-        rows, lines = pipeline_answers(truth, found[name], tracked[name], run.top, basin)
+        rows, lines = pipeline_answers(truth, retrieved[name], tracked[name], run.top, basin)
         write_pose_lines(folder.predictions(name), lines)
         write_pipeline(folder.answers(name), rows)
         hashes[name] = sha256_file(folder.answers(name))

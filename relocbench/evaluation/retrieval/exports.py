@@ -45,8 +45,8 @@ def export_lists(
         PredictionError: there are no such rankings, more than one set of them, or lists that are shorter than ``top``.
         DatasetError: an image has a name that a list cannot hold.
     """
-    found, folder = _rankings(dataset, results, retriever)
-    tasks = found.record.tasks
+    rankings, folder = _rankings(dataset, results, retriever)
+    tasks = rankings.record.tasks
     available = [n for n in dataset.pair_set_names if n in tasks and folder.complete(n)]
     for name in pair_sets:
         if name not in available:

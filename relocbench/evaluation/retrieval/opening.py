@@ -135,11 +135,11 @@ def _cross_view(folder: Path, out: Path, options: SetOptions, reporter: Reporter
         if value is not None:
             raise ConfigError(f"{option} is for the drives of a dataset; {folder} holds places with labels")
     check_outside(out, folder)
-    found: CrossViewSet = open_cross_view(folder, reporter)
-    tasks = tuple(found.tasks(by_condition=options.by_condition))
+    places: CrossViewSet = open_cross_view(folder, reporter)
+    tasks = tuple(places.tasks(by_condition=options.by_condition))
     chosen = _chosen(tasks, options, folder)
-    opened = OpenedSet(found.name, found.fingerprint, tasks, chosen, found.positives, content_id=found.content_id)
-    return _checked(replace(opened, source=found))
+    opened = OpenedSet(places.name, places.fingerprint, tasks, chosen, places.positives, content_id=places.content_id)
+    return _checked(replace(opened, source=places))
 
 
 def _blind(folder: Path, out: Path, options: SetOptions) -> OpenedSet:

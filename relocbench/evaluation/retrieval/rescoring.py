@@ -90,13 +90,13 @@ class RetrievalTruth:
         if keep is not None and any(len(kept) > keep for kept in lists):
             words = f"holds more images of a query than the {keep} that {folder.run_yaml.name} says are kept"
             raise PredictionError(f"{words}; {AGAIN}", folder.predictions(name))
-        found = rank_lists(lists, task.relevance)
+        ranking = rank_lists(lists, task.relevance)
         live = int(np.sum(~task.relevance.junk))
         depth = _depths(lists, task, keep, live)
         if [row.query for row in claimed] != list(queries):
             raise PredictionError(f"has other queries than the dataset; {AGAIN}", folder.answers(name))
         for q, row in enumerate(claimed):
-            fault = _fault(row, task.groups[q] if task.groups else "", found, q, int(depth[q]), live)
+            fault = _fault(row, task.groups[q] if task.groups else "", ranking, q, int(depth[q]), live)
             if fault is not None:
                 raise PredictionError(
                     f"query '{row.query}' {fault}, which {folder.predictions(name).name} and the dataset do not give; "
@@ -104,7 +104,7 @@ class RetrievalTruth:
                     folder.answers(name),
                 )
         behind = depth < NEVER
-        return Confirmed(int(depth[behind].min()) if np.any(behind) else None, _believed(found, depth))
+        return Confirmed(int(depth[behind].min()) if np.any(behind) else None, _believed(ranking, depth))
 
 
 def truth_of(folder: SetResults, lookup: DatasetLookup) -> RetrievalTruth | None:
@@ -219,15 +219,15 @@ def _depths(lists: Sequence[Indices], task: RetrievalTask, keep: int | None, liv
     return out
 
 
-def _fault(row: QueryAnswer, group: str, found: Ranking, q: int, depth: int, live: int) -> str | None:
+def _fault(row: QueryAnswer, group: str, ranking: Ranking, q: int, depth: int, live: int) -> str | None:
     """What the row of query q claims that does not follow, in words."""
-    positions = found.of(q)
+    positions = ranking.of(q)
     listed = tuple(int(position) + 1 for position in positions if position != NEVER)
     if row.positives != len(positions):
         return f"has {row.positives} positives, expected {len(positions)}"
     if row.group != group:
         return f"has the group '{row.group}', expected '{group}'"
-    if (row.status == "ok") != bool(found.answered[q]):
+    if (row.status == "ok") != bool(ranking.answered[q]):
         return f"has the status {row.status}"
     if tuple(rank for rank in row.ranks if rank <= depth) != listed:
         return f"has the ranks {_words(row.ranks)}, expected {_words(listed)}"
@@ -243,15 +243,15 @@ def _words(ranks: Sequence[int]) -> str:
     return f"{first} ..." if len(ranks) > 5 else first or "(none)"
 
 
-def _believed(found: Ranking, depth: Indices) -> dict[str, float]:
+def _believed(ranking: Ranking, depth: Indices) -> dict[str, float]:
     """The width of each metric's mean between all missing positives right behind the kept images, and never found."""
-    best = found.position.copy()
+    best = ranking.position.copy()
     for q in np.flatnonzero(depth < NEVER):
-        of_query = best[found.starts[q] : found.starts[q + 1]]
+        of_query = best[ranking.starts[q] : ranking.starts[q + 1]]
         missing = of_query == NEVER
         of_query[missing] = depth[q] + np.arange(int(missing.sum()))
     least, most = (
-        score_retrieval(Ranking(found.starts, position, found.answered, found.gallery))
-        for position in (found.position, best)
+        score_retrieval(Ranking(ranking.starts, position, ranking.answered, ranking.gallery))
+        for position in (ranking.position, best)
     )
     return {metric: float(np.mean(most.per_query(metric) - least.per_query(metric))) for metric in METRICS}

@@ -105,13 +105,13 @@ def resampled(per_query: np.ndarray, answers: Sequence[QueryAnswer]) -> np.ndarr
 
 def suspicion(name: str, record: TaskRecord, values: Values, run: TaskRun | None) -> str | None:
     """What to check when R@1 is no better than chance; None if it is better."""
-    found, chance = values["R@1"], record.chance.get("R@1", 0.0)
+    recall, chance = values["R@1"], record.chance.get("R@1", 0.0)
     low = values["R@1_low"]
-    if found is None or (found > chance and (low is None or low > chance)):
+    if recall is None or (recall > chance and (low is None or low > chance)):
         return None
     answerable = record.queries - record.without_positives
     messages = [
-        f"not shown to be better than chance on {name}: R@1 is {100 * found:.2f} %, a random order gives "
+        f"not shown to be better than chance on {name}: R@1 is {100 * recall:.2f} %, a random order gives "
         f"{100 * chance:.2f} %"
     ]
     messages.append(f"{answerable} of {record.queries} queries have an image in the gallery that answers them")

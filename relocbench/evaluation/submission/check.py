@@ -162,14 +162,14 @@ def check_submission(root: Path, options: SubmissionOptions, reporter: Reporter)
         DatasetError, ConfigError: a dataset that was named is bad, or an option does not fit.
     """
     checked = Checked(root)
-    found = checked.found
-    may_open = check_entries(root, found)
-    checked.card, places = read_card(root, found) if may_open or not (root / CARD).is_symlink() else (None, None)
+    findings = checked.found
+    may_open = check_entries(root, findings)
+    checked.card, places = read_card(root, findings) if may_open or not (root / CARD).is_symlink() else (None, None)
     retrieval = checked.card is not None and checked.card.task == "retrieval"
     opened = [_open(path, root, options, reporter, retrieval=retrieval) for path in options.datasets]
     if checked.card is None or places is None or not may_open:
         return checked
-    _check_folders(root, checked.card, places, found)
+    _check_folders(root, checked.card, places, findings)
     available = [(name, one) for name, one in checked.card.datasets.items() if (root / name).is_dir()]
     with reporter.stage("checking answers", len(available)) as advance:
         for name, answered in available:
@@ -181,7 +181,7 @@ def check_submission(root: Path, options: SubmissionOptions, reporter: Reporter)
                     _check_poses(checked, name, answered, opened, options)
             except PredictionError as bad:
                 at = (bad.path, bad.line) if bad.path is not None else place
-                found.fault(bad.expected, *at)
+                findings.fault(bad.expected, *at)
             advance(1)
     _tell(checked, checked.card, places)
     return checked
@@ -196,22 +196,22 @@ def _open(path: Path, root: Path, options: SubmissionOptions, reporter: Reporter
     return Opened(path, open_for_evaluation(path, root), None)
 
 
-def _check_folders(root: Path, card: Card, places: YamlPlaces, found: Findings) -> None:
+def _check_folders(root: Path, card: Card, places: YamlPlaces, findings: Findings) -> None:
     """Faults of datasets without a folder and of folders without a dataset."""
     for name in card.datasets:
         if not (root / name).is_dir():
             message = f"'{name}' is answered by no folder of that name"
-            found.fault(message, root / CARD, places.line(("datasets", name)))
+            findings.fault(message, root / CARD, places.line(("datasets", name)))
     for folder in answer_folders(root):
         if folder.name not in card.datasets:
-            found.fault(f"is not among the datasets of {CARD}; there is {', '.join(card.datasets)}", folder)
+            findings.fault(f"is not among the datasets of {CARD}; there is {', '.join(card.datasets)}", folder)
 
 
 def _check_poses(
     checked: Checked, name: str, answered: Answered, opened: Sequence[Opened], options: SubmissionOptions
 ) -> None:
-    folder, found = checked.root / name, checked.found
-    run = _run_record(folder, answered, found)
+    folder, findings = checked.root / name, checked.found
+    run = _run_record(folder, answered, findings)
     datasets = [one.dataset for one in opened if one.dataset is not None]
     asked = resolve(name, answered.fingerprint, "" if run is None else run.question, datasets)
     _check_blind_only(name, folder, options, is_blind=asked.blind is not None)
@@ -219,16 +219,16 @@ def _check_poses(
     known = asked.dataset.pair_set_names
     for stem, path in files.items():
         if stem not in known:
-            found.fault(f"no pair set '{stem}' in {name}; there is {', '.join(known)}", path)
+            findings.fault(f"no pair set '{stem}' in {name}; there is {', '.join(known)}", path)
     for path in answer_files(folder, ".csv"):
         if path.stem not in files:
-            found.fault("has no predictions (.txt) of that name beside it", path)
+            findings.fault("has no predictions (.txt) of that name beside it", path)
     pair_sets = [
-        read_answered(files[s.name], s, asked, found) if s.name in files else PairSetAnswers(s)
+        read_answered(files[s.name], s, asked, findings) if s.name in files else PairSetAnswers(s)
         for s in asked.dataset.pair_sets()
     ]
     if not any(s.name in files for s in asked.dataset.pair_sets()):
-        found.fault("holds no predictions (PAIRSET.txt)", folder)
+        findings.fault("holds no predictions (PAIRSET.txt)", folder)
     checked.tracked.append(TrackedDataset(name, asked, pair_sets))
     answered_sets = [of for of in pair_sets if of.pair_set.name in files]
     checked.suspicions += _grouped(name, {of.pair_set.name: list(suspicions(of)) for of in answered_sets})
@@ -240,7 +240,7 @@ def _check_blind_only(name: str, folder: Path, options: SubmissionOptions, *, is
         raise PredictionError(message, folder)
 
 
-def _run_record(folder: Path, answered: Answered, found: Findings) -> RunRecord | None:
+def _run_record(folder: Path, answered: Answered, findings: Findings) -> RunRecord | None:
     """The record that `relocbench evaluate` wrote beside the answers, if there is one."""
     path = folder / RUN
     if not path.exists():
@@ -248,23 +248,23 @@ def _run_record(folder: Path, answered: Answered, found: Findings) -> RunRecord 
     try:
         run = load_yaml(path, RunRecord, "the record of a run", PredictionError)
     except PredictionError as bad:
-        found.fault(bad.expected, bad.path, bad.line)
+        findings.fault(bad.expected, bad.path, bad.line)
         return None
     if run.fingerprint != answered.fingerprint:
         message = f"names the fingerprint {run.fingerprint[:SHORT]}, {CARD} names {answered.fingerprint[:SHORT]}"
-        found.fault(message, path)
+        findings.fault(message, path)
     return run
 
 
 def _check_lists(
     checked: Checked, name: str, answered: Answered, opened: Sequence[Opened], options: SubmissionOptions
 ) -> None:
-    folder, found = checked.root / name, checked.found
+    folder, findings = checked.root / name, checked.found
     sets = {one.name: (one.fingerprint, one.retrieval) for one in opened if one.retrieval is not None}
     asked = resolve_lists(name, answered.fingerprint, sets)
     _check_blind_only(name, folder, options, is_blind=asked.blind is not None)
     if (folder / RUN).exists():
-        with found.catching():
+        with findings.catching():
             run = load_yaml(folder / RUN, RetrievalRun, "the record of a retrieval run", PredictionError)
             expected, of = (asked.images.fingerprint, asked.images.name)
             if asked.blind is not None:
@@ -276,10 +276,10 @@ def _check_lists(
     files = {path.stem: path for path in answer_files(folder)}
     for stem, path in files.items():
         if stem not in tasks:
-            found.fault(f"no task '{stem}' in {name}; there is {', '.join(tasks)}", path)
-    lists = [read_ranked(files[n], t, asked, found) if n in files else TaskLists(t) for n, t in tasks.items()]
+            findings.fault(f"no task '{stem}' in {name}; there is {', '.join(tasks)}", path)
+    lists = [read_ranked(files[n], t, asked, findings) if n in files else TaskLists(t) for n, t in tasks.items()]
     if not files:
-        found.fault("holds no lists of images (TASK.txt)", folder)
+        findings.fault("holds no lists of images (TASK.txt)", folder)
     checked.ranked.append(RankedDataset(name, asked, lists))
     checked.suspicions += _grouped(name, {of.task.name: odd_lists(of) for of in lists if of.task.name in files})
 

@@ -52,37 +52,37 @@ class PairSetAnswers:
         return Answer(key, "ok" if answered else "failed", message="" if answered else "not in the prediction file")
 
 
-def read_answered(path: Path, pair_set: PairSet, asked: ResolvedDataset, found: Findings) -> PairSetAnswers:
+def read_answered(path: Path, pair_set: PairSet, asked: ResolvedDataset, findings: Findings) -> PairSetAnswers:
     """Read ``PAIRSET.txt`` and, where there is one, ``PAIRSET.csv``."""
     out = PairSetAnswers(pair_set)
     keys = asked.keys(pair_set)
-    if _of_possible_size(path, _LINE_BYTES, len(keys), found):
-        _read_poses(path, asked, keys, out, found)
+    if _of_possible_size(path, _LINE_BYTES, len(keys), findings):
+        _read_poses(path, asked, keys, out, findings)
     table = path.with_suffix(".csv")
-    if table.exists() and _of_possible_size(table, _ROW_BYTES, len(keys), found):
-        _read_table(table, asked, keys, out, found)
-        _compare(path, table, keys, out, found)
+    if table.exists() and _of_possible_size(table, _ROW_BYTES, len(keys), findings):
+        _read_table(table, asked, keys, out, findings)
+        _compare(path, table, keys, out, findings)
     return out
 
 
-def _of_possible_size(path: Path, most: int, pairs: int, found: Findings) -> bool:
+def _of_possible_size(path: Path, most: int, pairs: int, findings: Findings) -> bool:
     size, limit = path.stat().st_size, _SPARE_BYTES + most * pairs
     if size > limit:
-        found.fault(f"holds {size} bytes; of answers to {pairs} pairs at most {limit} are read", path)
+        findings.fault(f"holds {size} bytes; of answers to {pairs} pairs at most {limit} are read", path)
     return size <= limit
 
 
 def _read_poses(
-    path: Path, asked: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, found: Findings
+    path: Path, asked: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, findings: Findings
 ) -> None:
     seen: dict[PairKey, int] = {}
-    with found.catching():
+    with findings.catching():
         for number, fields in read_rows(path, _WHAT, PredictionError):
             try:
-                _read_line(fields, path, number, asked, keys, seen, out, found)
+                _read_line(fields, path, number, asked, keys, seen, out, findings)
             except PredictionError as bad:
                 out.invalid += 1
-                found.fault(bad.expected, path, number)
+                findings.fault(bad.expected, path, number)
 
 
 def _read_line(
@@ -93,7 +93,7 @@ def _read_line(
     keys: Mapping[PairKey, PairKey],
     seen: dict[PairKey, int],
     out: PairSetAnswers,
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Take one line in. Raises PredictionError where it cannot be read."""
     if len(fields) not in (2, 9):
@@ -101,12 +101,12 @@ def _read_line(
     key = _key(fields, path, number)
     if key in seen:
         out.duplicate += 1
-        found.fault(f"pair {key[0]} {key[1]} occurs again (first on line {seen[key]})", path, number)
+        findings.fault(f"pair {key[0]} {key[1]} occurs again (first on line {seen[key]})", path, number)
         return
     seen[key] = number
     if key not in keys:
         out.unknown += 1
-        found.fault(asked.why_unknown(out.pair_set, key), path, number)
+        findings.fault(asked.why_unknown(out.pair_set, key), path, number)
     elif len(fields) == 9:
         out.poses[keys[key]] = _pose(fields, path, number)
 
@@ -126,14 +126,14 @@ def _pose(fields: list[str], path: Path, number: int) -> Array:
 
 
 def _read_table(
-    path: Path, asked: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, found: Findings
+    path: Path, asked: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, findings: Findings
 ) -> None:
     seen: dict[PairKey, int] = {}
-    with found.catching():
+    with findings.catching():
         rows = read_csv(path, f"a table ({','.join(KEY_COLUMNS)} and any of {','.join(_OPTIONAL)})", PredictionError)
         columns = _columns(next(rows, (1, []))[1], path)
         for number, fields in rows:
-            with found.catching():
+            with findings.catching():
                 if len(fields) != len(columns):
                     raise PredictionError(f"expected {len(columns)} columns, found {len(fields)}", path, number)
                 row = TableRow(path, number, dict.fromkeys(_OPTIONAL, "") | dict(zip(columns, fields, strict=True)))
@@ -164,11 +164,11 @@ def _answer(row: TableRow, key: PairKey, out: PairSetAnswers) -> Answer:
     return Answer(key, status, row.seconds_or_none(), row.number_or_none("confidence"), row["message"], row["info"])
 
 
-def _compare(path: Path, table: Path, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, found: Findings) -> None:
+def _compare(path: Path, table: Path, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, findings: Findings) -> None:
     """Faults of pairs whose row says otherwise than their line."""
     shown = {real: key for key, real in keys.items()}
     for real, answer in out.answers.items():
         ref, query = shown[real]
         if (answer.status == "ok") != (real in out.poses):
             there = "no valid pose" if answer.status == "ok" else "a pose"
-            found.fault(f"pair {ref} {query} is '{answer.status}' but has {there} in {path.name}", table)
+            findings.fault(f"pair {ref} {query} is '{answer.status}' but has {there} in {path.name}", table)

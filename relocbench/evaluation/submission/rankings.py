@@ -33,13 +33,13 @@ class TaskLists:
         return len(self.task.queries) - len(self.lists)
 
 
-def read_ranked(path: Path, task: RetrievalTask, asked: ResolvedRetrievalSet, found: Findings) -> TaskLists:
+def read_ranked(path: Path, task: RetrievalTask, asked: ResolvedRetrievalSet, findings: Findings) -> TaskLists:
     """Read ``TASK.txt``, a line ``query db`` for each retrieved image; keys of a blind export become names again."""
     out = TaskLists(task)
     queries, gallery = asked.queries(task), asked.gallery(task)
     names = {image.key for image in (*task.queries, *task.gallery)} if asked.blind is not None else set()
     most = _SPARE_BYTES + _LINE_BYTES * len(queries) * min(len(gallery), MOST_IMAGES)
-    with found.catching():
+    with findings.catching():
         text = read_text(path, "retrieved images, a line 'query db' each", PredictionError, most)
         seen: set[tuple[str, str]] = set()
         for number, line in enumerate(lines_of(text), start=1):
@@ -48,22 +48,22 @@ def read_ranked(path: Path, task: RetrievalTask, asked: ResolvedRetrievalSet, fo
                 continue
             if len(words) != 2:
                 out.invalid += 1
-                found.fault(f"expected 'query db', found {len(words)} words", path, number)
+                findings.fault(f"expected 'query db', found {len(words)} words", path, number)
                 continue
             query, image = words
             if query not in queries:
                 out.unknown += 1
                 message = f"unknown query {quoted(query)}; queries are such as '{next(iter(queries))}'"
-                found.fault(message + (_REAL if query in names else ""), path, number)
+                findings.fault(message + (_REAL if query in names else ""), path, number)
             elif image not in gallery:
                 out.unknown += 1
                 message = (
                     f"image {quoted(image)} is not in the gallery, whose images are such as '{next(iter(gallery))}'"
                 )
-                found.fault(message + (_REAL if image in names else ""), path, number)
+                findings.fault(message + (_REAL if image in names else ""), path, number)
             elif (query, image) in seen:
                 out.duplicate += 1
-                found.fault(f"image {quoted(image)} occurs again for the query {quoted(query)}", path, number)
+                findings.fault(f"image {quoted(image)} occurs again for the query {quoted(query)}", path, number)
             else:
                 seen.add((query, image))
                 out.lists.setdefault(queries[query], []).append(gallery[image])

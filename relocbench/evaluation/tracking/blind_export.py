@@ -85,5 +85,5 @@ def _write_traversal(
         if time in traversal.intrinsics(camera):
             own.setdefault(camera, {})[keys.key(traversal.name, time)] = time
     for camera, times in own.items():
-        found = {key: traversal.camera(camera, times[key]) for key in sorted(times)}
-        writer.intrinsics(traversal.name, camera, found)
+        cameras = {key: traversal.camera(camera, times[key]) for key in sorted(times)}
+        writer.intrinsics(traversal.name, camera, cameras)

@@ -63,11 +63,11 @@ def import_predictions(
 
 def _single(pair_sets: list[PairSet], source: Path) -> tuple[PairSet, Path]:
     """The pair set that a single file answers. Raises PredictionError if that is not clear."""
-    found = [s for s in pair_sets if s.name == source.stem] or pair_sets
-    if len(found) != 1:
-        names = ", ".join(s.name for s in found)
+    matching = [s for s in pair_sets if s.name == source.stem] or pair_sets
+    if len(matching) != 1:
+        names = ", ".join(s.name for s in matching)
         raise PredictionError(f"one file answers one pair set, and there are {names}; choose one: --pair-set", source)
-    return found[0], source
+    return matching[0], source
 
 
 def _in_folder(dataset: Dataset, pair_sets: list[PairSet], source: Path) -> list[tuple[PairSet, Path]]:

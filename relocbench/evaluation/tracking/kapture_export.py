@@ -86,15 +86,15 @@ class _Folder:
 
     def name(self, traversal: Traversal, time: int) -> str:
         """The name of an image."""
-        found = traversal.layout.find_image(self.camera, time)
-        return f"{traversal.name}/{self.camera}/{time}{'.png' if found is None else found.suffix}"
+        path = traversal.layout.find_image(self.camera, time)
+        return f"{traversal.name}/{self.camera}/{time}{'.png' if path is None else path.suffix}"
 
     def add_image(self, traversal: Traversal, time: int, T_world_cam: Array | None) -> None:
         """Link an image and note its camera and its pose (4, 4), if that is known."""
         name, sensor = self.name(traversal, time), self._sensor(traversal.camera(self.camera, time))
-        found = traversal.layout.find_image(self.camera, time)
-        if found is not None:
-            link_file(found, self._record(name))
+        path = traversal.layout.find_image(self.camera, time)
+        if path is not None:
+            link_file(path, self._record(name))
         self.images.append((str(time), sensor, name))
         self._add_pose(time, sensor, T_world_cam)
 

@@ -223,10 +223,10 @@ def _ask(tracker: TrackerHandle, unit: Unit, key: PairKey, starts: Starts) -> tu
 def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None) -> dict[str, Any]:
     """A line of the journal; a method that crashed has found nothing."""
     where = np.full((len(starts), 2), np.nan) if ends is None else ends
-    found = [_count(offset, starts, where) for offset in OFFSETS_PX]
+    counts = [_count(offset, starts, where) for offset in OFFSETS_PX]
     return {
         "key": list(key),
-        "found": [astuple(f) for f in found],
+        "found": [astuple(f) for f in counts],
         "message": one_line(message or ""),
     }
 

@@ -47,19 +47,19 @@ def read_named_predictions(path: Path, dataset: Dataset, pair_set: PairSet) -> d
         by_last.setdefault(name.rpartition("/")[2], []).append(time)
     options = dataset.file.made_by.get("options")
     metres = float(options.get("metres_per_unit", 1.0)) if isinstance(options, dict) else 1.0
-    found: dict[int, Array] = {}
+    poses: dict[int, Array] = {}
     for name, T_query_world in read_named_poses(path, PredictionError).items():
         times = [by_name[name]] if name in by_name else by_last.get(name, [])
         if len(times) != 1:
             raise PredictionError(f"{quoted(name)} names {len(times) or 'no'} queries of '{pair_set.name}'", path)
-        if times[0] in found:
+        if times[0] in poses:
             raise PredictionError(f"{quoted(name)} names a query for the second time", path)
         scaled = T_query_world.copy()
         scaled[:3, 3] *= metres
-        found[times[0]] = scaled
+        poses[times[0]] = scaled
     reference = dataset.traversal(pair_set.reference)
     return {
-        pair.key: found[pair.query_timestamp_ns] @ reference.T_world_cam(pair_set.camera, pair.ref_timestamp_ns)
+        pair.key: poses[pair.query_timestamp_ns] @ reference.T_world_cam(pair_set.camera, pair.ref_timestamp_ns)
         for pair in pair_set.evaluated
-        if pair.query_timestamp_ns in found
+        if pair.query_timestamp_ns in poses
     }

@@ -67,30 +67,30 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
     If ``dataset`` is given, predictions are compared with it and scored again; another dataset's results in the folder
     are noted and checked on their own.
     """
-    found = Findings()
+    findings = Findings()
     if (root / "run.yaml").exists():
-        record = _dataset_record(root.parent, found) if (root.parent / "dataset.yaml").exists() else None
+        record = _dataset_record(root.parent, findings) if (root.parent / "dataset.yaml").exists() else None
         folders = [(MethodResults(root), record)]
     else:
         tops = [root] if (root / "dataset.yaml").exists() else sorted(p for p in root.glob("*@*") if _is_trackers(p))
         folders = []
         for top in tops:
-            record = _dataset_record(top, found)
+            record = _dataset_record(top, findings)
             if record is not None and dataset is not None and record.fingerprint == dataset.fingerprint:
-                with found.catching():
+                with findings.catching():
                     check_record(record, dataset, top / "dataset.yaml")
             folders += [(MethodResults(p), record) for p in sorted(top.iterdir()) if p.is_dir() and p.name[0] != "."]
         if not folders and (tops or not any(root.glob("*@*"))):
-            found.note("holds no method's results yet", root)
+            findings.note("holds no method's results yet", root)
     with reporter.stage("checking results", len(folders)) as advance:
         for folder, record in folders:
             theirs = dataset
             if dataset is not None and len(folders) > 1 and record and record.fingerprint != dataset.fingerprint:
-                found.note(f"is of another dataset than {dataset.root}", folder.root)
+                findings.note(f"is of another dataset than {dataset.root}", folder.root)
                 theirs = None
-            _check_method(folder, _Expected(record, theirs), found)
+            _check_method(folder, _Expected(record, theirs), findings)
             advance(1)
-    return found
+    return findings
 
 
 def _is_trackers(top: Path) -> bool:
@@ -101,111 +101,111 @@ def _is_trackers(top: Path) -> bool:
 
 def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:
     """Check one pair or prediction file, or a folder of them; without a dataset, each file by itself."""
-    found = Findings()
+    findings = Findings()
     files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
     asked = _Expected(None, dataset)
     for file in files:
-        lines = read_pair_lines(file, found, PredictionError)
-        _check_keys(file, file.stem, lines, asked, found)
+        lines = read_pair_lines(file, findings, PredictionError)
+        _check_keys(file, file.stem, lines, asked, findings)
         if file.with_suffix(".csv").exists() and path.is_dir():
-            _read_answers(file.with_suffix(".csv"), found)
-    return found
+            _read_answers(file.with_suffix(".csv"), findings)
+    return findings
 
 
-def _dataset_record(top: Path, found: Findings) -> DatasetRecord | None:
-    record = read_yaml(top / "dataset.yaml", DatasetRecord, "the record of a dataset", found)
+def _dataset_record(top: Path, findings: Findings) -> DatasetRecord | None:
+    record = read_yaml(top / "dataset.yaml", DatasetRecord, "the record of a dataset", findings)
     if record is not None and top.name != f"{record.name}@{record.fingerprint[:SHORT]}":
-        found.note(f"has another name than its dataset, {record.name}@{record.fingerprint[:SHORT]}", top)
+        findings.note(f"has another name than its dataset, {record.name}@{record.fingerprint[:SHORT]}", top)
     return record
 
 
-def _check_method(folder: MethodResults, asked: _Expected, found: Findings) -> None:
-    run = read_yaml(folder.run_yaml, RunRecord, "the record of a run", found)
+def _check_method(folder: MethodResults, asked: _Expected, findings: Findings) -> None:
+    run = read_yaml(folder.run_yaml, RunRecord, "the record of a run", findings)
     if run is not None and asked.fingerprint is not None and run.fingerprint != asked.fingerprint:
-        found.fault(
+        findings.fault(
             f"predictions are for {run.dataset}@{run.fingerprint[:SHORT]}, the dataset has the fingerprint "
             f"{asked.fingerprint[:SHORT]}",
             folder.run_yaml,
         )
     for part in sorted(folder.root.glob(".*.part*")):
-        found.note("left behind by a run that was killed", part)
+        findings.note("left behind by a run that was killed", part)
     journals = folder.root / ".journal"
     running = {p.name for p in journals.iterdir() if p.is_dir()} if journals.is_dir() else set()
     present = {p.stem for p in folder.root.glob("*__*__*.txt")} | {
         p.stem for p in folder.root.glob("*__*__*.csv") if not p.name.endswith((".errors.csv", ".matching.csv"))
     }
     for name in sorted(present - running):
-        _check_pair_set(folder, name, asked, found)
-    _note_unfinished(folder, run, running, present, asked, found)
-    _check_scores(folder, run, present - running, asked, found)
+        _check_pair_set(folder, name, asked, findings)
+    _note_unfinished(folder, run, running, present, asked, findings)
+    _check_scores(folder, run, present - running, asked, findings)
 
 
-def _check_pair_set(folder: MethodResults, name: str, asked: _Expected, found: Findings) -> None:
+def _check_pair_set(folder: MethodResults, name: str, asked: _Expected, findings: Findings) -> None:
     """Check the prediction file and the table of answers, each by itself and against each other."""
     predictions, table = folder.predictions(name), folder.answers(name)
-    lines = read_pair_lines(predictions, found, PredictionError)
-    _check_keys(predictions, name, lines, asked, found)
-    statuses = _read_answers(table, found)
+    lines = read_pair_lines(predictions, findings, PredictionError)
+    _check_keys(predictions, name, lines, asked, findings)
+    statuses = _read_answers(table, findings)
     wanted = (asked.pair_sets or {}).get(name)
     if statuses and wanted is not None and len(statuses) != wanted:
-        found.fault(f"holds {len(statuses)} pairs, the pair set has {wanted}", table)
+        findings.fault(f"holds {len(statuses)} pairs, the pair set has {wanted}", table)
     for key, (status, number) in statuses.items():
         if status == "ok" and key not in lines:
-            found.fault(f"pair {key[0]} {key[1]} is 'ok' but has no pose in {predictions.name}", table, number)
+            findings.fault(f"pair {key[0]} {key[1]} is 'ok' but has no pose in {predictions.name}", table, number)
         elif status != "ok" and key in lines:
-            found.fault(f"pair {key[0]} {key[1]} is '{status}' but has a pose in {predictions.name}", table, number)
+            findings.fault(f"pair {key[0]} {key[1]} is '{status}' but has a pose in {predictions.name}", table, number)
     for key, line in lines.items():
         if statuses and key not in statuses:
-            found.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", predictions, line.line)
+            findings.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", predictions, line.line)
 
 
-def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Expected, found: Findings) -> None:
+def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Expected, findings: Findings) -> None:
     """Check that the pair set exists, and that every line answers one of its pairs."""
     pair_sets = asked.pair_sets
     if pair_sets is None:
         return
     if name not in pair_sets:
-        found.fault(f"no pair set '{name}' in the dataset; there is {', '.join(pair_sets) or 'none'}", path)
+        findings.fault(f"no pair set '{name}' in the dataset; there is {', '.join(pair_sets) or 'none'}", path)
         return
     if asked.dataset is None:
         return
     wanted = asked.dataset.pair_set(name).by_key
     for key, line in lines.items():
         if key not in wanted:
-            found.fault(f"unknown pair {key[0]} {key[1]}; expected one of the {len(wanted)} pairs", path, line.line)
+            findings.fault(f"unknown pair {key[0]} {key[1]}; expected one of the {len(wanted)} pairs", path, line.line)
     missing = len(wanted.keys() - lines.keys())
     if missing:
-        found.note(f"{missing} of {len(wanted)} pairs are not answered and count as failures", path)
+        findings.note(f"{missing} of {len(wanted)} pairs are not answered and count as failures", path)
 
 
-def _read_answers(path: Path, found: Findings) -> dict[PairKey, tuple[str, int]]:
+def _read_answers(path: Path, findings: Findings) -> dict[PairKey, tuple[str, int]]:
     """Read the status and line number of each pair in ``PAIRSET.csv``."""
     out: dict[PairKey, tuple[str, int]] = {}
-    for row in _rows(path, ANSWER_COLUMNS, found):
-        with found.catching():
+    for row in _rows(path, ANSWER_COLUMNS, findings):
+        with findings.catching():
             key = row.key()
             if key in out:
                 raise row.fault(f"pair {key[0]} {key[1]} occurs again (first on line {out[key][1]})")
             out[key] = row["status"], row.line
-            with found.catching():
+            with findings.catching():
                 row.status()
-            with found.catching():
+            with findings.catching():
                 row.seconds_or_none()
-            with found.catching():
+            with findings.catching():
                 row.number_or_none("confidence")
     return out
 
 
-def _rows(path: Path, columns: tuple[str, ...], found: Findings) -> list[TableRow]:
+def _rows(path: Path, columns: tuple[str, ...], findings: Findings) -> list[TableRow]:
     """The rows of a table that have as many fields as columns; the other rows are faults."""
     out = []
-    with found.catching():
+    with findings.catching():
         rows = read_csv(path, f"a table ({','.join(columns)})", PredictionError)
         if next(rows, (1, []))[1] != list(columns):
             raise PredictionError(f"expected the header {','.join(columns)}", path, 1)
         for number, row in rows:
             if len(row) != len(columns):
-                found.fault(f"expected {len(columns)} columns, found {len(row)}", path, number)
+                findings.fault(f"expected {len(columns)} columns, found {len(row)}", path, number)
             else:
                 out.append(TableRow(path, number, dict(zip(columns, row, strict=True))))
     return out
@@ -217,7 +217,7 @@ def _note_unfinished(
     running: set[str],
     present: set[str],
     asked: _Expected,
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Note what an unfinished run has done and how to resume it; that is no fault."""
     pair_sets = asked.pair_sets or {}
@@ -225,13 +225,13 @@ def _note_unfinished(
         journal = folder.journal(name)
         done = {tuple(e["key"]) for path in journal.glob("*.jsonl") for e in read_journal(path) if "key" in e}
         of = f" of {pair_sets[name]}" if name in pair_sets else ""
-        found.note(
+        findings.note(
             f"unfinished: {len(done)}{of} pairs of {name} are answered{_resume(folder, run, asked)}", folder.root
         )
     missing = sorted(pair_sets.keys() - present - running)
     if missing and run is not None:
         state = "has no answers for" if run.end or run.target.startswith(PREDICTIONS) else "unfinished: not begun with"
-        found.note(f"{state} {', '.join(missing)}{_resume(folder, run, asked)}", folder.root)
+        findings.note(f"{state} {', '.join(missing)}{_resume(folder, run, asked)}", folder.root)
 
 
 def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> str:
@@ -248,59 +248,59 @@ def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> s
 
 
 def _check_scores(
-    folder: MethodResults, run: RunRecord | None, complete: set[str], asked: _Expected, found: Findings
+    folder: MethodResults, run: RunRecord | None, complete: set[str], asked: _Expected, findings: Findings
 ) -> None:
     """Check that scores belong to the files beside them and, with the dataset, that its truth confirms them."""
     if not folder.scores_yaml.exists():
         if complete:
-            found.note("not scored yet: `relocbench evaluate` scores it", folder.root)
+            findings.note("not scored yet: `relocbench evaluate` scores it", folder.root)
         return
-    scores = read_yaml(folder.scores_yaml, ScoreRecord, "the scores of a method", found)
+    scores = read_yaml(folder.scores_yaml, ScoreRecord, "the scores of a method", findings)
     if scores is None or run is None:
         return
     for fault in faults_of_record(folder, run, scores, _AGAIN):
-        found.fault(fault.expected, fault.path)
+        findings.fault(fault.expected, fault.path)
     for name in scores.predictions:
         if not folder.predictions(name).exists():
             if name not in complete:
-                found.fault(f"scores pair set '{name}', whose predictions are not there", folder.scores_yaml)
+                findings.fault(f"scores pair set '{name}', whose predictions are not there", folder.scores_yaml)
         elif scores.formulas == FORMULAS:
-            _check_scored(folder, name, scores, asked.dataset, found)
+            _check_scored(folder, name, scores, asked.dataset, findings)
         else:
-            _check_errors(folder.errors(name), found)
+            _check_errors(folder.errors(name), findings)
     unscored = sorted(complete - scores.predictions.keys())
     truth = {n for n, p in asked.record.pair_sets.items() if p.has_truth} if asked.record else set(unscored)
     if truth & set(unscored):
-        found.note(f"not scored yet: {', '.join(sorted(truth & set(unscored)))}", folder.root)
+        findings.note(f"not scored yet: {', '.join(sorted(truth & set(unscored)))}", folder.root)
 
 
 def _check_scored(
-    folder: MethodResults, name: str, scores: ScoreRecord, dataset: Dataset | None, found: Findings
+    folder: MethodResults, name: str, scores: ScoreRecord, dataset: Dataset | None, findings: Findings
 ) -> None:
     """Check errors and matching quality of a pair set, their summaries and, with the dataset, each error."""
-    before = len(found.faults)
+    before = len(findings.faults)
     for fault in faults_of_pair_set(folder, name, scores, _AGAIN):
-        found.fault(fault.expected, fault.path)
+        findings.fault(fault.expected, fault.path)
     if folder.errors(name).exists():
-        _check_errors(folder.errors(name), found)
-    if len(found.faults) > before:
+        _check_errors(folder.errors(name), findings)
+    if len(findings.faults) > before:
         return  # the file that was changed is named; what else no longer fits follows from it
-    with found.catching():
+    with findings.catching():
         rows = read_errors(folder.errors(name)).by_time()
         for fault in faults_of_summary(folder, name, rows, scores, _AGAIN):
-            found.fault(fault.expected, fault.path)
+            findings.fault(fault.expected, fault.path)
         if dataset is not None and name in dataset.pair_set_names and dataset.fingerprint == scores.fingerprint:
             rescored(folder, dataset.pair_set(name), rows, scores, _AGAIN)
     if name in scores.matching or folder.matching(name).exists():
-        with found.catching():
+        with findings.catching():
             keys = list(map(tuple, read_errors(folder.errors(name)).keys.tolist()))
             matching_of_pair_set(folder, name, keys, scores, f"{_AGAIN}, with --matching")
 
 
-def _check_errors(path: Path, found: Findings) -> None:
-    for row in _rows(path, ERROR_COLUMNS, found):
+def _check_errors(path: Path, findings: Findings) -> None:
+    for row in _rows(path, ERROR_COLUMNS, findings):
         for name in (*KEY_COLUMNS, *ERROR_COLUMNS[4:]):
-            with found.catching():
+            with findings.catching():
                 if name in KEY_COLUMNS:
                     row.timestamp(name)
                 elif "_error_" in name:

@@ -125,11 +125,11 @@ def _faults_of_different_places(
     folder: MethodResults, name: str, rows: ErrorTable, scores: ScoreRecord, again: str
 ) -> Iterator[PredictionError]:
     """The first number of the pairs of different places that is not that of the table of errors."""
-    found = rows.different_places
-    if not found.pairs and name not in scores.elsewhere:
+    different = rows.different_places
+    if not different.pairs and name not in scores.elsewhere:
         return
     recorded = scores.elsewhere.get(name, {})
-    for key, value in found.to_dict().items():
+    for key, value in different.to_dict().items():
         if key not in recorded or not _same(value, recorded[key]):
             message = f"{key} of different places is {value} here and {recorded.get(key)} in {folder.scores_yaml.name}"
             yield PredictionError(f"{message}; {again}", folder.errors(name))
@@ -153,23 +153,23 @@ def rescored(
             f"the predictions of '{pair_set.name}' were not compared with the truth of this dataset; {again}",
             folder.scores_yaml,
         )
-    found = score_pair_set(pair_set, folder).by_time()
-    difference = _first_difference(rows, found, _COPY if copy else _SAME)
+    errors = score_pair_set(pair_set, folder).by_time()
+    difference = _first_difference(rows, errors, _COPY if copy else _SAME)
     if difference is not None:
         raise PredictionError(
             f"is not what predictions and truth give: {difference}; {again}", folder.errors(pair_set.name)
         )
-    return found
+    return errors
 
 
-def _first_difference(claimed: ErrorTable, found: ErrorTable, tolerance: tuple[float, float]) -> str | None:
+def _first_difference(claimed: ErrorTable, computed: ErrorTable, tolerance: tuple[float, float]) -> str | None:
     """The first pair on which two tables differ, in words; None where they agree."""
-    if not np.array_equal(claimed.keys, found.keys):
-        return f"the table has {len(claimed)} pairs, of which some are not among the {len(found)} of the dataset"
+    if not np.array_equal(claimed.keys, computed.keys):
+        return f"the table has {len(claimed)} pairs, of which some are not among the {len(computed)} of the dataset"
     relative, absolute = tolerance
-    differs = ~np.isclose(claimed.numbers, found.numbers, rtol=relative, atol=absolute, equal_nan=True)
-    words = [(c, f) for c, f in zip(claimed.groups, found.groups, strict=True)]
-    status = claimed.status_index != found.status_index
+    differs = ~np.isclose(claimed.numbers, computed.numbers, rtol=relative, atol=absolute, equal_nan=True)
+    words = [(c, f) for c, f in zip(claimed.groups, computed.groups, strict=True)]
+    status = claimed.status_index != computed.status_index
     group = np.array([c != f for c, f in words], dtype=bool)
     rows = np.flatnonzero(differs.any(axis=0) | status | group)
     if not rows.size:
@@ -177,11 +177,11 @@ def _first_difference(claimed: ErrorTable, found: ErrorTable, tolerance: tuple[f
     row = int(rows[0])
     place = f"pair {claimed.keys[row, 0]} {claimed.keys[row, 1]} has"
     if status[row]:
-        return f"{place} the status {claimed.statuses[row]}, expected {found.statuses[row]}"
+        return f"{place} the status {claimed.statuses[row]}, expected {computed.statuses[row]}"
     if group[row]:
         return f"{place} the group '{words[row][0]}', expected '{words[row][1]}'"
     column = int(np.flatnonzero(differs[:, row])[0])
-    name, values = ERROR_COLUMNS[4 + column], (claimed.numbers[column, row], found.numbers[column, row])
+    name, values = ERROR_COLUMNS[4 + column], (claimed.numbers[column, row], computed.numbers[column, row])
     return f"{place} {name} {values[0]:.6g}, expected {values[1]:.6g}"
 
 
