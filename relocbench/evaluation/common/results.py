@@ -23,7 +23,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import distances_and_angles
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Label, Name, Strict
-from relocbench.errors import PredictionError
+from relocbench.errors import ConfigError, PredictionError
 from relocbench.files import (
     check_joined_name,
     check_label,
@@ -272,6 +272,20 @@ def first_crash(label: str, what: str, crashed: Sequence[tuple[object, str]]) ->
         return []
     place, message = crashed[0]
     return [(label, f"{what}; first on {place}: {message}")]
+
+
+def predictions_label(predictions: Path, methods: Sequence[str]) -> str:
+    """The label of predictions made elsewhere: the given one, else the name of their file or folder.
+
+    Raises:
+        ConfigError: the name cannot be a label.
+    """
+    source = predictions.resolve()
+    label = methods[0] if methods else source.stem if source.is_file() else source.name
+    try:
+        return check_label(label, "method label")
+    except ValueError as bad:
+        raise ConfigError(f"{bad}; give one: --method LABEL") from None
 
 
 def adopted_run(theirs: Path, run: Run, what: str) -> Run:

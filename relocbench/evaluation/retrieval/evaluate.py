@@ -9,10 +9,9 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from relocbench.datasets.pairs.street_places import Positives
-from relocbench.errors import ConfigError
 from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.execution_options import LimitOptions
-from relocbench.evaluation.common.results import first_crash
+from relocbench.evaluation.common.results import first_crash, predictions_label
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
@@ -21,7 +20,6 @@ from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
 from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion
 from relocbench.evaluation.tracking.run import Overwrite
 from relocbench.execution import Run, kept_workers
-from relocbench.files import check_label
 from relocbench.methods import RETRIEVERS, parse_methods
 from relocbench.progress import Reporter
 
@@ -117,7 +115,7 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
     asked = open_set(options.dataset, options.out, _set_options(options), reporter)
     results = set_results(options.out, asked)
     if options.predictions is not None:
-        label = _label(options)
+        label = predictions_label(options.predictions, options.methods)
         folders = [import_rankings(asked, asked.chosen, options.predictions, label, results)]
         write_set_record(results, asked, asked.chosen)
     else:
@@ -152,16 +150,6 @@ def _set_options(options: RetrievalOptions) -> SetOptions:
     return SetOptions(
         options.split, options.pair_sets, options.radius, options.heading, options.positives, options.by_condition
     )
-
-
-def _label(options: RetrievalOptions) -> str:
-    assert options.predictions is not None
-    source = options.predictions.resolve()
-    label = options.methods[0] if options.methods else source.stem if source.is_file() else source.name
-    try:
-        return check_label(label, "method label")
-    except ValueError as bad:
-        raise ConfigError(f"{bad}; give one: --method LABEL") from None
 
 
 def _broken(folder: RetrieverResults, names: list[str]) -> list[tuple[str, str]]:

@@ -23,6 +23,7 @@ from relocbench.evaluation.common.results import (
     MethodResults,
     dataset_results,
     first_crash,
+    predictions_label,
     write_dataset_record,
 )
 from relocbench.evaluation.tracking.clock import CLOCK, run_clock
@@ -32,7 +33,6 @@ from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import Overwrite, run_method
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.execution import kept_workers
-from relocbench.files import check_label
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
@@ -104,7 +104,7 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     pictured = _check_images(dataset, pair_sets, specs)
     results = dataset_results(options.out, dataset)
     if options.predictions is not None:
-        label = _label(options)
+        label = predictions_label(options.predictions, options.methods)
         folders = [import_predictions(dataset, pair_sets, options.predictions, label, results)]
         write_dataset_record(results, dataset)
     else:
@@ -211,14 +211,3 @@ def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, 
 
 def _pair_text(key: PairKey) -> str:
     return f"{key[0]} {key[1]}"
-
-
-def _label(options: EvaluateOptions) -> str:
-    """The label of predictions made elsewhere. Raises ConfigError if the file's or folder's name cannot be one."""
-    assert options.predictions is not None
-    source = options.predictions.resolve()
-    label = options.methods[0] if options.methods else source.stem if source.is_file() else source.name
-    try:
-        return check_label(label, "method label")
-    except ValueError as bad:
-        raise ConfigError(f"{bad}; give one: --method LABEL") from None
