@@ -96,25 +96,25 @@ class TableRow:
     line: int
 
 
-def read_yaml(path: Path, model: type[Model], what: str, found: Findings) -> Model | None:
+def read_yaml(path: Path, model: type[Model], what: str, findings: Findings) -> Model | None:
     """Like :func:`relocbench.files.load_yaml`, with a fault for each wrong key."""
-    with found.catching():
+    with findings.catching():
         values, node = load_yaml_values(path, what, DatasetError)
         try:
             return model.model_validate(values)
         except ValidationError as bad:
             for one in single_errors(bad):
                 message, location = first_fault(one)
-                found.fault(message, path, yaml_line(node, location))
+                findings.fault(message, path, yaml_line(node, location))
     return None
 
 
-def read_pose_table(path: Path, found: Findings) -> dict[int, Array]:
+def read_pose_table(path: Path, findings: Findings) -> dict[int, Array]:
     """The valid rows of ``poses.csv``: timestamp_ns -> (4, 4) ``T_world_rig``."""
     poses: dict[int, Array] = {}
     last: int | None = None
-    for number, row in _table(path, POSE_COLUMNS, "poses", found):
-        with found.catching():
+    for number, row in _table(path, POSE_COLUMNS, "poses", findings):
+        with findings.catching():
             time = parse_timestamp(row[0] if row else "", path, number, DatasetError)
             if last is not None and time <= last:
                 raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
@@ -123,12 +123,12 @@ def read_pose_table(path: Path, found: Findings) -> dict[int, Array]:
     return poses
 
 
-def read_intrinsics_table(path: Path, found: Findings) -> dict[int, Camera]:
+def read_intrinsics_table(path: Path, findings: Findings) -> dict[int, Camera]:
     """The valid rows of ``intrinsics/CAMERA.csv``: timestamp_ns -> camera."""
     cameras: dict[int, Camera] = {}
     last: int | None = None
-    for number, row in _table(path, INTRINSICS_COLUMNS, "intrinsics", found):
-        with found.catching():
+    for number, row in _table(path, INTRINSICS_COLUMNS, "intrinsics", findings):
+        with findings.catching():
             time, camera = intrinsics_row(row, path, number)
             if last is not None and time <= last:
                 raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
@@ -138,17 +138,17 @@ def read_intrinsics_table(path: Path, found: Findings) -> dict[int, Camera]:
 
 
 def read_pair_lines(
-    path: Path, found: Findings, error: type[RelocbenchError] = DatasetError
+    path: Path, findings: Findings, error: type[RelocbenchError] = DatasetError
 ) -> dict[PairKey, PoseLine]:
     """The lines of a pair or prediction file whose timestamps are valid, the first of each pair.
 
     A line with an invalid pose is returned without a pose.
     """
     lines: dict[PairKey, PoseLine] = {}
-    with found.catching():
+    with findings.catching():
         for number, fields in read_rows(path, _POSE_FILE, error):
-            with found.catching():
-                _read_pair_line(fields, path, number, lines, found, error)
+            with findings.catching():
+                _read_pair_line(fields, path, number, lines, findings, error)
     return lines
 
 
@@ -157,7 +157,7 @@ def _read_pair_line(
     path: Path,
     number: int,
     lines: dict[PairKey, PoseLine],
-    found: Findings,
+    findings: Findings,
     error: type[RelocbenchError],
 ) -> None:
     if len(fields) < 2:
@@ -176,11 +176,11 @@ def _read_pair_line(
         lines[key] = PoseLine(*key, parse_pose(fields[2:], path, number, error), number)
 
 
-def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
+def read_pair_table(path: Path, findings: Findings) -> dict[PairKey, TableRow]:
     """The rows of a pair set's table whose timestamps are valid, the first of each pair."""
     rows: dict[PairKey, TableRow] = {}
-    for number, values, fault in _pair_table(path, found):
-        with found.catching():
+    for number, values, fault in _pair_table(path, findings):
+        with findings.catching():
             if fault:
                 raise DatasetError(fault, path, number)
             ref, query = (parse_timestamp(values[c], path, number, DatasetError) for c in TABLE_COLUMNS[:2])
@@ -189,12 +189,12 @@ def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
             numbers: dict[str, float | None] = {}
             for name in [*_PAIR_NUMBERS, *(c for c in AXIS_COLUMNS if c in values)]:
                 numbers[name] = None
-                with found.catching():
+                with findings.catching():
                     numbers[name] = (
                         parse_floats([values[name]], path, number, name, DatasetError)[0] if values[name] else None
                     )
             if values["accepted"] not in ("true", "false"):
-                found.fault(f"accepted is '{values['accepted']}', expected true or false", path, number)
+                findings.fault(f"accepted is '{values['accepted']}', expected true or false", path, number)
             rows[ref, query] = TableRow(
                 (ref, query),
                 values["accepted"] != "false",
@@ -207,9 +207,9 @@ def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
     return rows
 
 
-def _pair_table(path: Path, found: Findings) -> Iterator[tuple[int, dict[str, str], str]]:
+def _pair_table(path: Path, findings: Findings) -> Iterator[tuple[int, dict[str, str], str]]:
     """Line number, fields by column, and a fault of the number of fields (or empty), for each row after the header."""
-    with found.catching():
+    with findings.catching():
         rows = read_csv(path, "the table of a pair set", DatasetError)
         columns = table_columns(next(rows, (1, []))[1], path)
         for number, row in rows:
@@ -217,11 +217,11 @@ def _pair_table(path: Path, found: Findings) -> Iterator[tuple[int, dict[str, st
             yield number, dict(zip(columns, row, strict=False)), fault
 
 
-def check_points(path: Path, camera: Camera | None, found: Findings) -> int:
+def check_points(path: Path, camera: Camera | None, findings: Findings) -> int:
     """Check sparse keyframe points and return the number of valid ones."""
     sound = 0
-    for number, row in _table(path, _POINT_COLUMNS, "keyframe points", found):
-        with found.catching():
+    for number, row in _table(path, _POINT_COLUMNS, "keyframe points", findings):
+        with findings.catching():
             u, v, inverse_depth, sigma = parse_floats(row, path, number, " ".join(_POINT_COLUMNS), DatasetError)
             if inverse_depth <= 0 or sigma < 0:
                 raise DatasetError("inverse_depth must be positive and sigma not negative", path, number)
@@ -233,9 +233,9 @@ def check_points(path: Path, camera: Camera | None, found: Findings) -> int:
     return sound
 
 
-def _table(path: Path, columns: tuple[str, ...], what: str, found: Findings) -> Iterator[tuple[int, list[str]]]:
+def _table(path: Path, columns: tuple[str, ...], what: str, findings: Findings) -> Iterator[tuple[int, list[str]]]:
     """Line number and fields of each row after the header."""
-    with found.catching():
+    with findings.catching():
         rows = read_csv(path, what, DatasetError)
         if next(rows, (1, []))[1] != list(columns):
             raise DatasetError(f"expected the header {','.join(columns)}", path, 1)

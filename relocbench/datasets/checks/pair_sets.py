@@ -41,7 +41,7 @@ class CheckedTraversal:
 def check_pair_sets(
     layout: DatasetLayout,
     drives: dict[str, CheckedTraversal],
-    found: Findings,
+    findings: Findings,
     reporter: Reporter,
     version: int | None = None,
 ) -> dict[str, dict[PairKey, PoseLine]]:
@@ -52,17 +52,17 @@ def check_pair_sets(
     """
     names = sorted({p.stem for p in layout.pairs.glob("*") if p.suffix in (".txt", ".csv") and p.name[0] != "."})
     if not names:
-        found.fault("holds no pair set (REF__QUERY__CAM.txt)", layout.pairs)
+        findings.fault("holds no pair set (REF__QUERY__CAM.txt)", layout.pairs)
     out = {}
     with reporter.stage("checking pairs", len(names)) as advance:
         for name in names:
-            lines = read_pair_lines(layout.pair_file(name), found)
+            lines = read_pair_lines(layout.pair_file(name), findings)
             rows: dict[PairKey, TableRow] = {}
             if layout.pair_table(name).exists():
-                rows = read_pair_table(layout.pair_table(name), found)
-                _check_table(layout, name, lines, rows, found)
-                _check_elsewhere(layout, name, lines, rows, version, found)
-            _check_frames(layout, name, lines, rows, drives, found)
+                rows = read_pair_table(layout.pair_table(name), findings)
+                _check_table(layout, name, lines, rows, findings)
+                _check_elsewhere(layout, name, lines, rows, version, findings)
+            _check_frames(layout, name, lines, rows, drives, findings)
             out[name] = lines
             advance(1)
     return out
@@ -73,7 +73,7 @@ def _check_table(
     name: str,
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Check that the pair file and its table agree."""
     pair_file, table = layout.pair_file(name), layout.pair_table(name)
@@ -81,7 +81,7 @@ def _check_table(
         line = lines.get(key)
         if row.accepted != (line is not None):
             where = "is missing from" if row.accepted else "was rejected but is listed in"
-            found.fault(f"pair {key[0]} {key[1]} {where} {pair_file.name}", table, row.line)
+            findings.fault(f"pair {key[0]} {key[1]} {where} {pair_file.name}", table, row.line)
         elif line is not None and line.T_query_ref is not None:
             values = {
                 "distance_m": (row.distance_m, float(np.linalg.norm(line.T_query_ref[:3, 3]))),
@@ -89,12 +89,12 @@ def _check_table(
             }
             for column, (stated, posed) in values.items():
                 if stated is not None and abs(stated - posed) > _TABLE_TOLERANCE * max(1.0, posed):
-                    found.fault(
+                    findings.fault(
                         f"{column} is {stated:.6g}, but {posed:.6g} by the pose in {pair_file.name}", table, row.line
                     )
     for key, line in lines.items():
         if key not in rows:
-            found.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", pair_file, line.line)
+            findings.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", pair_file, line.line)
 
 
 def _check_elsewhere(
@@ -103,13 +103,13 @@ def _check_elsewhere(
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],
     version: int | None,
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Check that the dataset may have pairs of different places, and that they are not told where truth is withheld."""
     table = layout.pair_table(name)
     elsewhere = [row for row in rows.values() if row.group == ELSEWHERE]
     if elsewhere and version is not None and version < ELSEWHERE_VERSION:
-        found.fault(
+        findings.fault(
             f"the group '{ELSEWHERE}' is that of pairs of different places, which format_version {ELSEWHERE_VERSION} "
             f"has; this dataset's is {version}",
             table,
@@ -117,7 +117,7 @@ def _check_elsewhere(
         )
     for row in elsewhere:
         if (line := lines.get(row.key)) is not None and line.T_query_ref is None:
-            found.fault(
+            findings.fault(
                 "the truth is withheld, but the group tells that the pair is of different places", table, row.line
             )
 
@@ -128,33 +128,33 @@ def _check_frames(
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],
     drives: dict[str, CheckedTraversal],
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Check that the pairs' images and depth exist, or their poses, and that these agree with the traversals'."""
     path = layout.pair_file(name)
     parts = name.split("__")
     if len(parts) != 3:
-        found.fault("expected a pair file named REF__QUERY__CAM.txt", path)
+        findings.fault("expected a pair file named REF__QUERY__CAM.txt", path)
         return
     unknown = [part for part in parts[:2] if part not in drives]
     if unknown:
-        found.fault(f"no traversal '{unknown[0]}'; there is {', '.join(drives) or 'none'}", path)
+        findings.fault(f"no traversal '{unknown[0]}'; there is {', '.join(drives) or 'none'}", path)
         return
     reference, query, camera = drives[parts[0]], drives[parts[1]], parts[2]
     for drive in (reference, query):
         if drive.file is not None and camera not in {**drive.file.cameras, **drive.file.frames}:
-            found.fault(f"traversal '{drive.layout.root.name}' has no camera '{camera}'", path)
+            findings.fault(f"traversal '{drive.layout.root.name}' has no camera '{camera}'", path)
             return
     bare = [drive.file is not None and camera in drive.file.frames for drive in (reference, query)]
     if all(bare):
-        _check_posed(path, reference, query, lines, rows, found)
+        _check_posed(path, reference, query, lines, rows, findings)
     elif any(bare):
         message = "has images in one of the two traversals and poses alone in the other; expected the same in both"
-        found.fault(f"'{camera}' {message}", path)
+        findings.fault(f"'{camera}' {message}", path)
         return
     else:
-        _check_images(layout, path, reference, query, camera, lines, found)
-    _compare_poses(path, reference, query, camera, lines, rows, found)
+        _check_images(layout, path, reference, query, camera, lines, findings)
+    _compare_poses(path, reference, query, camera, lines, rows, findings)
 
 
 def _check_images(
@@ -164,17 +164,17 @@ def _check_images(
     query: CheckedTraversal,
     camera: str,
     lines: dict[PairKey, PoseLine],
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Check that there are the images of all pairs, and the depth of their keyframes."""
     for key, line in lines.items():
         for drive, time in ((reference, key[0]), (query, key[1])):
             if time not in drive.times["images", camera]:
-                found.fault(f"no image {drive.layout.image(camera, time).relative_to(layout.root)}", path, line.line)
+                findings.fault(f"no image {drive.layout.image(camera, time).relative_to(layout.root)}", path, line.line)
         if key[0] not in reference.times["depth", camera] | reference.times["points", camera]:
-            found.fault(f"keyframe {key[0]} has neither depth nor points", path, line.line)
+            findings.fault(f"keyframe {key[0]} has neither depth nor points", path, line.line)
         elif (camera, key[0]) in reference.without_depth:
-            found.fault(f"keyframe {key[0]} has no pixel with depth", path, line.line)
+            findings.fault(f"keyframe {key[0]} has no pixel with depth", path, line.line)
 
 
 def _check_posed(
@@ -183,7 +183,7 @@ def _check_posed(
     query: CheckedTraversal,
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Check that pairs of poses alone that were made from the traversals' poses have them; note what others lack."""
     unposed = 0
@@ -192,10 +192,10 @@ def _check_posed(
         if missing and key in rows and _from_poses(rows[key].source):
             drive, time = missing[0]
             message = f"traversal '{drive.layout.root.name}' has no pose at {time}, from which the pair was made"
-            found.fault(f"{message} ('{rows[key].source}')", path, line.line)
+            findings.fault(f"{message} ('{rows[key].source}')", path, line.line)
         unposed += key[0] not in reference.poses
     if unposed:
-        found.note(f"{unposed} of {len(lines)} keyframes have no pose in poses.csv, and so no place on a map", path)
+        findings.note(f"{unposed} of {len(lines)} keyframes have no pose in poses.csv, and so no place on a map", path)
 
 
 def _from_poses(source: str) -> bool:
@@ -210,7 +210,7 @@ def _compare_poses(
     camera: str,
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Compare the pairs' poses with those of the traversals.
 
@@ -232,7 +232,7 @@ def _compare_poses(
             continue
         source = rows[key].source if key in rows else ""
         if _from_poses(source):
-            found.fault(
+            findings.fault(
                 f"pose differs by {metres:.4g} m and {degrees:.4g} deg from poses.csv, its source ('{source}')",
                 path,
                 line.line,
@@ -241,7 +241,7 @@ def _compare_poses(
             elsewhere.append((metres, degrees))
     if elsewhere:
         metres, degrees = np.median(elsewhere, axis=0)
-        found.note(
+        findings.note(
             f"{len(elsewhere)} pairs, which have another source, differ from poses.csv "
             f"(median {metres:.4g} m, {degrees:.4g} deg)",
             path,

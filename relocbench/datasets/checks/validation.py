@@ -40,68 +40,68 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
     Args:
         quick: neither hash nor decode images; descriptions, poses, points and pairs are checked nevertheless.
     """
-    found = Findings()
+    findings = Findings()
     layout = DatasetLayout(root)
     if not layout.dataset_yaml.exists() and layout.build_yaml.exists():
-        found.fault("the build was not finished; run the same `relocbench build-dataset` again", root)
-        return found
-    file = read_yaml(layout.dataset_yaml, DatasetFile, "a dataset description", found)
+        findings.fault("the build was not finished; run the same `relocbench build-dataset` again", root)
+        return findings
+    file = read_yaml(layout.dataset_yaml, DatasetFile, "a dataset description", findings)
     digests: dict[str, str] = {}
     if not quick and layout.manifest.exists():
-        with found.catching():
+        with findings.catching():
             digests = {name: digest for name, (_, digest) in fingerprint.read_manifest(layout).items()}
-    drives = _check_traversals(layout, found)
+    drives = _check_traversals(layout, findings)
     version = None if file is None else file.format_version
-    _check_intrinsics_version(drives, version, found)
-    _check_poses_version(drives, version, found)
-    _check_content(layout, drives, digests, found, reporter, quick)
-    pair_sets = check_pair_sets(layout, drives, found, reporter, version)
-    _check_correspondences(layout, pair_sets, digests, found, reporter, quick)
+    _check_intrinsics_version(drives, version, findings)
+    _check_poses_version(drives, version, findings)
+    _check_content(layout, drives, digests, findings, reporter, quick)
+    pair_sets = check_pair_sets(layout, drives, findings, reporter, version)
+    _check_correspondences(layout, pair_sets, digests, findings, reporter, quick)
     if file is not None:
-        _check_splits(layout, file, pair_sets, found)
-        _check_manifest(layout, file, found)
-    return found
+        _check_splits(layout, file, pair_sets, findings)
+        _check_manifest(layout, file, findings)
+    return findings
 
 
-def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, CheckedTraversal]:
+def _check_traversals(layout: DatasetLayout, findings: Findings) -> dict[str, CheckedTraversal]:
     folders = sorted(p for p in layout.traversals.iterdir() if p.is_dir()) if layout.traversals.is_dir() else []
     if not folders:
-        found.fault("holds no traversal", layout.traversals)
+        findings.fault("holds no traversal", layout.traversals)
     drives = {}
     for folder in folders:
         traversal = layout.traversal(folder.name)
-        file = read_yaml(traversal.traversal_yaml, TraversalFile, "a traversal description", found)
+        file = read_yaml(traversal.traversal_yaml, TraversalFile, "a traversal description", findings)
         if file is not None and file.name != folder.name:
-            found.fault(f"key 'name' is '{file.name}', expected the folder's name", traversal.traversal_yaml)
-        drive = CheckedTraversal(traversal, file, read_pose_table(traversal.poses, found))
-        with found.catching():
+            findings.fault(f"key 'name' is '{file.name}', expected the folder's name", traversal.traversal_yaml)
+        drive = CheckedTraversal(traversal, file, read_pose_table(traversal.poses, findings))
+        with findings.catching():
             read_names(traversal.names)
         for path in sorted((traversal.root / "intrinsics").glob("*")):
             if path.suffix == ".csv":
-                drive.intrinsics[path.stem] = read_intrinsics_table(path, found)
+                drive.intrinsics[path.stem] = read_intrinsics_table(path, findings)
             else:
-                found.fault("expected a file CAMERA.csv", path)
+                findings.fault("expected a file CAMERA.csv", path)
         drives[folder.name] = drive
     return drives
 
 
-def _check_intrinsics_version(drives: dict[str, CheckedTraversal], version: int | None, found: Findings) -> None:
+def _check_intrinsics_version(drives: dict[str, CheckedTraversal], version: int | None, findings: Findings) -> None:
     """Programs that know only earlier formats would take the camera of ``traversal.yaml`` for every image."""
     for drive in drives.values():
         for camera in drive.intrinsics:
             if version is not None and version < INTRINSICS_VERSION:
-                found.fault(
+                findings.fault(
                     f"images have intrinsics of their own, which format_version {INTRINSICS_VERSION} has; "
                     f"this dataset's is {version}",
                     drive.layout.intrinsics(camera),
                 )
 
 
-def _check_poses_version(drives: dict[str, CheckedTraversal], version: int | None, found: Findings) -> None:
+def _check_poses_version(drives: dict[str, CheckedTraversal], version: int | None, findings: Findings) -> None:
     """Programs that know only earlier formats would look for images of frames."""
     for drive in drives.values():
         if version is not None and version < POSES_VERSION and drive.file is not None and drive.file.frames:
-            found.fault(
+            findings.fault(
                 f"has frames without images ({', '.join(drive.file.frames)}), which format_version {POSES_VERSION} "
                 f"has; this dataset's is {version}",
                 drive.layout.traversal_yaml,
@@ -112,7 +112,7 @@ def _check_content(
     layout: DatasetLayout,
     drives: dict[str, CheckedTraversal],
     digests: dict[str, str],
-    found: Findings,
+    findings: Findings,
     reporter: Reporter,
     quick: bool,
 ) -> None:
@@ -122,33 +122,33 @@ def _check_content(
         for kind in ("images", "depth", "points"):
             for path in sorted((drive.layout.root / kind).glob("*/*")):
                 if path.name.startswith(".") and ".part" in path.name:
-                    found.note("is left over from a killed build", path)
-                elif _listed_time(drive, kind, path, found) and (not quick or kind == "points"):
+                    findings.note("is left over from a killed build", path)
+                elif _listed_time(drive, kind, path, findings) and (not quick or kind == "points"):
                     digest = digests.get(path.relative_to(layout.root).as_posix(), "")
                     checks.append(partial(_check_file, drive, kind, path, digest))
-        _check_cameras(drive, found)
-        _check_intrinsics(drive, found)
+        _check_cameras(drive, findings)
+        _check_intrinsics(drive, findings)
     # Decoding and hashing release the interpreter's lock, so threads suffice and nothing is copied.
     with ThreadPoolExecutor(default_workers()) as pool, reporter.stage("reading images", len(checks)) as advance:
         for result in pool.map(lambda check: check(), checks):
-            found.faults += result.faults
+            findings.faults += result.faults
             advance(1)
 
 
-def _listed_time(drive: CheckedTraversal, kind: str, path: Path, found: Findings) -> bool:
+def _listed_time(drive: CheckedTraversal, kind: str, path: Path, findings: Findings) -> bool:
     """Whether a file has the name that the format expects; if so, its time is added to the drive's times."""
     suffixes = {"images": IMAGE_SUFFIXES, "depth": (".png",), "points": (".csv",)}[kind]
     if path.suffix not in suffixes or whole_number(path.stem) is None:
-        found.fault(f"expected a file TIMESTAMP{' or '.join(suffixes)}, the timestamp in nanoseconds", path)
+        findings.fault(f"expected a file TIMESTAMP{' or '.join(suffixes)}, the timestamp in nanoseconds", path)
         return False
     camera, time = path.parent.name, int(path.stem)
     if kind == "images" and time in drive.times[kind, camera]:
-        found.fault(f"is a second image of camera '{camera}' at {time}", path)
+        findings.fault(f"is a second image of camera '{camera}' at {time}", path)
     drive.times[kind, camera].add(time)
     return True
 
 
-def _check_cameras(drive: CheckedTraversal, found: Findings) -> None:
+def _check_cameras(drive: CheckedTraversal, findings: Findings) -> None:
     if drive.file is None:
         return
     for kind, camera in sorted(drive.times):
@@ -157,52 +157,52 @@ def _check_cameras(drive: CheckedTraversal, found: Findings) -> None:
             message = f"no camera '{camera}' in traversal.yaml; there is {known}"
             if camera in drive.file.frames:
                 message = f"'{camera}' is a frame without images in traversal.yaml; expected no files of it"
-            found.fault(message, drive.layout.root / kind / camera)
+            findings.fault(message, drive.layout.root / kind / camera)
     for camera in drive.file.cameras:
         if not drive.times.get(("images", camera)):
-            found.fault(f"holds no image of camera '{camera}'", drive.layout.root / "images" / camera)
+            findings.fault(f"holds no image of camera '{camera}'", drive.layout.root / "images" / camera)
 
 
-def _check_intrinsics(drive: CheckedTraversal, found: Findings) -> None:
+def _check_intrinsics(drive: CheckedTraversal, findings: Findings) -> None:
     """Check that intrinsics are of a camera and of images that there are."""
     for camera, cameras in drive.intrinsics.items():
         path = drive.layout.intrinsics(camera)
         if drive.file is not None and camera not in drive.file.cameras:
-            found.fault(f"no camera '{camera}' in traversal.yaml; there is {', '.join(drive.file.cameras)}", path)
+            findings.fault(f"no camera '{camera}' in traversal.yaml; there is {', '.join(drive.file.cameras)}", path)
         for time in sorted(cameras.keys() - drive.times.get(("images", camera), set())):
-            found.fault(f"has intrinsics of an image at {time}, and camera '{camera}' has no such image", path)
+            findings.fault(f"has intrinsics of an image at {time}, and camera '{camera}' has no such image", path)
 
 
 def _check_file(drive: CheckedTraversal, kind: str, path: Path, digest: str) -> Findings:
     """Check one file; ``digest`` is the SHA-256 of its original content, or empty if unknown."""
-    found = Findings()
+    findings = Findings()
     entry = drive.file.cameras.get(path.parent.name) if drive.file else None
     own = drive.intrinsics.get(path.parent.name, {}).get(int(path.stem))
     camera = own or (entry.camera if entry else None)
-    with found.catching():
+    with findings.catching():
         if kind == "points":
-            depths = check_points(path, camera, found)
+            depths = check_points(path, camera, findings)
         else:
             read = images.read_image if kind == "images" else images.read_depth
             size = None if camera is None else images.ExpectedSize(camera.size, f"camera '{path.parent.name}'")
             depths = int(np.count_nonzero(read(path, size)))
         if kind != "images" and depths == 0:
             drive.without_depth.add((path.parent.name, int(path.stem)))
-        _check_digest(path, digest, found)
-    return found
+        _check_digest(path, digest, findings)
+    return findings
 
 
-def _check_digest(path: Path, digest: str, found: Findings) -> None:
+def _check_digest(path: Path, digest: str, findings: Findings) -> None:
     """Report a file that was changed but is still readable."""
-    if digest and path not in found.faulty_files and sha256_file(path) != digest:
-        found.fault("content was changed after the dataset was made", path)
+    if digest and path not in findings.faulty_files and sha256_file(path) != digest:
+        findings.fault("content was changed after the dataset was made", path)
 
 
 def _check_correspondences(
     layout: DatasetLayout,
     pair_sets: dict[str, dict[PairKey, PoseLine]],
     digests: dict[str, str],
-    found: Findings,
+    findings: Findings,
     reporter: Reporter,
     quick: bool,
 ) -> None:
@@ -210,14 +210,14 @@ def _check_correspondences(
     with reporter.stage("checking correspondences", len(files)) as advance:
         for path in files:
             if path.suffix != ".parquet" or path.stem not in pair_sets:
-                found.fault("expected REF__QUERY__CAM.parquet of one of the pair sets", path)
+                findings.fault("expected REF__QUERY__CAM.parquet of one of the pair sets", path)
             elif quick:
-                with found.catching():
+                with findings.catching():
                     _check_parquet_columns(path)
             else:
-                with found.catching():
-                    _check_rows(path, pair_sets[path.stem], found)
-                    _check_digest(path, digests.get(path.relative_to(layout.root).as_posix(), ""), found)
+                with findings.catching():
+                    _check_rows(path, pair_sets[path.stem], findings)
+                    _check_digest(path, digests.get(path.relative_to(layout.root).as_posix(), ""), findings)
             advance(1)
 
 
@@ -229,7 +229,7 @@ def _check_parquet_columns(path: Path) -> None:
             check_rows(file, group, path)
 
 
-def _check_rows(path: Path, lines: dict[PairKey, PoseLine], found: Findings) -> None:
+def _check_rows(path: Path, lines: dict[PairKey, PoseLine], findings: Findings) -> None:
     unknown: set[PairKey] = set()
     wrong, first, before = 0, -1, 0
     from relocbench.datasets.pairs.correspondence_file import iterate_correspondences  # needs pyarrow
@@ -243,33 +243,33 @@ def _check_rows(path: Path, lines: dict[PairKey, PoseLine], found: Findings) -> 
             first = before + int(bad[0])
         wrong, before = wrong + bad.size, before + len(rows)
     for ref, query in sorted(unknown):
-        found.fault(f"holds pair {ref} {query}, which is not in the pair set", path)
+        findings.fault(f"holds pair {ref} {query}, which is not in the pair set", path)
     if wrong:
-        found.fault(f"{wrong} rows lack finite pixels or positive depth; the first is row {first}", path)
+        findings.fault(f"{wrong} rows lack finite pixels or positive depth; the first is row {first}", path)
 
 
 def _check_splits(
-    layout: DatasetLayout, file: DatasetFile, pair_sets: dict[str, dict[PairKey, PoseLine]], found: Findings
+    layout: DatasetLayout, file: DatasetFile, pair_sets: dict[str, dict[PairKey, PoseLine]], findings: Findings
 ) -> None:
     _, node = load_yaml_values(layout.dataset_yaml, "a dataset description", DatasetError)
     for split, names in file.splits.items():
         for index, name in enumerate(names):
             if name not in pair_sets:
                 line = yaml_line(node, ("splits", split, index))
-                found.fault(f"split '{split}' names pair set '{name}', which is missing", layout.dataset_yaml, line)
+                findings.fault(f"split '{split}' names pair set '{name}', which is missing", layout.dataset_yaml, line)
 
 
-def _check_manifest(layout: DatasetLayout, file: DatasetFile, found: Findings) -> None:
+def _check_manifest(layout: DatasetLayout, file: DatasetFile, findings: Findings) -> None:
     """Report files that are missing, added or changed, unless an earlier check has reported them."""
-    with found.catching():
+    with findings.catching():
         fingerprint.check_manifest(layout, file)
     if not layout.manifest.exists():
         return
-    known = found.faulty_files
+    known = findings.faulty_files
     try:
         for fault in fingerprint.faults(layout, content="text"):
             if fault.path not in known:
-                found.fault(fault.expected, fault.path, fault.line)
+                findings.fault(fault.expected, fault.path, fault.line)
     except RelocbenchError as bad:
         if bad.path not in known:
-            found.fault(bad.expected, bad.path, bad.line)
+            findings.fault(bad.expected, bad.path, bad.line)

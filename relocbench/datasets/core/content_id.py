@@ -38,14 +38,14 @@ def content_id_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_s
     Raises:
         DatasetError: a file of the dataset is bad.
     """
-    asked = {
+    content = {
         "format_version": file.format_version,
         "splits": file.splits,
         "recipe": recipe(file.made_by),
         "traversals": {name: _traversal(traversal) for name, traversal in traversals.items()},
         "pair_sets": {name: _pairs(pair_set) for name, pair_set in pair_sets.items()},
     }
-    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def recipe(values: Any) -> Any:
@@ -65,7 +65,7 @@ def _traversal(traversal: Traversal) -> dict[str, Any]:
         file["frames"][name] = _digest(_transform_fields(T_rig_frame))
     images = {name: traversal.layout.timestamps("images", name) for name in traversal.file.cameras}
     times = sorted(traversal.poses)
-    asked = {
+    content = {
         "file": recipe(file),
         "images": images,
         "poses": [times, _digest(_signed(pose_numbers([traversal.poses[time] for time in times])))],
@@ -73,8 +73,8 @@ def _traversal(traversal: Traversal) -> dict[str, Any]:
     own = {name: traversal.intrinsics(name) for name in traversal.file.cameras}
     # Traversals without intrinsics of single images keep the digest of earlier versions.
     if any(own.values()):
-        asked["intrinsics"] = {name: _cameras(cameras) for name, cameras in own.items()}
-    return asked
+        content["intrinsics"] = {name: _cameras(cameras) for name, cameras in own.items()}
+    return content
 
 
 def _cameras(cameras: Mapping[int, Camera]) -> list[Any]:
@@ -91,10 +91,10 @@ def _pairs(pair_set: PairSet) -> list[Any]:
     pairs = pair_set.all_pairs
     poses = np.zeros((len(pairs), 7))  # withheld ones stay so
     poses[[p.T_query_ref is not None for p in pairs]] = _signed(pose_numbers([p.T_query_ref for p in pairs]))
-    asked = [[[*p.key, p.accepted, p.T_query_ref is not None] for p in pairs], _digest(poses)]
+    pairs_content = [[[*p.key, p.accepted, p.T_query_ref is not None] for p in pairs], _digest(poses)]
     # Which pairs are of different places changes what is scored. Sets without any keep the digest of earlier versions.
     elsewhere = [[*p.key] for p in pairs if p.is_negative]
-    return [*asked, elsewhere] if elsewhere else asked
+    return [*pairs_content, elsewhere] if elsewhere else pairs_content
 
 
 def _signed(fields: Array) -> Array:

@@ -46,19 +46,19 @@ def check_blind(specs: Sequence[MethodSpec], root: Path) -> None:
         MethodError: a parameter, or a word of a program's command line, names the dataset, a part of it or a copy of
             it; or a parameter names a folder around it.
     """
-    asked = _EvaluatedDataset(root)
+    evaluated = _EvaluatedDataset(root)
     for spec in specs:
         of_it = "names a file or folder of the evaluated dataset, which holds the truth"
         for name, value in spec.parameters.items():
             subject = f"{spec.kind.noun} '{spec.label}': parameter '{name}'"
-            if any(_leads_to(text, asked) for text in _texts(value)):
+            if any(_leads_to(text, evaluated) for text in _texts(value)):
                 raise MethodError(f"{subject} {of_it}")
-            if any(_leads_to(text, asked, around=True) for text in _texts(value)):
+            if any(_leads_to(text, evaluated, around=True) for text in _texts(value)):
                 raise MethodError(
                     f"{subject} names a folder that holds the evaluated dataset; name the file or folder itself "
                     "that the method needs"
                 )
-        if spec.target.startswith(SUBPROCESS) and _leads_to(spec.target.removeprefix(SUBPROCESS), asked):
+        if spec.target.startswith(SUBPROCESS) and _leads_to(spec.target.removeprefix(SUBPROCESS), evaluated):
             raise MethodError(f"{spec.kind.noun} '{spec.label}': its command line {of_it}")
 
 
@@ -99,7 +99,7 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(inner)
 
 
-def _leads_to(text: str, asked: _EvaluatedDataset, *, around: bool = False) -> bool:
+def _leads_to(text: str, evaluated: _EvaluatedDataset, *, around: bool = False) -> bool:
     """Whether a text is, or holds, the path of a dataset, of something in it or of a copy of it.
 
     Args:
@@ -109,8 +109,8 @@ def _leads_to(text: str, asked: _EvaluatedDataset, *, around: bool = False) -> b
     words = dict.fromkeys((text, *islice(_BETWEEN.split(text), _MOST_WORDS)))
     if around:
         plain = (word for word in words if os.sep in word or word in (".", "..") or word.startswith(("~", "$")))
-        return any(_holds(path, asked) for word in plain for path in _paths(word))
-    return any(_is_of(path, asked) for word in words for path in _paths(word))
+        return any(_holds(path, evaluated) for word in plain for path in _paths(word))
+    return any(_is_of(path, evaluated) for word in words for path in _paths(word))
 
 
 def _paths(word: str) -> Iterator[Path]:
@@ -127,14 +127,14 @@ def _paths(word: str) -> Iterator[Path]:
             continue
 
 
-def _is_of(path: Path, asked: _EvaluatedDataset) -> bool:
-    return any(asked.is_at(above) for above in (path, *path.parents))
+def _is_of(path: Path, evaluated: _EvaluatedDataset) -> bool:
+    return any(evaluated.is_at(above) for above in (path, *path.parents))
 
 
-def _holds(path: Path, asked: _EvaluatedDataset) -> bool:
+def _holds(path: Path, evaluated: _EvaluatedDataset) -> bool:
     if path == Path(path.anchor):  # more often the bar of a fraction than a path
         return False
-    return path in asked.root.parents or any(map(asked.is_at, _entries(path)))
+    return path in evaluated.root.parents or any(map(evaluated.is_at, _entries(path)))
 
 
 def _entries(folder: Path) -> Iterator[Path]:

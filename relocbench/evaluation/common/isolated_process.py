@@ -57,7 +57,7 @@ def serve(
     try:
         spec: MethodSpec = connection.request()
         try:
-            asked, declared = make(spec, connection)
+            handler, declared = make(spec, connection)
         except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
             connection.answer({"fault": str(bad) if isinstance(bad, RelocbenchError) else raised(bad)})
             return
@@ -65,7 +65,7 @@ def serve(
         connection.answer({"declared": declared})
         while True:
             what, given = connection.request()
-            answer: Callable[..., tuple[Any, Arrays]] = getattr(asked, what)
+            answer: Callable[..., tuple[Any, Arrays]] = getattr(handler, what)
             connection.answer(*answer(*given))
     except (EOFError, OSError):
         os._exit(0)  # at once: libraries that a method has loaded may take seconds to tidy up

@@ -266,7 +266,7 @@ def first_crash(label: str, what: str, crashed: Sequence[tuple[object, str]]) ->
 
     Args:
         what: how it crashed, and on how many cases.
-        broken: each case with the method's message.
+        crashed: each case with the method's message.
     """
     if not crashed:
         return []

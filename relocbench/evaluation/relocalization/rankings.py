@@ -78,7 +78,7 @@ class StoredRankings:
 
 
 def run_retrievers(
-    asked: OpenedSet,
+    opened: OpenedSet,
     retrievers: Sequence[MethodSpec | str],
     results: SetResults,
     *,
@@ -104,11 +104,11 @@ def run_retrievers(
             continue
         if isinstance(retriever, str):
             path = Path(retriever.partition("=")[2].removeprefix(PREDICTIONS))
-            folder = import_rankings(asked, asked.chosen, path, label_of(retriever), results)
+            folder = import_rankings(opened, opened.chosen, path, label_of(retriever), results)
         else:
             folder = run_retriever(
-                asked,
-                asked.chosen,
+                opened,
+                opened.chosen,
                 retriever,
                 results,
                 keep=KEEP,
@@ -117,7 +117,7 @@ def run_retrievers(
                 seed=seed,
                 reporter=reporter,
             )
-        write_set_record(results, asked, asked.chosen)
+        write_set_record(results, opened, opened.chosen)
         score_retriever(results.record, folder)
         out.append(StoredRankings(folder))
     return out

@@ -41,9 +41,9 @@ class PipelineTruth:
             RelocbenchError: the dataset has no task with truth, or lies around the results.
         """
         results = folder.root.parent
-        asked = open_set(dataset.root, results, SetOptions(positives="pairs"), Silent())
+        opened = open_set(dataset.root, results, SetOptions(positives="pairs"), Silent())
         self._dataset, self._folder = dataset, folder
-        self._tasks: PipelineTasks = pipeline_tasks(dataset, asked, Silent())
+        self._tasks: PipelineTasks = pipeline_tasks(dataset, opened, Silent())
         self._rankings = set_results(results, self._tasks.asked)
         self._check_record()
 

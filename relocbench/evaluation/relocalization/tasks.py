@@ -35,17 +35,17 @@ class PipelineTasks:
         return [task.name for task in self.asked.chosen]
 
 
-def pipeline_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> PipelineTasks:
+def pipeline_tasks(dataset: Dataset, opened: OpenedSet, reporter: Reporter) -> PipelineTasks:
     """The tasks whose pairs have true poses; the others are reported.
 
     Args:
-        asked: place recognition by pairs on the dataset.
+        opened: place recognition by pairs on the dataset.
 
     Raises:
         ConfigError: no task is left.
     """
-    known = tuple(task for task in asked.chosen if dataset.pair_set(task.name).has_truth)
-    for task in asked.chosen:
+    known = tuple(task for task in opened.chosen if dataset.pair_set(task.name).has_truth)
+    for task in opened.chosen:
         if task not in known:
             reporter.note(f"{task.name}: ground truth is withheld, poses cannot be judged; left out")
     if not known:
@@ -60,7 +60,7 @@ def pipeline_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> Pi
         splits=dict(dataset.splits),
         tasks={task.name: _record(dataset, task, truth[task.name]) for task in known},
     )
-    return PipelineTasks(replace(asked, chosen=known), truth, record)
+    return PipelineTasks(replace(opened, chosen=known), truth, record)
 
 
 def _truth(dataset: Dataset, task: RetrievalTask) -> MapTruth:

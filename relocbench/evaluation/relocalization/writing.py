@@ -35,7 +35,7 @@ def write_pipeline_results(
     No method runs here: the same rankings and answers give the same bytes.
 
     Args:
-        found, tracked: by task.
+        retrieved, tracked: by task.
 
     Raises:
         PredictionError: the folder holds a pipeline on another set.

@@ -39,24 +39,24 @@ class BlindImages:
     export has neither.
 
     Args:
-        asked: the set, with its truth.
+        opened: the set, with its truth.
         edition: exports of other editions have other keys, so that answers to one are not answers to another.
 
     Raises:
         DatasetError: the truth is withheld.
     """
 
-    def __init__(self, asked: OpenedSet, edition: int = 1) -> None:
-        if asked.source is None:
-            raise DatasetError(f"the truth of '{asked.name}' is withheld, and keys of a blind export follow from it")
-        if isinstance(asked.source, StreetPlaces):
-            check_truth(asked.source.dataset)
-        self.asked, self.edition, self._source = asked, edition, asked.source
+    def __init__(self, opened: OpenedSet, edition: int = 1) -> None:
+        if opened.source is None:
+            raise DatasetError(f"the truth of '{opened.name}' is withheld, and keys of a blind export follow from it")
+        if isinstance(opened.source, StreetPlaces):
+            check_truth(opened.source.dataset)
+        self.opened, self.edition, self._source = opened, edition, opened.source
 
     @cached_property
     def name(self) -> BlindName:
         """What the export is called."""
-        return self._secret.name(self.asked.name, self.edition)
+        return self._secret.name(self.opened.name, self.edition)
 
     def key(self, image: str) -> str:
         """The key of an image, by its name in the set."""
@@ -73,7 +73,7 @@ class BlindImages:
     @cached_property
     def _secret(self) -> BlindSecret:
         digest = hashlib.sha256(f"relocbench blind export of images 1, edition {self.edition}\n".encode())
-        digest.update(f"{self.asked.name} {self.asked.fingerprint}\n".encode())
+        digest.update(f"{self.opened.name} {self.opened.fingerprint}\n".encode())
         if isinstance(self._source, StreetPlaces):
             for part in truth_of(self._source.dataset):
                 digest.update(part)
@@ -83,7 +83,7 @@ class BlindImages:
         return BlindSecret(digest.digest())
 
 
-def export_blind_images(asked: OpenedSet, root: Path, out: Path, edition: int, reporter: Reporter) -> BlindSetFile:
+def export_blind_images(opened: OpenedSet, root: Path, out: Path, edition: int, reporter: Reporter) -> BlindSetFile:
     """Write the images of all tasks of a retrieval set to a folder, blind; an export that was stopped begins anew.
 
     Images are written anew from their pixels, so that no metadata comes with them, and in the order of their keys.
@@ -96,12 +96,12 @@ def export_blind_images(asked: OpenedSet, root: Path, out: Path, edition: int, r
         ConfigError: ``out`` lies inside the dataset or holds something else, or the set is a blind export itself.
     """
     check_outside(out, root)
-    if blind_name(asked.name) is not None:
-        raise ConfigError(f"'{asked.name}' is a blind export already", root)
-    keys = BlindImages(asked, edition)
+    if blind_name(opened.name) is not None:
+        raise ConfigError(f"'{opened.name}' is a blind export already", root)
+    keys = BlindImages(opened, edition)
     _check_empty(out, str(keys.name))
     views: dict[str, ImageView] = {}
-    for task in asked.all_tasks:
+    for task in opened.all_tasks:
         views |= {keys.key(one.key): one for one in (*task.queries, *task.gallery)}
     lines = [HEADER]
     with reporter.stage("blind export", len(views)) as advance:
@@ -111,16 +111,16 @@ def export_blind_images(asked: OpenedSet, root: Path, out: Path, edition: int, r
             lines.append(f"{key},{sha256_file(path)}")
             advance(1)
     text = "".join(f"{line}\n" for line in lines)
-    sides = {task.name: (sorted(keys.queries(task)), sorted(keys.gallery(task))) for task in asked.all_tasks}
+    sides = {task.name: (sorted(keys.queries(task)), sorted(keys.gallery(task))) for task in opened.all_tasks}
     for name, (queries, gallery) in sides.items():
         write_text(keys_file(out, name, "queries"), "".join(f"{key}\n" for key in queries))
         write_text(keys_file(out, name, "gallery"), "".join(f"{key}\n" for key in gallery))
     write_text(out / "images.csv", text)
     file = BlindSetFile(
         name=str(keys.name),
-        licence=asked.source.dataset.file.licence if isinstance(asked.source, StreetPlaces) else "",
+        licence=opened.source.dataset.file.licence if isinstance(opened.source, StreetPlaces) else "",
         fingerprint=fingerprint_of(str(keys.name), text, sides),
-        tasks={task.name: _described(task) for task in asked.all_tasks},
+        tasks={task.name: _described(task) for task in opened.all_tasks},
     )
     write_record(out / FILE, file)
     return file

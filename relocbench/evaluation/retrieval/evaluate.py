@@ -112,18 +112,18 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed, RETRIEVERS)
     check_blind(specs, options.dataset)
-    asked = open_set(options.dataset, options.out, _set_options(options), reporter)
-    results = set_results(options.out, asked)
+    opened = open_set(options.dataset, options.out, _set_options(options), reporter)
+    results = set_results(options.out, opened)
     if options.predictions is not None:
         label = predictions_label(options.predictions, options.methods)
-        folders = [import_rankings(asked, asked.chosen, options.predictions, label, results)]
-        write_set_record(results, asked, asked.chosen)
+        folders = [import_rankings(opened, opened.chosen, options.predictions, label, results)]
+        write_set_record(results, opened, opened.chosen)
     else:
         with kept_workers():
             folders = [
                 run_retriever(
-                    asked,
-                    asked.chosen,
+                    opened,
+                    opened.chosen,
                     spec,
                     results,
                     keep=options.keep,
@@ -134,16 +134,16 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
                 )
                 for spec in specs
             ]
-        write_set_record(results, asked, asked.chosen)
+        write_set_record(results, opened, opened.chosen)
     record = results.record
-    names = [task.name for task in asked.chosen]
+    names = [task.name for task in opened.chosen]
     crashed = [b for folder in folders for b in _broken(folder, names)]
     if record.is_withheld:
-        reporter.note(f"{asked.name} is a blind export: answers are kept, and scored by who has the truth")
-        return RetrievalReport(asked, record, folders, results.root, crashed, [])
+        reporter.note(f"{opened.name} is a blind export: answers are kept, and scored by who has the truth")
+        return RetrievalReport(opened, record, folders, results.root, crashed, [])
     for folder in folders:
         score_retriever(record, folder)
-    return RetrievalReport(asked, record, folders, results.root, crashed, _suspicions(record, folders, names))
+    return RetrievalReport(opened, record, folders, results.root, crashed, _suspicions(record, folders, names))
 
 
 def _set_options(options: RetrievalOptions) -> SetOptions:

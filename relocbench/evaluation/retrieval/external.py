@@ -14,7 +14,7 @@ from relocbench.retrieval import RetrievalSet, RetrievalTask
 
 
 def import_rankings(
-    asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path, label: str, results: SetResults
+    retrieval_set: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path, label: str, results: SetResults
 ) -> RetrieverResults:
     """Check a file for a single task, or a folder of ``TASK.txt``, and copy it to the results under ``label``.
 
@@ -25,13 +25,13 @@ def import_rankings(
         PredictionError: with file and line: no such file, a file for an unknown task, an unknown query or image, an
             image twice for one query, another set's fingerprint, or a label that other predictions have.
     """
-    files = _files(asked, tasks, source)
+    files = _files(retrieval_set, tasks, source)
     known = RetrievalRun(
         method=label,
         target=f"{PREDICTIONS}{source.resolve().name}",
-        dataset=asked.name,
-        fingerprint=asked.fingerprint,
-        question=getattr(asked, "content_id", ""),
+        dataset=retrieval_set.name,
+        fingerprint=retrieval_set.fingerprint,
+        question=getattr(retrieval_set, "content_id", ""),
     )
     record = adopted_run(source / "run.yaml", known, "the record of a retrieval run")
     folder = results.method(label)
@@ -48,7 +48,9 @@ def import_rankings(
     return folder
 
 
-def _files(asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path) -> list[tuple[RetrievalTask, Path]]:
+def _files(
+    retrieval_set: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path
+) -> list[tuple[RetrievalTask, Path]]:
     """The tasks that are answered, each with its file."""
     if source.is_file():
         if len(tasks) != 1:
@@ -60,10 +62,10 @@ def _files(asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path) ->
     files = {path.stem: path for path in sorted(source.glob("*.txt"))}
     if not files:
         raise PredictionError("holds no list of retrieved images (TASK.txt)", source)
-    known = [task.name for task in asked.tasks()]
+    known = [task.name for task in retrieval_set.tasks()]
     for name, path in files.items():
         if name not in known:
-            raise PredictionError(f"no task '{name}' in {asked.name}; there is {', '.join(known)}", path)
+            raise PredictionError(f"no task '{name}' in {retrieval_set.name}; there is {', '.join(known)}", path)
     chosen = [(task, files[task.name]) for task in tasks if task.name in files]
     if not chosen:
         raise PredictionError(f"answers none of {', '.join(task.name for task in tasks)}", source)

@@ -138,10 +138,10 @@ def _serve(request: _Request) -> Any:
         _retrievers.clear()
         with step(CONSTRUCTOR, times=MANY_TIMES):
             _retrievers[request.token] = IsolatedRetriever(request.spec)
-    asked = _retrievers[request.token]
+    handler = _retrievers[request.token]
     if request.what == "about":
-        return _About(asked.fits, asked.rerank_top, asked.rerank_fault), 0.0, ""
+        return _About(handler.fits, handler.rerank_top, handler.rerank_fault), 0.0, ""
     if request.what == "info":
         with step(""):
-            return asked.info, 0.0, ""
-    return getattr(asked, request.what)(*request.given)
+            return handler.info, 0.0, ""
+    return getattr(handler, request.what)(*request.given)

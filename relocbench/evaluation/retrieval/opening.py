@@ -167,7 +167,7 @@ def _chosen(tasks: Sequence[RetrievalTask], options: SetOptions, folder: Path) -
     return tuple(task for task in tasks if not options.tasks or task.name in options.tasks)
 
 
-def _checked(asked: OpenedSet) -> OpenedSet:
-    for task in asked.chosen:
+def _checked(opened: OpenedSet) -> OpenedSet:
+    for task in opened.chosen:
         check_task(task)
-    return asked
+    return opened

@@ -171,36 +171,36 @@ class SetResults:
         return [RetrieverResults(p.parent) for p in method_folders(self.root)]
 
 
-def set_results(results: Path, asked: RetrievalSet) -> SetResults:
+def set_results(results: Path, retrieval_set: RetrievalSet) -> SetResults:
     """The folder for a set's results; nothing is created."""
     try:
-        name = check_joined_name(asked.name, "name of a retrieval set", most_bytes=MAX_FOLDER_BYTES)
+        name = check_joined_name(retrieval_set.name, "name of a retrieval set", most_bytes=MAX_FOLDER_BYTES)
     except ValueError as bad:
         raise PredictionError(str(bad)) from None
-    return SetResults(results / f"{name}@{asked.fingerprint[:SHORT]}")
+    return SetResults(results / f"{name}@{retrieval_set.fingerprint[:SHORT]}")
 
 
-def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[RetrievalTask]) -> None:
+def write_set_record(folder: SetResults, retrieval_set: RetrievalSet, tasks: Sequence[RetrievalTask]) -> None:
     """Write ``retrieval.yaml`` with these tasks, and those that it holds already."""
     path = folder.root / SET_FILE
     known: Mapping[str, TaskRecord] = folder.record.tasks if path.exists() else {}
     new = {task.name: task_record(task) for task in tasks}
     all_tasks = {**known, **new}
     record = SetRecord(
-        name=asked.name,
-        fingerprint=asked.fingerprint,
-        question=getattr(asked, "content_id", ""),
-        positives=getattr(asked, "positives", ""),
-        options=dict(getattr(asked, "options", {})),
-        splits=splits_of(asked, all_tasks),
+        name=retrieval_set.name,
+        fingerprint=retrieval_set.fingerprint,
+        question=getattr(retrieval_set, "content_id", ""),
+        positives=getattr(retrieval_set, "positives", ""),
+        options=dict(getattr(retrieval_set, "options", {})),
+        splits=splits_of(retrieval_set, all_tasks),
         tasks=dict(sorted(all_tasks.items())),
     )
     write_record(path, record)
 
 
-def splits_of(asked: RetrievalSet, tasks: Container[str]) -> dict[str, tuple[str, ...]]:
+def splits_of(retrieval_set: RetrievalSet, tasks: Container[str]) -> dict[str, tuple[str, ...]]:
     """The splits of a set with those of these tasks that belong to them; a split without any is left out."""
-    splits: Mapping[str, Sequence[str]] = getattr(asked, "splits", {})
+    splits: Mapping[str, Sequence[str]] = getattr(retrieval_set, "splits", {})
     return {split: kept for split, of in splits.items() if (kept := tuple(name for name in of if name in tasks))}
 
 

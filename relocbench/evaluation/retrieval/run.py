@@ -50,7 +50,7 @@ class TaskAnswers:
 
 
 def run_retriever(
-    asked: RetrievalSet,
+    retrieval_set: RetrievalSet,
     tasks: Sequence[RetrievalTask],
     spec: MethodSpec,
     results: SetResults,
@@ -75,28 +75,28 @@ def run_retriever(
         DatasetError: an image cannot be read.
     """
     folder = results.method(spec.label)
-    record = _new_record(asked, spec, seed, keep)
+    record = _new_record(retrieval_set, spec, seed, keep)
     refuse_submitted(folder)
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
     asking = None
     if overwrite == "always":
         # A method that cannot be made must not cost answers.
-        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, asked.fingerprint)
+        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, retrieval_set.fingerprint)
         _clear(folder, tasks)
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
     if asking is None:  # before a folder is made, which a method that cannot be made would leave empty
-        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, asked.fingerprint)
+        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, retrieval_set.fingerprint)
     folder.root.mkdir(parents=True, exist_ok=True)
-    write_set_record(results, asked, tasks)
+    write_set_record(results, retrieval_set, tasks)
     with alone_in(folder.root, PredictionError):
         if not folder.run_yaml.exists():
             write_record(folder.run_yaml, record)
         # Each query counts twice: when it is described, and when it is ranked.
         steps = sum(2 * len(task.queries) + len(task.gallery) for task in todo)
-        with reporter.stage(f"{spec.label} on {asked.name}", steps) as advance:
+        with reporter.stage(f"{spec.label} on {retrieval_set.name}", steps) as advance:
             for task in todo:
                 done = asking.ask(task, keep, advance)
                 write_lists(folder.predictions(task.name), done.lists)
@@ -230,11 +230,11 @@ def _clear(folder: RetrieverResults, tasks: Sequence[RetrievalTask]) -> None:
         remove_parts(folder.root)
 
 
-def _new_record(asked: RetrievalSet, spec: MethodSpec, seed: int, keep: int | None) -> RetrievalRun:
+def _new_record(retrieval_set: RetrievalSet, spec: MethodSpec, seed: int, keep: int | None) -> RetrievalRun:
     return RetrievalRun(
-        dataset=asked.name,
-        fingerprint=asked.fingerprint,
-        question=getattr(asked, "content_id", ""),
+        dataset=retrieval_set.name,
+        fingerprint=retrieval_set.fingerprint,
+        question=getattr(retrieval_set, "content_id", ""),
         keep=keep,
         **made_by(spec, default_workers(), seed),
     )

@@ -149,18 +149,18 @@ def _tracked(checked: Checked, card: Card, one: TrackedDataset, results: Path) -
 
 
 def _ranked(checked: Checked, card: Card, one: RankedDataset, results: Path) -> _Plan:
-    asked = one.asked.images
-    if asked.source is None:
-        message = f"the truth of '{asked.name}' is withheld; to score, name the dataset that the export was made of"
+    opened = one.asked.images
+    if opened.source is None:
+        message = f"the truth of '{opened.name}' is withheld; to score, name the dataset that the export was made of"
         raise ConfigError(message, checked.root / one.name)
-    set_folder = set_results(results, asked)
+    set_folder = set_results(results, opened)
     answered = [of for of in one.tasks if (checked.root / one.name / f"{of.task.name}.txt").exists()]
 
     def make(folder: Path) -> tuple[str, ...]:
         made, row = SetResults(folder), RetrieverResults(folder / card.label)
         if (set_folder.root / SET_FILE).exists():  # other tasks of the same set may have been evaluated
             write_bytes(folder / SET_FILE, read_bytes(set_folder.root / SET_FILE, "a record", PredictionError))
-        write_set_record(made, asked, [of.task for of in answered])
+        write_set_record(made, opened, [of.task for of in answered])
         for of in answered:
             gallery = {image.key: index for index, image in enumerate(of.task.gallery)}
             lists = {q.key: [gallery[key] for key in of.lists.get(q.key, ())] for q in of.task.queries}
@@ -170,9 +170,9 @@ def _ranked(checked: Checked, card: Card, one: RankedDataset, results: Path) -> 
         remarks = _remarks(checked, one.name)
         run = RetrievalRun(
             **_provenance(checked, card, one.name, remarks),
-            dataset=asked.name,
-            fingerprint=asked.fingerprint,
-            question=asked.content_id,
+            dataset=opened.name,
+            fingerprint=opened.fingerprint,
+            question=opened.content_id,
             answered_blind="" if one.asked.blind is None else str(one.asked.blind.name),
         )
         write_bytes(row.root / CARD, card_bytes(checked.root))

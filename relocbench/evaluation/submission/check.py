@@ -213,10 +213,10 @@ def _check_poses(
     folder, findings = checked.root / name, checked.found
     run = _run_record(folder, answered, findings)
     datasets = [one.dataset for one in opened if one.dataset is not None]
-    asked = resolve(name, answered.fingerprint, "" if run is None else run.question, datasets)
-    _check_blind_only(name, folder, options, is_blind=asked.blind is not None)
+    resolved = resolve(name, answered.fingerprint, "" if run is None else run.question, datasets)
+    _check_blind_only(name, folder, options, is_blind=resolved.blind is not None)
     files = {path.stem: path for path in answer_files(folder)}
-    known = asked.dataset.pair_set_names
+    known = resolved.dataset.pair_set_names
     for stem, path in files.items():
         if stem not in known:
             findings.fault(f"no pair set '{stem}' in {name}; there is {', '.join(known)}", path)
@@ -224,12 +224,12 @@ def _check_poses(
         if path.stem not in files:
             findings.fault("has no predictions (.txt) of that name beside it", path)
     pair_sets = [
-        read_answered(files[s.name], s, asked, findings) if s.name in files else PairSetAnswers(s)
-        for s in asked.dataset.pair_sets()
+        read_answered(files[s.name], s, resolved, findings) if s.name in files else PairSetAnswers(s)
+        for s in resolved.dataset.pair_sets()
     ]
-    if not any(s.name in files for s in asked.dataset.pair_sets()):
+    if not any(s.name in files for s in resolved.dataset.pair_sets()):
         findings.fault("holds no predictions (PAIRSET.txt)", folder)
-    checked.tracked.append(TrackedDataset(name, asked, pair_sets))
+    checked.tracked.append(TrackedDataset(name, resolved, pair_sets))
     answered_sets = [of for of in pair_sets if of.pair_set.name in files]
     checked.suspicions += _grouped(name, {of.pair_set.name: list(suspicions(of)) for of in answered_sets})
 
@@ -261,26 +261,26 @@ def _check_lists(
 ) -> None:
     folder, findings = checked.root / name, checked.found
     sets = {one.name: (one.fingerprint, one.retrieval) for one in opened if one.retrieval is not None}
-    asked = resolve_lists(name, answered.fingerprint, sets)
-    _check_blind_only(name, folder, options, is_blind=asked.blind is not None)
+    resolved = resolve_lists(name, answered.fingerprint, sets)
+    _check_blind_only(name, folder, options, is_blind=resolved.blind is not None)
     if (folder / RUN).exists():
         with findings.catching():
             run = load_yaml(folder / RUN, RetrievalRun, "the record of a retrieval run", PredictionError)
-            expected, of = (asked.images.fingerprint, asked.images.name)
-            if asked.blind is not None:
+            expected, of = (resolved.images.fingerprint, resolved.images.name)
+            if resolved.blind is not None:
                 expected, of = answered.fingerprint, name
             if run.fingerprint != expected:
                 message = f"is of the set {run.dataset}@{run.fingerprint[:SHORT]}, expected {of}"
                 raise PredictionError(f"{message}@{expected[:SHORT]}", folder / RUN)
-    tasks = {task.name: task for task in asked.images.tasks()}
+    tasks = {task.name: task for task in resolved.images.tasks()}
     files = {path.stem: path for path in answer_files(folder)}
     for stem, path in files.items():
         if stem not in tasks:
             findings.fault(f"no task '{stem}' in {name}; there is {', '.join(tasks)}", path)
-    lists = [read_ranked(files[n], t, asked, findings) if n in files else TaskLists(t) for n, t in tasks.items()]
+    lists = [read_ranked(files[n], t, resolved, findings) if n in files else TaskLists(t) for n, t in tasks.items()]
     if not files:
         findings.fault("holds no lists of images (TASK.txt)", folder)
-    checked.ranked.append(RankedDataset(name, asked, lists))
+    checked.ranked.append(RankedDataset(name, resolved, lists))
     checked.suspicions += _grouped(name, {of.task.name: odd_lists(of) for of in lists if of.task.name in files})
 
 

@@ -52,15 +52,15 @@ class PairSetAnswers:
         return Answer(key, "ok" if answered else "failed", message="" if answered else "not in the prediction file")
 
 
-def read_answered(path: Path, pair_set: PairSet, asked: ResolvedDataset, findings: Findings) -> PairSetAnswers:
+def read_answered(path: Path, pair_set: PairSet, resolved: ResolvedDataset, findings: Findings) -> PairSetAnswers:
     """Read ``PAIRSET.txt`` and, where there is one, ``PAIRSET.csv``."""
     out = PairSetAnswers(pair_set)
-    keys = asked.keys(pair_set)
+    keys = resolved.keys(pair_set)
     if _of_possible_size(path, _LINE_BYTES, len(keys), findings):
-        _read_poses(path, asked, keys, out, findings)
+        _read_poses(path, resolved, keys, out, findings)
     table = path.with_suffix(".csv")
     if table.exists() and _of_possible_size(table, _ROW_BYTES, len(keys), findings):
-        _read_table(table, asked, keys, out, findings)
+        _read_table(table, resolved, keys, out, findings)
         _compare(path, table, keys, out, findings)
     return out
 
@@ -73,13 +73,13 @@ def _of_possible_size(path: Path, most: int, pairs: int, findings: Findings) -> 
 
 
 def _read_poses(
-    path: Path, asked: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, findings: Findings
+    path: Path, resolved: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, findings: Findings
 ) -> None:
     seen: dict[PairKey, int] = {}
     with findings.catching():
         for number, fields in read_rows(path, _WHAT, PredictionError):
             try:
-                _read_line(fields, path, number, asked, keys, seen, out, findings)
+                _read_line(fields, path, number, resolved, keys, seen, out, findings)
             except PredictionError as bad:
                 out.invalid += 1
                 findings.fault(bad.expected, path, number)
@@ -89,7 +89,7 @@ def _read_line(
     fields: list[str],
     path: Path,
     number: int,
-    asked: ResolvedDataset,
+    resolved: ResolvedDataset,
     keys: Mapping[PairKey, PairKey],
     seen: dict[PairKey, int],
     out: PairSetAnswers,
@@ -106,7 +106,7 @@ def _read_line(
     seen[key] = number
     if key not in keys:
         out.unknown += 1
-        findings.fault(asked.why_unknown(out.pair_set, key), path, number)
+        findings.fault(resolved.why_unknown(out.pair_set, key), path, number)
     elif len(fields) == 9:
         out.poses[keys[key]] = _pose(fields, path, number)
 
@@ -126,7 +126,7 @@ def _pose(fields: list[str], path: Path, number: int) -> Array:
 
 
 def _read_table(
-    path: Path, asked: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, findings: Findings
+    path: Path, resolved: ResolvedDataset, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, findings: Findings
 ) -> None:
     seen: dict[PairKey, int] = {}
     with findings.catching():
@@ -142,7 +142,7 @@ def _read_table(
                     raise row.fault(f"pair {key[0]} {key[1]} occurs again (first on line {seen[key]})")
                 seen[key] = number
                 if key not in keys:
-                    raise row.fault(asked.why_unknown(out.pair_set, key))
+                    raise row.fault(resolved.why_unknown(out.pair_set, key))
                 out.answers[keys[key]] = _answer(row, keys[key], out)
 
 

@@ -33,11 +33,11 @@ class TaskLists:
         return len(self.task.queries) - len(self.lists)
 
 
-def read_ranked(path: Path, task: RetrievalTask, asked: ResolvedRetrievalSet, findings: Findings) -> TaskLists:
+def read_ranked(path: Path, task: RetrievalTask, resolved: ResolvedRetrievalSet, findings: Findings) -> TaskLists:
     """Read ``TASK.txt``, a line ``query db`` for each retrieved image; keys of a blind export become names again."""
     out = TaskLists(task)
-    queries, gallery = asked.queries(task), asked.gallery(task)
-    names = {image.key for image in (*task.queries, *task.gallery)} if asked.blind is not None else set()
+    queries, gallery = resolved.queries(task), resolved.gallery(task)
+    names = {image.key for image in (*task.queries, *task.gallery)} if resolved.blind is not None else set()
     most = _SPARE_BYTES + _LINE_BYTES * len(queries) * min(len(gallery), MOST_IMAGES)
     with findings.catching():
         text = read_text(path, "retrieved images, a line 'query db' each", PredictionError, most)

@@ -167,7 +167,7 @@ def export_mlad(
         for file in relocalization_files:
             if file.name in texts:
                 raise DatasetError("a second relocalization file of this name; a submission needs different ones", file)
-            texts[file.name] = [by_key[asked.key] for asked in read_pose_lines(file) if asked.key in by_key]
+            texts[file.name] = [by_key[expected.key] for expected in read_pose_lines(file) if expected.key in by_key]
             if not texts[file.name]:
                 raise PredictionError("no pair of this file is answered", file)
     else:

@@ -97,16 +97,16 @@ class TrackerValidation:
         )
 
 
-def _track(tracker: Tracker, asked: Sequence[_ValidationPair]) -> list[CheckedAnswer]:
+def _track(tracker: Tracker, pairs: Sequence[_ValidationPair]) -> list[CheckedAnswer]:
     """The answers to the pairs of one keyframe."""
-    first = asked[0]
+    first = pairs[0]
     times = bool(getattr(tracker, "uses_times", False))
     handle = LocalTracker(tracker)
     keyframe = first.dataset.reference(first.pair_set, first.pair, handle.declared.neighbours)
     crash = handle.declared.fault or handle.prepare(shown_reference(keyframe, times))
     if crash:
-        return [error_answer(crash)] * len(asked)
-    queries = (shown_query(each.dataset.query(each.pair_set, each.pair), times) for each in asked)
+        return [error_answer(crash)] * len(pairs)
+    queries = (shown_query(each.dataset.query(each.pair_set, each.pair), times) for each in pairs)
     return [handle.ask([query])[0][0] for query in queries]
 
 
@@ -119,20 +119,20 @@ def _pairs_of(dataset: Dataset) -> list[_ValidationPair]:
     return out
 
 
-def _evenly(asked: Sequence[_ValidationPair], count: int, seed: int) -> list[_ValidationPair]:
+def _evenly(pairs: Sequence[_ValidationPair], count: int, seed: int) -> list[_ValidationPair]:
     """Choose up to ``count`` pairs, one from each combination of conditions in turn, and sort them by keyframe."""
     rng = np.random.default_rng(seed)
     turn: dict[str, int] = {}
     ranked: list[tuple[int, int, _ValidationPair]] = []
-    for number in rng.permutation(len(asked)):
-        at = turn[asked[number].conditions] = turn.get(asked[number].conditions, 0) + 1
-        ranked.append((at, len(ranked), asked[number]))
+    for number in rng.permutation(len(pairs)):
+        at = turn[pairs[number].conditions] = turn.get(pairs[number].conditions, 0) + 1
+        ranked.append((at, len(ranked), pairs[number]))
     ranked.sort(key=lambda entry: entry[:2])
     return sorted((each for _, _, each in ranked[:count]), key=lambda a: (*_keyframe(a), a.pair_set.name, a.pair.key))
 
 
-def _keyframe(asked: _ValidationPair) -> tuple[str, str, str, int]:
-    return str(asked.dataset.root), asked.pair_set.reference, asked.pair_set.camera, asked.pair.ref_timestamp_ns
+def _keyframe(pair: _ValidationPair) -> tuple[str, str, str, int]:
+    return str(pair.dataset.root), pair.pair_set.reference, pair.pair_set.camera, pair.pair.ref_timestamp_ns
 
 
 def _scores(errors: PoseErrors, chosen: Any) -> dict[str, float]:

@@ -103,10 +103,10 @@ def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:
     """Check one pair or prediction file, or a folder of them; without a dataset, each file by itself."""
     findings = Findings()
     files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
-    asked = _Expected(None, dataset)
+    expected = _Expected(None, dataset)
     for file in files:
         lines = read_pair_lines(file, findings, PredictionError)
-        _check_keys(file, file.stem, lines, asked, findings)
+        _check_keys(file, file.stem, lines, expected, findings)
         if file.with_suffix(".csv").exists() and path.is_dir():
             _read_answers(file.with_suffix(".csv"), findings)
     return findings
@@ -119,12 +119,12 @@ def _dataset_record(top: Path, findings: Findings) -> DatasetRecord | None:
     return record
 
 
-def _check_method(folder: MethodResults, asked: _Expected, findings: Findings) -> None:
+def _check_method(folder: MethodResults, expected: _Expected, findings: Findings) -> None:
     run = read_yaml(folder.run_yaml, RunRecord, "the record of a run", findings)
-    if run is not None and asked.fingerprint is not None and run.fingerprint != asked.fingerprint:
+    if run is not None and expected.fingerprint is not None and run.fingerprint != expected.fingerprint:
         findings.fault(
             f"predictions are for {run.dataset}@{run.fingerprint[:SHORT]}, the dataset has the fingerprint "
-            f"{asked.fingerprint[:SHORT]}",
+            f"{expected.fingerprint[:SHORT]}",
             folder.run_yaml,
         )
     for part in sorted(folder.root.glob(".*.part*")):
@@ -135,18 +135,18 @@ def _check_method(folder: MethodResults, asked: _Expected, findings: Findings) -
         p.stem for p in folder.root.glob("*__*__*.csv") if not p.name.endswith((".errors.csv", ".matching.csv"))
     }
     for name in sorted(present - running):
-        _check_pair_set(folder, name, asked, findings)
-    _note_unfinished(folder, run, running, present, asked, findings)
-    _check_scores(folder, run, present - running, asked, findings)
+        _check_pair_set(folder, name, expected, findings)
+    _note_unfinished(folder, run, running, present, expected, findings)
+    _check_scores(folder, run, present - running, expected, findings)
 
 
-def _check_pair_set(folder: MethodResults, name: str, asked: _Expected, findings: Findings) -> None:
+def _check_pair_set(folder: MethodResults, name: str, expected: _Expected, findings: Findings) -> None:
     """Check the prediction file and the table of answers, each by itself and against each other."""
     predictions, table = folder.predictions(name), folder.answers(name)
     lines = read_pair_lines(predictions, findings, PredictionError)
-    _check_keys(predictions, name, lines, asked, findings)
+    _check_keys(predictions, name, lines, expected, findings)
     statuses = _read_answers(table, findings)
-    wanted = (asked.pair_sets or {}).get(name)
+    wanted = (expected.pair_sets or {}).get(name)
     if statuses and wanted is not None and len(statuses) != wanted:
         findings.fault(f"holds {len(statuses)} pairs, the pair set has {wanted}", table)
     for key, (status, number) in statuses.items():
@@ -159,17 +159,17 @@ def _check_pair_set(folder: MethodResults, name: str, asked: _Expected, findings
             findings.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", predictions, line.line)
 
 
-def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Expected, findings: Findings) -> None:
+def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], expected: _Expected, findings: Findings) -> None:
     """Check that the pair set exists, and that every line answers one of its pairs."""
-    pair_sets = asked.pair_sets
+    pair_sets = expected.pair_sets
     if pair_sets is None:
         return
     if name not in pair_sets:
         findings.fault(f"no pair set '{name}' in the dataset; there is {', '.join(pair_sets) or 'none'}", path)
         return
-    if asked.dataset is None:
+    if expected.dataset is None:
         return
-    wanted = asked.dataset.pair_set(name).by_key
+    wanted = expected.dataset.pair_set(name).by_key
     for key, line in lines.items():
         if key not in wanted:
             findings.fault(f"unknown pair {key[0]} {key[1]}; expected one of the {len(wanted)} pairs", path, line.line)
@@ -216,28 +216,28 @@ def _note_unfinished(
     run: RunRecord | None,
     running: set[str],
     present: set[str],
-    asked: _Expected,
+    expected: _Expected,
     findings: Findings,
 ) -> None:
     """Note what an unfinished run has done and how to resume it; that is no fault."""
-    pair_sets = asked.pair_sets or {}
+    pair_sets = expected.pair_sets or {}
     for name in sorted(running):
         journal = folder.journal(name)
         done = {tuple(e["key"]) for path in journal.glob("*.jsonl") for e in read_journal(path) if "key" in e}
         of = f" of {pair_sets[name]}" if name in pair_sets else ""
         findings.note(
-            f"unfinished: {len(done)}{of} pairs of {name} are answered{_resume(folder, run, asked)}", folder.root
+            f"unfinished: {len(done)}{of} pairs of {name} are answered{_resume(folder, run, expected)}", folder.root
         )
     missing = sorted(pair_sets.keys() - present - running)
     if missing and run is not None:
         state = "has no answers for" if run.end or run.target.startswith(PREDICTIONS) else "unfinished: not begun with"
-        findings.note(f"{state} {', '.join(missing)}{_resume(folder, run, asked)}", folder.root)
+        findings.note(f"{state} {', '.join(missing)}{_resume(folder, run, expected)}", folder.root)
 
 
-def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> str:
+def _resume(folder: MethodResults, run: RunRecord | None, expected: _Expected) -> str:
     if run is None or run.target.startswith(PREDICTIONS):
         return ""
-    dataset = str(asked.dataset.root) if asked.dataset is not None else run.dataset.upper()
+    dataset = str(expected.dataset.root) if expected.dataset is not None else run.dataset.upper()
     words = ["relocbench", "evaluate", "-d", dataset, "-m"]
     words.append(run.target if run.target == folder.label else f"{folder.label}={run.target}")
     for key, value in run.parameters.items():
@@ -248,7 +248,7 @@ def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> s
 
 
 def _check_scores(
-    folder: MethodResults, run: RunRecord | None, complete: set[str], asked: _Expected, findings: Findings
+    folder: MethodResults, run: RunRecord | None, complete: set[str], expected: _Expected, findings: Findings
 ) -> None:
     """Check that scores belong to the files beside them and, with the dataset, that its truth confirms them."""
     if not folder.scores_yaml.exists():
@@ -265,11 +265,11 @@ def _check_scores(
             if name not in complete:
                 findings.fault(f"scores pair set '{name}', whose predictions are not there", folder.scores_yaml)
         elif scores.formulas == FORMULAS:
-            _check_scored(folder, name, scores, asked.dataset, findings)
+            _check_scored(folder, name, scores, expected.dataset, findings)
         else:
             _check_errors(folder.errors(name), findings)
     unscored = sorted(complete - scores.predictions.keys())
-    truth = {n for n, p in asked.record.pair_sets.items() if p.has_truth} if asked.record else set(unscored)
+    truth = {n for n, p in expected.record.pair_sets.items() if p.has_truth} if expected.record else set(unscored)
     if truth & set(unscored):
         findings.note(f"not scored yet: {', '.join(sorted(truth & set(unscored)))}", folder.root)
 
