@@ -181,7 +181,7 @@ def too_long(page: Path) -> Iterator[str]:
     text = page.read_text(encoding="utf-8")
     words, lines = len(text.split()), text.count("\n")
     limit = MOST_WORDS_OF_README if page == ROOT / "README.md" else MOST_WORDS
-    if words > limit and page.name != "decisions.md":
+    if words > limit:
         yield f"{shown(page)}: {words} words, more than {limit}; split it, or shorten it"
     if page == ROOT / "README.md" and lines > MOST_LINES_OF_README:
         yield f"{shown(page)}: {lines} lines, more than {MOST_LINES_OF_README}"
