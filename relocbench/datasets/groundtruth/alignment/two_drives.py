@@ -70,7 +70,7 @@ def register_query(
         say, remember: see :func:`relocbench.datasets.groundtruth.registration.along_drive.register_along`.
     """
     reference, query, length = unit.reference, unit.query, unit.options.submap_m
-    found = register_along(
+    registrations = register_along(
         reference.window(length),
         query.window(length),
         reference.nodes,
@@ -81,10 +81,10 @@ def register_query(
         say=say,
         remember=remember,
     )
-    if is_stretched(found):
+    if is_stretched(registrations):
         for told in filter(None, map(_length_by_gnss, (reference, query))):
             say(told)
-    return found
+    return registrations
 
 
 def _length_by_gnss(drive: Drive) -> str:
@@ -92,10 +92,10 @@ def _length_by_gnss(drive: Drive) -> str:
     recording = drive.recording
     if recording.prior is None:
         return ""
-    found = length_ratio(recording.odometry, recording.prior, recording.prior_sigma_m)
-    if found is None:
+    ratio = length_ratio(recording.odometry, recording.prior, recording.prior_sigma_m)
+    if ratio is None:
         return ""
-    return f"{drive.name} is {found.told(1)} by odometry than by GNSS (known to {100 * found.margin:.1f} %)"
+    return f"{drive.name} is {ratio.told(1)} by odometry than by GNSS (known to {100 * ratio.margin:.1f} %)"
 
 
 def map_prior(reference: Drive, query: Drive) -> MapPrior | None:

@@ -52,10 +52,10 @@ def fit_normals(points: Array, wanted: Indices, options: SurfaceOptions) -> Floa
     undecided = np.arange(len(wanted))
     for radius in (options.radius_m, options.wide_radius_m):
         grid = make_grid(points, radius)
-        found, decided = _fit(
+        fitted, decided = _fit(
             points, wanted[undecided], grid, radius, options.fewest, options.plane_m, options.flatness, options.line
         )
-        normals[undecided] = found
+        normals[undecided] = fitted
         undecided = undecided[~decided]
     return normals
 

@@ -62,14 +62,14 @@ class Calibration:
 
 def find_causes(reduced: Reduced, sensors: Sensors) -> tuple[Cause, ...]:
     """The causes that must be in error to explain the measurements, the most important first."""
-    found: list[Cause] = []
+    causes: list[Cause] = []
     best = reduced.log_evidence(sensors.prior())
     while True:
-        likely = {c: reduced.log_evidence(sensors.prior([*found, c])) for c in sensors.causes() if c not in found}
+        likely = {c: reduced.log_evidence(sensors.prior([*causes, c])) for c in sensors.causes() if c not in causes}
         cause = max(likely, key=lambda c: (likely[c], c), default=None)
         if cause is None or likely[cause] < best + _LEAST_GAIN:
-            return tuple(found)
-        found.append(cause)
+            return tuple(causes)
+        causes.append(cause)
         best = likely[cause]
 
 

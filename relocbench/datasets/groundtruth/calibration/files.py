@@ -86,7 +86,7 @@ class RoundFolders:
 
 def write_calibration(
     folder: Path,
-    found: Calibration,
+    calibration: Calibration,
     total: Any,
     open_kinds: dict[str, tuple[str, ...]],
     rounds: int,
@@ -100,8 +100,8 @@ def write_calibration(
         rounds: how often recordings were corrected.
     """
     lidars = {}
-    for k, (drive, lidar) in enumerate(found.sensors.names):
-        own, sigma = total[SIZE * k : SIZE * (k + 1)], found.sigmas[k]
+    for k, (drive, lidar) in enumerate(calibration.sensors.names):
+        own, sigma = total[SIZE * k : SIZE * (k + 1)], calibration.sigmas[k]
         lidars[f"{drive}/{lidar}"] = LidarErrors(
             late_ms=_rounded(1e3 * own[6], 3),
             late_sigma_ms=_rounded(1e3 * sigma[6], 3),
@@ -112,7 +112,7 @@ def write_calibration(
             open=open_kinds.get(f"{drive}/{lidar}", ()),
         )
     file = CalibrationFile(
-        causes=tuple(map(str, found.causes)),
+        causes=tuple(map(str, calibration.causes)),
         rounds=rounds,
         lidars=lidars,
         blocks={name: path.relative_to(folder).as_posix() for name, path in places.blocks.items()},

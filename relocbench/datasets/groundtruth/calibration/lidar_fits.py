@@ -192,12 +192,12 @@ def _linearise(
 ) -> _Matched:
     """Linearise the distances of corrected points (N, 3), whose planes are ``match`` (N,), -1 where there is none."""
     rows = np.flatnonzero(match >= 0)
-    found, q, own = match[rows], there[rows], facing[rows]
+    matched, q, own = match[rows], there[rows], facing[rows]
     by_planes, residuals = distances(
-        q, planes.points[found], planes.normals[found], planes.lever_arms[found], T_a_b, R_a, t_a
+        q, planes.points[matched], planes.normals[matched], planes.lever_arms[matched], T_a_b, R_a, t_a
     )
-    surface = np.minimum(planes.weights[found], points.weights[rows])
-    rigs = planes.lever_arms[found], points.lever_arms[rows]
+    surface = np.minimum(planes.weights[matched], points.weights[rows])
+    rigs = planes.lever_arms[matched], points.lever_arms[rows]
     return _Matched(by_planes, wrenches(own, q), residuals, surface, _patches(q, own), *rigs)
 
 

@@ -32,7 +32,7 @@ def open_kinds(reduced: Reduced, sensors: Sensors) -> dict[str, tuple[str, ...]]
     return out
 
 
-def report_lines(file: CalibrationFile, found: Calibration, fits: int) -> Iterator[str]:
+def report_lines(file: CalibrationFile, calibration: Calibration, fits: int) -> Iterator[str]:
     """Lines that say what was found, how certainly, and what could not be seen."""
     if not fits:
         yield "calibration: too little is registered to say anything of it; it is taken as it is given"
@@ -42,10 +42,10 @@ def report_lines(file: CalibrationFile, found: Calibration, fits: int) -> Iterat
             if correction := _corrected(errors):
                 yield f"calibration: {name} was {correction}; corrected"
     else:
-        free = [s for k, s in enumerate(found.sigmas) if k not in found.sensors.fixed]
+        free = [s for k, s in enumerate(calibration.sigmas) if k not in calibration.sensors.fixed]
         position, rotation, time = (float(np.max([s[part] for s in free])) for part in (slice(0, 3), slice(3, 6), 6))
         yield (
-            f"calibration: what {len(found.sensors)} lidars measured agrees with it, to {1e3 * time:.1f} ms, "
+            f"calibration: what {len(calibration.sensors)} lidars measured agrees with it, to {1e3 * time:.1f} ms, "
             f"{np.degrees(rotation):.2f} deg and {100 * position:.1f} cm (one standard deviation)"
         )
     hidden: dict[tuple[str, ...], list[str]] = {}

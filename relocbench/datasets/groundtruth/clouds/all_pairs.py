@@ -56,8 +56,8 @@ def register_all_pairs(
     out = []
     with reporter.stage("registering pairs", len(pairs)) as advance:
         for i, j in pairs:
-            found = register_clouds(clouds[i], clouds[j], options, Silent())
+            registration = register_clouds(clouds[i], clouds[j], options, Silent())
             expected = None if T is None else np.asarray(invert(T[i]) @ T[j])
-            out.append(PairRegistration(files[i], files[j], found, expected))
+            out.append(PairRegistration(files[i], files[j], registration, expected))
             advance(1)
     return out

@@ -47,8 +47,8 @@ def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -
     patches = this.space.patches
     outside, weights = outside_largest_planes(patches), patches.weights
     agree, expected = (float(weights[m & outside].sum()) for m in (compared.found, compared.expected))
-    found = float(weights[compared.found].sum())
-    return Distinct(agree / found if found > 0 else 0.0, agree / expected if expected > 0 else float("nan"))
+    weight = float(weights[compared.found].sum())
+    return Distinct(agree / weight if weight > 0 else 0.0, agree / expected if expected > 0 else float("nan"))
 
 
 def outside_largest_planes(patches: Patches) -> Mask:

@@ -110,13 +110,12 @@ def _wider(t: Thresholds) -> Thresholds:
     )
 
 
-def _too_plain(found: Distinct, least: Distinct) -> str:
-    if not found.share >= least.share:
-        return f"plain: {percent(found.share)} of what agrees lies outside of three planes, which fit any corner"
-    if not found.overlap >= least.overlap:
-        return (
-            f"overlap: outside of three planes the other cloud measured {percent(found.overlap)} of what it could see"
-        )
+def _too_plain(distinct: Distinct, least: Distinct) -> str:
+    if not distinct.share >= least.share:
+        return f"plain: {percent(distinct.share)} of what agrees lies outside of three planes, which fit any corner"
+    if not distinct.overlap >= least.overlap:
+        share = percent(distinct.overlap)
+        return f"overlap: outside of three planes the other cloud measured {share} of what it could see"
     return ""
 
 

@@ -25,14 +25,14 @@ _PIXELS = 420
 _MARGIN = 0.04
 
 
-def write_before_after(path: Path, found: CloudRegistration, names: tuple[str, str]) -> None:
+def write_before_after(path: Path, registration: CloudRegistration, names: tuple[str, str]) -> None:
     """Draw both clouds as they were given and registered, from above and from the side."""
-    factor = found.scale.factor
-    a, b = ((side.prepared.submap.points + side.prepared.T_cloud_node[:3, 3]) / factor for side in found.sides)
-    keep_a, keep_b = (_structure(side.prepared.submap.surface) for side in found.sides)
+    factor = registration.scale.factor
+    a, b = ((side.prepared.submap.points + side.prepared.T_cloud_node[:3, 3]) / factor for side in registration.sides)
+    keep_a, keep_b = (_structure(side.prepared.submap.surface) for side in registration.sides)
     a, b = a[keep_a], b[keep_b]
-    after = apply(found.T_a_b, b) if np.isfinite(found.T_a_b).all() else b
-    write_figure(path, (12, 9.5), lambda figure: _draw(figure, a, (b, after), found, names))
+    after = apply(registration.T_a_b, b) if np.isfinite(registration.T_a_b).all() else b
+    write_figure(path, (12, 9.5), lambda figure: _draw(figure, a, (b, after), registration, names))
 
 
 def _structure(surface: NDArray[np.uint8]) -> Mask:
@@ -42,9 +42,9 @@ def _structure(surface: NDArray[np.uint8]) -> Mask:
 
 
 def _draw(
-    figure: Figure, a: Array, both: tuple[Array, Array], found: CloudRegistration, names: tuple[str, str]
+    figure: Figure, a: Array, both: tuple[Array, Array], registration: CloudRegistration, names: tuple[str, str]
 ) -> None:
-    verdict = "TRUSTED" if found.trusted else f"NOT TRUSTED: {shortened(found.reason, 100)}"
+    verdict = "TRUSTED" if registration.trusted else f"NOT TRUSTED: {shortened(registration.reason, 100)}"
     figure.suptitle(f"A {shortened(names[0], 50)}, B {shortened(names[1], 50)}\n{verdict}", fontsize=10)
     axes = figure.subplots(2, 2)
     for row, (b, when) in enumerate(zip(both, ("before: the frames of the files", "after"), strict=True)):
@@ -86,19 +86,19 @@ def _hit(points: Array, low: Array, pixel: float, rows: int, columns: int) -> Ma
     return out
 
 
-def write_residuals(path: Path, found: CloudRegistration) -> None:
+def write_residuals(path: Path, registration: CloudRegistration) -> None:
     """Draw histograms of the distances of either cloud's points from the other's surfaces."""
-    write_figure(path, (8, 4), lambda figure: _draw_residuals(figure, found))
+    write_figure(path, (8, 4), lambda figure: _draw_residuals(figure, registration))
 
 
-def _draw_residuals(figure: Figure, found: CloudRegistration) -> None:
+def _draw_residuals(figure: Figure, registration: CloudRegistration) -> None:
     axes = figure.subplots()
-    every = np.concatenate(found.residuals_m)
+    every = np.concatenate(registration.residuals_m)
     shown = float(np.percentile(np.abs(every), 97)) if every.size else 1.0
     factor, unit = (100.0, "cm") if shown >= 0.01 else (1000.0, "mm")
     sides = ((0, QUERY, "B's points to A's surfaces", "-"), (1, REFERENCE, "A's points to B's surfaces", "--"))
     for k, colour, name, style in sides:
-        values = found.residuals_m[k]
+        values = registration.residuals_m[k]
         if not values.size:
             continue
         sigma, middle = factor * robust_sigma(values, np.ones_like(values)), factor * float(np.median(values))

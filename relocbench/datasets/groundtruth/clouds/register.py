@@ -108,24 +108,24 @@ def register_clouds(
         if o.initial is not None:
             initial = invert(one.T_cloud_node) @ scale.enlarged(o.initial) @ other.T_cloud_node
             searched = SearchOptions(searched.matching, searched.backend, initial, searched.drifts)
-        found = search(one, other, scale, free_space_known(one.sees, other.sees), searched, advance)
-    return _in_clouds_frames(found, one, other, scale, (sides[0], sides[1]))
+        result = search(one, other, scale, free_space_known(one.sees, other.sees), searched, advance)
+    return _in_clouds_frames(result, one, other, scale, (sides[0], sides[1]))
 
 
 def _in_clouds_frames(
-    found: CloudSearchResult,
+    result: CloudSearchResult,
     a: PreparedCloud,
     b: PreparedCloud,
     scale: SceneScale,
     sides: tuple[Preparation, Preparation],
 ) -> CloudRegistration:
     T_b_middle = scale.reduced(b.T_cloud_node)
-    best = found.best
+    best = result.best
     if best is None:
         nothing = np.zeros(0)
         return CloudRegistration(
             np.full((4, 4), np.nan), np.zeros((6, 6)), T_b_middle, np.full(3, np.inf), float("inf"),
-            NOTHING_JUDGED, found.reason, "nothing", scale, found.guesses, (nothing, nothing), sides,
+            NOTHING_JUDGED, result.reason, "nothing", scale, result.guesses, (nothing, nothing), sides,
         )  # fmt: skip
 
     def to_clouds(T_nodes: Array) -> Array:
@@ -147,12 +147,12 @@ def _in_clouds_frames(
         np.sqrt(np.diag(position)),
         float(np.degrees(np.sqrt(np.linalg.eigvalsh(rotation)[-1]))),
         scale.reduced_evidence(best.evidence),
-        found.reason,
+        result.reason,
         best.verdict.rests_on,
         scale,
-        found.guesses,
+        result.guesses,
         (residuals[0] / scale.factor, residuals[1] / scale.factor),
         sides,
         best.unexplained,
-        None if found.rival is None else (to_clouds(found.rival.T_a_b), found.rival.unexplained),
+        None if result.rival is None else (to_clouds(result.rival.T_a_b), result.rival.unexplained),
     )

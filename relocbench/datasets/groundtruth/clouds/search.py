@@ -113,10 +113,10 @@ def search(
     else:
         attempts = _attempts(options.matching, scale)
         for number, attempt in enumerate(attempts):
-            found = guesses(describe(a.submap, attempt), describe(b.submap, attempt), None, attempt)
+            candidates = guesses(describe(a.submap, attempt), describe(b.submap, attempt), None, attempt)
             if number == 0:
-                found.insert(0, _as_they_are(a, b))
-            tried += judged.all_of(judged.best_fitting(found))
+                candidates.insert(0, _as_they_are(a, b))
+            tried += judged.all_of(judged.best_fitting(candidates))
             if any(candidate.trusted for candidate in tried):
                 advance(len(attempts) - number)
                 break

@@ -18,53 +18,55 @@ from relocbench.files import write_bytes, write_text
 from relocbench.geometry import apply, make_transform, rotation_angle, transform_to_tq
 
 
-def T_files(found: CloudRegistration, a: Cloud, b: Cloud) -> Array:
+def T_files(registration: CloudRegistration, a: Cloud, b: Cloud) -> Array:
     """``T_a_b`` (4, 4) in the files' own coordinates, without the origins that were subtracted."""
     zero = np.zeros(3)
     to_a = make_transform(np.eye(3), zero if a.origin is None else a.origin)
     of_b = make_transform(np.eye(3), -(zero if b.origin is None else b.origin))
-    return np.asarray(to_a @ found.T_a_b @ of_b)
+    return np.asarray(to_a @ registration.T_a_b @ of_b)
 
 
-def as_values(found: CloudRegistration, a: Cloud, b: Cloud) -> dict[str, Any]:
+def as_values(registration: CloudRegistration, a: Cloud, b: Cloud) -> dict[str, Any]:
     """The registration as plain values: metres, radians, and degrees where the name says so."""
-    known = bool(np.isfinite(found.T_a_b).all())
+    known = bool(np.isfinite(registration.T_a_b).all())
     pose: dict[str, Any] = {"T_a_b": None}
     if known:
-        translation, quaternion = transform_to_tq(found.T_a_b)
+        translation, quaternion = transform_to_tq(registration.T_a_b)
         pose = {
-            "T_a_b": found.T_a_b.tolist(),
+            "T_a_b": registration.T_a_b.tolist(),
             "translation_m": translation.tolist(),
             "quaternion_xyzw": quaternion.tolist(),
-            "rotation_deg": float(np.degrees(rotation_angle(found.T_a_b[:3, :3]))),
-            "T_files": T_files(found, a, b).tolist(),
+            "rotation_deg": float(np.degrees(rotation_angle(registration.T_a_b[:3, :3]))),
+            "T_files": T_files(registration, a, b).tolist(),
         }
     return {
         "a": a.name,
         "b": b.name,
-        "trusted": found.trusted,
-        "reason": found.reason,
-        "rests_on": found.rests_on,
+        "trusted": registration.trusted,
+        "reason": registration.reason,
+        "rests_on": registration.rests_on,
         **pose,
         "origin_a": None if a.origin is None else a.origin.tolist(),
         "origin_b": None if b.origin is None else b.origin.tolist(),
-        "sigma_m": found.sigma_m.tolist(),
-        "sigma_rotation_deg": found.sigma_deg,
-        "middle_of_b_m": found.T_b_middle[:3, 3].tolist(),
-        "information": found.information.tolist(),
-        "covariance": found.covariance.tolist(),
-        "evidence": {**asdict(found.evidence), "unexplained": found.unexplained},
-        "rival": None if found.rival is None else {"T_a_b": found.rival[0].tolist(), "unexplained": found.rival[1]},
-        "scale": found.scale.factor,
-        "scale_reason": found.scale.reason,
-        "sensor_a": found.sides[0].sensor,
-        "sensor_b": found.sides[1].sensor,
-        "guesses": found.guesses,
+        "sigma_m": registration.sigma_m.tolist(),
+        "sigma_rotation_deg": registration.sigma_deg,
+        "middle_of_b_m": registration.T_b_middle[:3, 3].tolist(),
+        "information": registration.information.tolist(),
+        "covariance": registration.covariance.tolist(),
+        "evidence": {**asdict(registration.evidence), "unexplained": registration.unexplained},
+        "rival": None
+        if registration.rival is None
+        else {"T_a_b": registration.rival[0].tolist(), "unexplained": registration.rival[1]},
+        "scale": registration.scale.factor,
+        "scale_reason": registration.scale.reason,
+        "sensor_a": registration.sides[0].sensor,
+        "sensor_b": registration.sides[1].sensor,
+        "guesses": registration.guesses,
     }
 
 
 def write_registration(
-    folder: Path, found: CloudRegistration, a: Cloud, b: Cloud, names: tuple[str, str], *, cloud: bool
+    folder: Path, registration: CloudRegistration, a: Cloud, b: Cloud, names: tuple[str, str], *, cloud: bool
 ) -> list[Path]:
     """Write pose, covariance, evidence and pictures into a folder; ``cloud``: also B in the frame of A.
 
@@ -72,21 +74,21 @@ def write_registration(
     """
     folder.mkdir(parents=True, exist_ok=True)
     written = [folder / "registration.json", folder / "covariance.txt"]
-    write_text(written[0], json.dumps(_strict(as_values(found, a, b)), indent=1) + "\n")
+    write_text(written[0], json.dumps(_strict(as_values(registration, a, b)), indent=1) + "\n")
     header = "# covariance of xi = (rho, phi) in T_a_b exp(xi), metres and radians; see registration.json\n"
-    write_text(written[1], header + _rows(found.covariance))
-    if np.isfinite(found.T_a_b).all():
+    write_text(written[1], header + _rows(registration.covariance))
+    if np.isfinite(registration.T_a_b).all():
         pose, tum = folder / "pose.txt", folder / "pose_tum.txt"
-        write_text(pose, _rows(found.T_a_b))
-        write_text(tum, f"# t tx ty tz qx qy qz qw  T_a_b\n0 {' '.join(pose_fields(found.T_a_b))}\n")
+        write_text(pose, _rows(registration.T_a_b))
+        write_text(tum, f"# t tx ty tz qx qy qz qw  T_a_b\n0 {' '.join(pose_fields(registration.T_a_b))}\n")
         written += [pose, tum]
     pictures = folder / "before_after.png", folder / "residuals.png"
-    write_before_after(pictures[0], found, names)
-    write_residuals(pictures[1], found)
+    write_before_after(pictures[0], registration, names)
+    write_residuals(pictures[1], registration)
     written += pictures
-    if cloud and np.isfinite(found.T_a_b).all():
+    if cloud and np.isfinite(registration.T_a_b).all():
         path = folder / "b_in_a.ply"
-        moved = apply(found.T_a_b, b.points) + (0.0 if a.origin is None else a.origin)
+        moved = apply(registration.T_a_b, b.points) + (0.0 if a.origin is None else a.origin)
         header = (
             f"ply\nformat binary_little_endian 1.0\nelement vertex {len(moved)}\n"
             "property double x\nproperty double y\nproperty double z\nend_header\n"

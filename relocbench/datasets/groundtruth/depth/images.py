@@ -78,11 +78,11 @@ class DepthView:
         T_odom_rig = drive.recording.odometry.at(at)[0]
         T_cam_node = invert(T_odom_rig @ self.T_rig_cam) @ drive.nodes.T_odom_node[node]
         scene = _scene(_WindowKey(drive.blocks, self.length_m, self.options, drive), node)
-        found = scene_depth(scene, self.camera, T_cam_node, self.options)
+        depth = scene_depth(scene, self.camera, T_cam_node, self.options)
         if self.enlarged == 1.0:
-            return found
+            return depth
         factor = np.float32(self.enlarged)
-        return DepthImage(found.depth / factor, found.sigma / factor)
+        return DepthImage(depth.depth / factor, depth.sigma / factor)
 
     def by_stereo(self, time_ns: int) -> DepthImage:
         """Depth by matching the two images of the stereo pair."""
@@ -135,8 +135,8 @@ def make_depth(
     units = [_Unit(view, tuple(part)) for part in chunks([t for t in tasks if t.missing or t.sampled], _IMAGES_A_UNIT)]
     samples: dict[int, list[_Sample]] = {}
     with reporter.stage(f"depth of {view.drive.name}", sum(len(unit.tasks) for unit in units)) as advance:
-        for index, found in run_units(_draw, units, run):
-            samples[index] = found
+        for index, drawn in run_units(_draw, units, run):
+            samples[index] = drawn
             advance(len(units[index].tasks))
     ordered = [sample for index in sorted(samples) for sample in samples[index]]
     if view.source == "stereo" and view.pair is not None:
@@ -149,12 +149,12 @@ def _draw(unit: _Unit) -> list[_Sample]:
     common = view.pair.common_times() if view.pair is not None else frozenset[int]()
     for task in unit.tasks:
         time = task.frame.time_ns
-        found = view.at(time)
+        seen = view.at(time)
         if task.missing:
-            images.write_depth(task.frame.path, found.depth)
+            images.write_depth(task.frame.path, seen.depth)
         if task.sampled:
             other = view.by_lidar if view.source == "stereo" else view.by_stereo
-            samples.append(_Sample(found, other(time).depth if time in common else None))
+            samples.append(_Sample(seen, other(time).depth if time in common else None))
     return samples
 
 

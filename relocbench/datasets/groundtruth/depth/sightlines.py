@@ -117,10 +117,10 @@ def _look(eye, directions, low, cell, state, max_depth, start, shadow, out):  # 
             at = depth / cell
             x, y, z = ex + at * dx, ey + at * dy, ez + at * dz
             if x >= 0 and y >= 0 and z >= 0 and x < nx and y < ny and z < nz:
-                found = state[np.int64(x), np.int64(y), np.int64(z)]
-                if found == 1:
+                value = state[np.int64(x), np.int64(y), np.int64(z)]
+                if value == 1:
                     shaded = np.float32(0.0)
-                elif found == 2:
+                elif value == 2:
                     if shaded == 0:
                         begin = depth
                     shaded += step * length

@@ -105,38 +105,38 @@ def align(
             return Aligned(drives, registrations, {})
         evidence = _evidence(drives, registrations, sensors, at, options, reporter, run)
         reduced = sum((e.reduced for e in evidence[1:]), evidence[0].reduced).about(total)
-        found = calibrate(reduced, sensors)
+        calibration = calibrate(reduced, sensors)
         open_to = open_kinds(reduced, sensors)
-        if corrections < _MOST_CORRECTIONS and _differ(found, total, _SETTLED):
-            corrections, wrong = corrections + 1, _concerned(found, recordings)
-            total = found.correction
-            message = "; ".join(map(str, found.causes)) or "nothing"
+        if corrections < _MOST_CORRECTIONS and _differ(calibration, total, _SETTLED):
+            corrections, wrong = corrections + 1, _concerned(calibration, recordings)
+            total = calibration.correction
+            message = "; ".join(map(str, calibration.causes)) or "nothing"
             reporter.note(f"calibration: {message} in error; corrected, and registered again")
             continue
-        in_metres, removed = found.reduced(), total * unknowns_reduced(len(sensors), enlarged)
+        in_metres, removed = calibration.reduced(), total * unknowns_reduced(len(sensors), enlarged)
         file = write_calibration(folder, in_metres, removed, open_to, corrections, at)
         for line in report_lines(file, in_metres, sum(e.count for e in evidence)):
             reporter.note(line)
-        if corrections and _differ(found, total, _REMAINS):
+        if corrections and _differ(calibration, total, _REMAINS):
             after = "a correction" if corrections == 1 else f"{corrections} corrections"
             reporter.note(f"calibration: errors remain after {after}; they are part of the sigma of each pair")
         shared = {
-            d.name: SharedErrors(e.by_calibration, found.uncorrected(total))
+            d.name: SharedErrors(e.by_calibration, calibration.uncorrected(total))
             for d, e in zip(drives[1:], evidence, strict=True)
             if e.count
         }
         return Aligned(drives, registrations, shared)
 
 
-def _differ(found: Calibration, corrected: Array, sigmas: float) -> bool:
+def _differ(calibration: Calibration, corrected: Array, sigmas: float) -> bool:
     """Whether an error that was found or corrected (K,) differs by more standard deviations from what was corrected."""
-    concerned = (corrected != 0) | found.in_error
-    return bool((concerned & (np.abs(found.errors - corrected) > sigmas * found.sigmas.ravel())).any())
+    concerned = (corrected != 0) | calibration.in_error
+    return bool((concerned & (np.abs(calibration.errors - corrected) > sigmas * calibration.sigmas.ravel())).any())
 
 
-def _concerned(found: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:
+def _concerned(calibration: Calibration, recordings: Sequence[FieldRecording]) -> set[str]:
     """Names of the drives whose lidars are in error."""
-    of = {cause.of for cause in found.causes}
+    of = {cause.of for cause in calibration.causes}
     if any(o == RIG or o.startswith(EVERY) for o in of):
         return {r.name for r in recordings}
     return {r.name for r in recordings if any(o == r.name or o.startswith(f"{r.name}/") for o in of)}
@@ -160,11 +160,11 @@ def _register(
     reporter: Reporter,
     run: Run,
 ) -> dict[str, list[Registration]]:
-    found: dict[str, list[Registration]] = {}
+    registrations: dict[str, list[Registration]] = {}
     for folder in dict.fromkeys(at.registrations.values()):
         queries = [d for d in drives[1:] if at.registrations[d.name] == folder]
-        found |= register_drives(drives[0], queries, folder, options, first, reporter, run)
-    return found
+        registrations |= register_drives(drives[0], queries, folder, options, first, reporter, run)
+    return registrations
 
 
 def _evidence(

@@ -102,11 +102,11 @@ def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
     prior = recording.prior
     if prior is None:
         return []
-    found = length_ratio(recording.odometry, prior, recording.prior_sigma_m)
-    if found is None or not found.exceeds(LARGEST_STRETCH):
+    ratio = length_ratio(recording.odometry, prior, recording.prior_sigma_m)
+    if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
         return []
     message = (
-        f"the way by odometry is {found.told(1)} than by GNSS (known to {100 * found.margin:.1f} %), expected at most "
+        f"the way by odometry is {ratio.told(1)} than by GNSS (known to {100 * ratio.margin:.1f} %), expected at most "
         f"{100 * LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the odometry, "
         "or give --no-use-prior if the GNSS is wrong"
     )

@@ -72,9 +72,9 @@ def pair_by_recipe(
     paired = []
     for query in queries:
         mine = [unit for unit in units if unit.chain.query is query.recording]
-        found = [track_files.read_registrations(_table(unit)) for unit in mine]
-        outcomes = {u.chain.camera: outcomes_of(u.chain, pairs) for u, pairs in zip(mine, found, strict=True)}
-        nodes = between_nodes(mine[0].chain, found[0], reference, query)
+        registrations = [track_files.read_registrations(_table(unit)) for unit in mine]
+        outcomes = {u.chain.camera: outcomes_of(u.chain, pairs) for u, pairs in zip(mine, registrations, strict=True)}
+        nodes = between_nodes(mine[0].chain, registrations[0], reference, query)
         name = f"{reference.name}__{query.name}.csv"
         track_files.write_registrations(folder / "registrations" / name, nodes, reference.nodes, query.nodes)
         both = placed(nodes, reference, query)

@@ -80,7 +80,7 @@ def find_jumps(odometry: Trajectory) -> tuple[Jump, ...]:
     steps = np.flatnonzero(measured)
     twists = se3_log(invert(odometry.T_odom_rig[:-1]) @ odometry.T_odom_rig[1:])
     middle = (odometry.times_ns[:-1] - odometry.times_ns[0]) / 1e9 + seconds / 2
-    found: list[Jump] = []
+    jumps: list[Jump] = []
     # The largest jumps are taken first: beside them, right steps look like jumps.
     while len(steps):
         deviation = _Deviations.of(twists[steps], seconds[steps], middle[steps])
@@ -91,11 +91,11 @@ def find_jumps(odometry: Trajectory) -> tuple[Jump, ...]:
         for k in worst:
             size, index = deviation.sizes[k], int(steps[k]) + 1
             degrees = float(np.degrees(size[1]))
-            found.append(
+            jumps.append(
                 Jump(index, int(odometry.times_ns[index]), float(size[0]), degrees, float(deviation.excess[k]))
             )
         steps = np.delete(steps, worst)
-    return tuple(sorted(found, key=lambda jump: jump.index))
+    return tuple(sorted(jumps, key=lambda jump: jump.index))
 
 
 def interrupted(recording: FieldRecording, reporter: Reporter) -> FieldRecording:

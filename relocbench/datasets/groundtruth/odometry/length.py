@@ -67,7 +67,7 @@ def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float) -> Len
     piece = odometry.pieces(times)
     rows = [np.flatnonzero(piece == number) for number in np.unique(piece)]
     positions, mapped = odometry.at(times)[:, :3, 3], prior.at(times)[:, :3, 3]
-    found = []
+    ratios = []
     for axes in (2, 3):
         by_chords = [
             one
@@ -76,8 +76,8 @@ def length_ratio(odometry: Trajectory, prior: Trajectory, sigma_m: float) -> Len
             for one in [_by_chords(positions, mapped[:, :axes], rows, chord_m, sigma_m)]
             if one is not None
         ]
-        found += [min(by_chords, key=lambda one: one.margin)] if by_chords else []
-    return min(found, key=lambda one: abs(one.ratio - 1), default=None)
+        ratios += [min(by_chords, key=lambda one: one.margin)] if by_chords else []
+    return min(ratios, key=lambda one: abs(one.ratio - 1), default=None)
 
 
 def _by_chords(

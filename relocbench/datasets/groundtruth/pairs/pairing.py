@@ -69,12 +69,12 @@ def pair_up(unit: PairingUnit) -> Paired:
         unit.limits,
         (_white_noise(unit.reference), _white_noise(unit.query)),
     )
-    found = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
+    by_camera = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
     count = len(unit.reference.nodes)
     before, after = solution.arc_length_to_trusted[:count], solution.arc_length_to_trusted[count:]
     verdicts = {r.query: verdict for r, verdict in zip(unit.registrations, solution.verdicts, strict=True)}
     return Paired(
-        found,
+        by_camera,
         PlacedDrive(unit.reference.name, unit.reference.nodes.times_ns, solution.T_world_ref, before, {}),
         PlacedDrive(unit.query.name, unit.query.nodes.times_ns, solution.T_world_query, after, verdicts),
     )
@@ -101,10 +101,10 @@ def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outc
             # Where nothing is registered, the rejected pair has the nearest keyframe by GNSS.
             ref_time_ns = unit.reference.nodes.times_ns[prior.nearest(node)]
             nearest = frames.ref_ns[int(np.argmin(np.abs(np.array(frames.ref_ns) - ref_time_ns)))]
-        found = outcomes.of(
+        outcome = outcomes.of(
             frames.ref_ns[0] if nearest is None else nearest, time, frames.T_rig_refcam, frames.T_rig_querycam
         )
-        out.append(found.rejected(reason) if reason and found.accepted else found)
+        out.append(outcome.rejected(reason) if reason and outcome.accepted else outcome)
     return out
 
 

@@ -28,10 +28,10 @@ def common(reasons: Sequence[str]) -> str:
 
 def by_kind(reasons: Iterable[str]) -> dict[str, list[str]]:
     """kind -> its reasons, the most frequent kind first, in alphabetical order among equals."""
-    found: dict[str, list[str]] = {}
+    kinds: dict[str, list[str]] = {}
     for reason in reasons:
-        found.setdefault(kind_of(reason), []).append(reason)
-    return dict(sorted(found.items(), key=lambda item: (-len(item[1]), item[0])))
+        kinds.setdefault(kind_of(reason), []).append(reason)
+    return dict(sorted(kinds.items(), key=lambda item: (-len(item[1]), item[0])))
 
 
 def reduced_words(words: str, factor: float) -> str:

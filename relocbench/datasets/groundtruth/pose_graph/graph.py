@@ -148,19 +148,19 @@ def optimise(
     candidates, doubtful = trusted.copy(), np.zeros(len(cross), dtype=bool)
     candidates[believed], doubtful[believed] = runs.won, runs.doubtful
     start = initial_poses(cross[candidates], drives.T_odom_node, drives.travelled_m, drives.segment)
-    found = select(drives, cross, candidates, start, odometry_noise or OdometryNoise(), options)
-    verdicts = _verdicts(registrations, cross, candidates, doubtful, found)
-    controlled = found.used & (found.tested.redundancy >= _CONTROLLED)
+    selected = select(drives, cross, candidates, start, odometry_noise or OdometryNoise(), options)
+    verdicts = _verdicts(registrations, cross, candidates, doubtful, selected)
+    controlled = selected.used & (selected.tested.redundancy >= _CONTROLLED)
     return Solution(
         drives,
-        found.T_world_node,
-        found.edges,
-        found.noise,
+        selected.T_world_node,
+        selected.edges,
+        selected.noise,
         controlled,
         verdicts,
-        found.odometry_tested,
+        selected.odometry_tested,
         drives.arc_length_to(np.concatenate([cross.first[controlled], cross.second[controlled]])),
-        found.information_factor,
+        selected.information_factor,
     )
 
 
@@ -177,17 +177,17 @@ def registration_edges(drives: BothDrives, registrations: Sequence[Registration]
 
 
 def _verdicts(
-    registrations: Sequence[Registration], cross: Edges, candidates: Mask, doubtful: Mask, found: Selected
+    registrations: Sequence[Registration], cross: Edges, candidates: Mask, doubtful: Mask, selected: Selected
 ) -> tuple[str, ...]:
     """Why each registration is not part of the graph, with its distance from the solution; empty if it is."""
-    T = found.T_world_node
+    T = selected.T_world_node
     offset = invert(cross.T_first_second) @ cross.relative_poses(T)
     metres = np.linalg.norm(offset[:, :3, 3], axis=1)
     degrees = np.degrees(rotation_angle(offset[:, :3, :3]))
     out = []
     for e, registration in enumerate(registrations):
         off = f"{metres[e]:.2f} m, {degrees[e]:.2f} deg off"
-        if found.used[e]:
+        if selected.used[e]:
             out.append("")
         elif registration.reason:
             out.append(registration.reason)

@@ -138,9 +138,9 @@ def _robust(
     edges = Edges.join([drives.odometry(noise), cross[used]])
     T = solve(start, edges)
     T = solve(T, edges, options.kernel, np.arange(len(edges)) >= len(edges) - int(used.sum()))
-    found = cross.chi2(T)
-    factor = max(1.0, float(np.median(found[used])) / MEDIAN_CHI2) if used.any() else 1.0
-    return T, used & (found <= factor * chdtri(6, options.significance)), factor
+    chi2 = cross.chi2(T)
+    factor = max(1.0, float(np.median(chi2[used])) / MEDIAN_CHI2) if used.any() else 1.0
+    return T, used & (chi2 <= factor * chdtri(6, options.significance)), factor
 
 
 def _test_registrations(covariances: Covariances, T: Array, cross: Edges, used: Mask, edges: Edges) -> OutlierTest:

@@ -103,16 +103,16 @@ class _Chain:
 
     def run(self) -> list[Registration]:
         count = len(self._unit.queries.times_ns)
-        found: dict[int, Registration] = {}
+        registrations: dict[int, Registration] = {}
         start, first = self._start()
         if first is not None:
             for rows in (range(start, count), range(start - 1, -1, -1)):
                 last = first
                 for row in rows:
-                    found[row] = self._pair(row, last)
-                    if found[row].trusted:
-                        last = self._solved(found[row])
-        return [found.get(row) or self._untried(row, NO_START) for row in range(count)]
+                    registrations[row] = self._pair(row, last)
+                    if registrations[row].trusted:
+                        last = self._solved(registrations[row])
+        return [registrations.get(row) or self._untried(row, NO_START) for row in range(count)]
 
     def _solved(self, pair: Registration) -> _Solved:
         times = self._unit.keyframes.times_ns[pair.ref], self._unit.queries.times_ns[pair.query]
@@ -202,11 +202,11 @@ class _Chain:
             if way - tried < unit.submap_m / 2:
                 continue
             tried = way
-            found = self._searched(row)
-            if found is not None and found.trusted:
+            registration = self._searched(row)
+            if registration is not None and registration.trusted:
                 self._say(f"first pair by Open3D's global registration, {way:.0f} m along the drive")
-                return row, self._solved(found)
-            reason = found.reason if found is not None else reason
+                return row, self._solved(registration)
+            reason = registration.reason if registration is not None else reason
         self._say(
             f"global registration found no first pair{f' (the last try: {reason})' if reason else ''}; give one by "
             "--first-pose"
@@ -215,8 +215,10 @@ class _Chain:
 
     def _searched(self, row: int) -> Registration | None:
         """The best fit of a query image with some keyframes; None if no keyframe is near by GNSS."""
-        found = [self._refined(keyframe, row, None) for keyframe in self._candidates(row)]
-        return max(found, key=lambda pair: (pair.trusted, np.nan_to_num(pair.evidence.overlap_query)), default=None)
+        registrations = [self._refined(keyframe, row, None) for keyframe in self._candidates(row)]
+        return max(
+            registrations, key=lambda pair: (pair.trusted, np.nan_to_num(pair.evidence.overlap_query)), default=None
+        )
 
     def _candidates(self, row: int) -> Sequence[int]:
         """The keyframe that is nearest by GNSS; without GNSS keyframes half a submap apart."""

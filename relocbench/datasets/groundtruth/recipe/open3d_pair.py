@@ -92,7 +92,7 @@ def search(ref: Cloud, query: Cloud, options: Open3dOptions) -> Array:
     # Open3D's stubs require indices, which have a default.
     features = [registration.compute_fpfh_feature(cloud, near) for cloud in coarse]  # type: ignore[call-arg]
     reach = options.ransac_reach * options.coarse_m
-    found = registration.registration_ransac_based_on_feature_matching(
+    result = registration.registration_ransac_based_on_feature_matching(
         coarse[0],
         coarse[1],
         features[0],
@@ -107,7 +107,7 @@ def search(ref: Cloud, query: Cloud, options: Open3dOptions) -> Array:
         ],
         registration.RANSACConvergenceCriteria(options.ransac_iterations, 0.999),
     )
-    return _settled(found.transformation)
+    return _settled(result.transformation)
 
 
 def refine(ref: Cloud, query: Cloud, T_ref_query: Array, options: Open3dOptions) -> Open3dFit:

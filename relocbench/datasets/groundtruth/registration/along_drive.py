@@ -198,7 +198,7 @@ class _DriveRegistration:
     def _is_lost(self, node: int) -> bool:
         """Whether every trusted registration is too far away along the drive to predict the node's pose by odometry."""
         segment = self.query.nodes.segments()
-        trusted = [q for q, found in self.found.items() if found.trusted and segment[q] == segment[node]]
+        trusted = [q for q, registration in self.found.items() if registration.trusted and segment[q] == segment[node]]
         travelled = self.query.nodes.travelled_m
         return all(abs(travelled[node] - travelled[q]) > self.options.lost_m for q in trusted)
 
@@ -257,16 +257,16 @@ class _DriveRegistration:
         near = metres <= o.slack_m + 3 * o.position_error * driven
         return near and degrees <= o.slack_deg + 3 * o.turn_error_deg_per_m * driven
 
-    def _consistent(self, found: Registration, predicted: Array, driven: float) -> Registration:
+    def _consistent(self, registration: Registration, predicted: Array, driven: float) -> Registration:
         """The registration, no longer trusted if it contradicts both odometries."""
-        if not found.trusted or self._allowed(found.T_ref_query, predicted, driven):
-            return found
-        metres, degrees = pose_difference(predicted, found.T_ref_query)
+        if not registration.trusted or self._allowed(registration.T_ref_query, predicted, driven):
+            return registration
+        metres, degrees = pose_difference(predicted, registration.T_ref_query)
         reason = (
             f"odometry: {metres:.1f} m and {degrees:.1f} deg from where both drives' odometries put it "
             f"after {driven:.0f} m"
         )
-        return replace(found, reason=reason)
+        return replace(registration, reason=reason)
 
     def ratio_of_lengths(self) -> LengthRatio | None:
         """How many times as long as the reference's the query's odometry is, if this is why nothing holds."""
@@ -298,9 +298,9 @@ class _DriveRegistration:
         assert failed is not None
         return failed
 
-    def _choose(self, found: list[Guess]) -> SearchResult:
+    def _choose(self, candidates: list[Guess]) -> SearchResult:
         o, limit = self.options, self.prior
-        starts = with_alternatives(self.ref, self.query, found, o.shift, 4 * o.hypotheses.most_tried)
+        starts = with_alternatives(self.ref, self.query, candidates, o.shift, 4 * o.hypotheses.most_tried)
         if limit is not None:
             starts = [s for s in starts if limit.allows(*s)]
         return choose_hypothesis(self.ref, self.query, starts, o.hypotheses, o.register)

@@ -113,12 +113,12 @@ def guesses(
     if min(len(ref.points), len(query.points)) < 10:
         return []
     if o.matcher == "kiss-matcher":
-        found = [_kiss_matcher(ref, query, o)]
+        results = [_kiss_matcher(ref, query, o)]
     elif o.matcher == "fgr":
-        found = [_fgr(ref, query, o, seed) for seed in o.seeds]
+        results = [_fgr(ref, query, o, seed) for seed in o.seeds]
     else:
-        found = [_ransac(ref, query, o, seed) for seed in o.seeds]
-    allowed = [T for T in found if T is not None and (prior is None or prior.allows(T))]
+        results = [_ransac(ref, query, o, seed) for seed in o.seeds]
+    allowed = [T for T in results if T is not None and (prior is None or prior.allows(T))]
     return [allowed[k] for k in distinct(allowed, o.same_m, o.same_deg)]
 
 

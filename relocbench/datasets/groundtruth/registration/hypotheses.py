@@ -147,15 +147,15 @@ def follow(
             if apart > options.nearest_m:
                 break
             predicted = predict(known, ref.nodes, query.nodes, (r, node))
-            found = register(ref, query, (r, node), predicted, register_options)
-            scores.append(plausibility(found.evidence))
-            metres, degrees = pose_difference(predicted, found.T_ref_query)
-            if found.trusted and metres <= 0.5 + 0.05 * driven and degrees <= 2 + 0.1 * driven:
-                trusted.append(found)
-                known = found
+            registration = register(ref, query, (r, node), predicted, register_options)
+            scores.append(plausibility(registration.evidence))
+            metres, degrees = pose_difference(predicted, registration.T_ref_query)
+            if registration.trusted and metres <= 0.5 + 0.05 * driven and degrees <= 2 + 0.1 * driven:
+                trusted.append(registration)
+                known = registration
     return float(np.mean(scores)) if len(trusted) >= options.share * len(scores) else None, trusted
 
 
-def _query_poses(ref: PreparedDrive, found: Sequence[Registration]) -> list[Array]:
+def _query_poses(ref: PreparedDrive, registrations: Sequence[Registration]) -> list[Array]:
     """Poses (4, 4) of query nodes in the reference's odometry."""
-    return [ref.nodes.T_odom_node[f.ref] @ f.T_ref_query for f in found]
+    return [ref.nodes.T_odom_node[f.ref] @ f.T_ref_query for f in registrations]

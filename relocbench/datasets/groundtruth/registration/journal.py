@@ -109,18 +109,18 @@ def _whole_lines(path: Path) -> list[bytes]:
 
 
 def _stored(result: SearchResult) -> dict[str, Any]:
-    found = result.best
-    if found is None:
+    best = result.best
+    if best is None:
         return {"reason": result.reason}
     return {
         "reason": result.reason,
         "best": {
-            "ref": found.ref,
-            "query": found.query,
-            "T_ref_query": found.T_ref_query.tolist(),
-            "information": found.information.tolist(),
-            "evidence": asdict(found.evidence),
-            "reason": found.reason,
+            "ref": best.ref,
+            "query": best.query,
+            "T_ref_query": best.T_ref_query.tolist(),
+            "information": best.information.tolist(),
+            "evidence": asdict(best.evidence),
+            "reason": best.reason,
         },
     }
 

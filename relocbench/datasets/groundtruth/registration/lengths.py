@@ -82,7 +82,7 @@ def _ways(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> tu
     return best
 
 
-def may_hold_by_chance(found: list[Registration], step_m: float) -> bool:
+def may_hold_by_chance(registrations: list[Registration], step_m: float) -> bool:
     """Whether few registrations are trusted of those whose submaps were compared, or little road of the whole drive.
 
     Some hold by chance in spite of a stretch. A place that fits by chance may lead off the reference's road at once,
@@ -91,9 +91,9 @@ def may_hold_by_chance(found: list[Registration], step_m: float) -> bool:
     Args:
         step_m: distance between the nodes that are registered.
     """
-    trusted = sum(one.trusted for one in found)
-    compared = sum(bool(np.isfinite(one.evidence.overlap_query)) for one in found)
-    return trusted < _FEW * max(compared, 1) or (trusted * step_m < _SHORT_M and trusted < _FEW * len(found))
+    trusted = sum(one.trusted for one in registrations)
+    compared = sum(bool(np.isfinite(one.evidence.overlap_query)) for one in registrations)
+    return trusted < _FEW * max(compared, 1) or (trusted * step_m < _SHORT_M and trusted < _FEW * len(registrations))
 
 
 def length_mismatch_message(ratio: LengthRatio) -> str:

@@ -68,10 +68,10 @@ def guesses_by_features(ref: PreparedDrive, query: PreparedDrive, node: int, opt
     """Guesses by features at nodes all along the reference. This takes minutes for kilometres of road."""
     features: Features = describe(query.at(node).submap, options)
     once = replace(options, seeds=options.seeds[:1])
-    found: list[Guess] = []
+    candidates: list[Guess] = []
     for r in nodes_every(ref.nodes, _PLACES_M):
-        found += [(r, node, T) for T in guesses(describe(ref.at(r).submap, options), features, None, once)]
-    return found
+        candidates += [(r, node, T) for T in guesses(describe(ref.at(r).submap, options), features, None, once)]
+    return candidates
 
 
 def _levelled(T_ref_query: Array) -> Array:

@@ -88,11 +88,11 @@ def inspected_sets(dataset: Dataset, pair_sets: Sequence[PairSet]) -> list[Inspe
         sources = sorted({p.source for s in pair_sets for p in s.pairs if p.source})
         message = f"; its truth is of '{', '.join(sources)}'" if sources else ""
         raise DatasetError(f"no ground truth from lidar (there is no folder {_FOLDER}){message}", dataset.root)
-    found = [s for s in pair_sets if _graph_file(folder, s).exists()]
-    if not found:
+    inspected = [s for s in pair_sets if _graph_file(folder, s).exists()]
+    if not inspected:
         names = ", ".join(s.name for s in pair_sets) or "any pair set"
         raise DatasetError(f"no pose graph of {names}", folder / "graph")
-    return [_inspect(dataset, folder, pair_set) for pair_set in found]
+    return [_inspect(dataset, folder, pair_set) for pair_set in inspected]
 
 
 def inspected_calibration(dataset: Dataset) -> CalibrationFile:
@@ -165,18 +165,22 @@ class Relative:
     source: str
 
 
-def relative_pose(found: InspectedSet, pair: Pair) -> Relative:
+def relative_pose(inspected: InspectedSet, pair: Pair) -> Relative:
     """The relative pose of the nodes of a pair: by the graph if it connects them, else by a refused one nearby.
 
     If it is by the graph, the reference node is the one nearest to the query node, not to the keyframe.
     """
-    j = found.query.nearest(pair.query_timestamp_ns)
-    i = found.reference.nearest(pair.ref_timestamp_ns)
-    if found.connected(pair):
-        apart = np.linalg.norm((found.reference.T_world_node - found.query.T_world_node[j])[:, :3, 3], axis=1)
-        i = int(np.argmin(np.where(found.reference.connected, apart, np.inf)))
-        return Relative(i, j, invert(found.reference.T_world_node[i]) @ found.query.T_world_node[j], "pose graph")
-    tried = [r for r in found.registrations if np.isfinite(r.T_ref_query).all() and 0 <= r.ref < len(found.reference)]
+    j = inspected.query.nearest(pair.query_timestamp_ns)
+    i = inspected.reference.nearest(pair.ref_timestamp_ns)
+    if inspected.connected(pair):
+        apart = np.linalg.norm((inspected.reference.T_world_node - inspected.query.T_world_node[j])[:, :3, 3], axis=1)
+        i = int(np.argmin(np.where(inspected.reference.connected, apart, np.inf)))
+        return Relative(
+            i, j, invert(inspected.reference.T_world_node[i]) @ inspected.query.T_world_node[j], "pose graph"
+        )
+    tried = [
+        r for r in inspected.registrations if np.isfinite(r.T_ref_query).all() and 0 <= r.ref < len(inspected.reference)
+    ]
     if tried:
         near = min(tried, key=lambda r: abs(r.query - j))
         if abs(near.query - j) <= 3:

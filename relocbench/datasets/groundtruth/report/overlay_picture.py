@@ -63,19 +63,19 @@ class Cloud:
         return np.asarray((self.surface == Surface.STRUCTURE) & (np.abs(self.normals[:, 2]) < 0.5))
 
 
-def write_overlay(path: Path, found: InspectedSet, spot: Spot, number: int) -> None:
+def write_overlay(path: Path, inspected: InspectedSet, spot: Spot, number: int) -> None:
     """Draw one pair, placed by :func:`relative_pose`."""
-    said = relative_pose(found, spot.pair)
-    windows = [found.window(side, _LENGTH_M / 2) for side in (0, 1)]
+    said = relative_pose(inspected, spot.pair)
+    windows = [inspected.window(side, _LENGTH_M / 2) for side in (0, 1)]
     if said.T_ref_query is None:
         clouds = [Cloud.of(w.at(node), np.eye(4)) for w, node in zip(windows, (said.ref, said.query), strict=True)]
         lines = [*_title(spot, number), "their relative pose is unknown: each drive on its own"]
         write_figure(path, (12, 12.5), lambda figure: _draw_apart(figure, clouds[0], clouds[1], lines))
         return
-    T_ref_world = invert(found.reference.T_world_node[said.ref])
-    T_querynode_world = invert(found.query.T_world_node[said.query])
-    keyframe = (T_ref_world @ found.reference.at(spot.pair.ref_timestamp_ns))[:3, 3]
-    image = (said.T_ref_query @ T_querynode_world @ found.query.at(spot.pair.query_timestamp_ns))[:3, 3]
+    T_ref_world = invert(inspected.reference.T_world_node[said.ref])
+    T_querynode_world = invert(inspected.query.T_world_node[said.query])
+    keyframe = (T_ref_world @ inspected.reference.at(spot.pair.ref_timestamp_ns))[:3, 3]
+    image = (said.T_ref_query @ T_querynode_world @ inspected.query.at(spot.pair.query_timestamp_ns))[:3, 3]
     # The query image is in the middle of the picture, whose axes are those of the reference node.
     T_view_ref = make_transform(np.eye(3), -image * (1, 1, 0))
     ref = Cloud.of(windows[0].at(said.ref), T_view_ref)

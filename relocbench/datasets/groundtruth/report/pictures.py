@@ -40,11 +40,11 @@ def write_ground_truth(
     Raises:
         DatasetError: no pair set has ground truth from lidar, or one of its files is missing or damaged.
     """
-    found = inspected_sets(dataset, pair_sets)
-    spots = [chosen_spots(one.pair_set.all_pairs, count) for one in found]
+    inspected = inspected_sets(dataset, pair_sets)
+    spots = [chosen_spots(one.pair_set.all_pairs, count) for one in inspected]
     drawn = []
     with reporter.stage("drawing ground truth", sum(2 + len(some) for some in spots)) as advance:
-        for one, some in zip(found, spots, strict=True):
+        for one, some in zip(inspected, spots, strict=True):
             residuals = measure_residuals(one)
             advance(1)
             write_map(folder / one.name / "map.png", one, some)
@@ -59,12 +59,14 @@ def write_ground_truth(
     return folder / "index.html"
 
 
-def _write_spot(dataset: Dataset, found: InspectedSet, spot: Spot, number: int, folder: Path, seed: int) -> DrawnSpot:
-    overlay = f"{found.name}/overlay_{number:02d}.png"
-    write_overlay(folder / overlay, found, spot, number)
-    if spot.pair.T_query_ref is None or not dataset.has_images(found.pair_set):
+def _write_spot(
+    dataset: Dataset, inspected: InspectedSet, spot: Spot, number: int, folder: Path, seed: int
+) -> DrawnSpot:
+    overlay = f"{inspected.name}/overlay_{number:02d}.png"
+    write_overlay(folder / overlay, inspected, spot, number)
+    if spot.pair.T_query_ref is None or not dataset.has_images(inspected.pair_set):
         return DrawnSpot(spot, number, overlay, None, None)
-    keyframe = f"{found.name}/keyframe_{number:02d}.png"
-    name = f"{number}   {found.name}"
-    agreement = write_pair(folder / keyframe, dataset, found.pair_set, spot.pair, name, seed)
+    keyframe = f"{inspected.name}/keyframe_{number:02d}.png"
+    name = f"{number}   {inspected.name}"
+    agreement = write_pair(folder / keyframe, dataset, inspected.pair_set, spot.pair, name, seed)
     return DrawnSpot(spot, number, overlay, keyframe, agreement.words)

@@ -52,21 +52,23 @@ def _sigma(residuals: Array) -> float:
     return robust_sigma(residuals, np.ones_like(residuals))
 
 
-def measure_residuals(found: InspectedSet) -> Residuals:
+def measure_residuals(inspected: InspectedSet) -> Residuals:
     """Measure the residuals of up to 40 registrations of the graph, evenly along the drive.
 
     Raises:
         DatasetError: a block is missing or damaged.
     """
-    kept = [n for n, verdict in sorted(found.query.verdicts.items()) if not verdict and found.query.connected[n]]
+    kept = [
+        n for n, verdict in sorted(inspected.query.verdicts.items()) if not verdict and inspected.query.connected[n]
+    ]
     some = [kept[row] for row in evenly_spaced(len(kept), _PLACES)]
-    blocks = [found.window(side, 0.1) for side in (0, 1)]
-    around = [found.window(side, _AROUND_M) for side in (0, 1)]
-    centres = found.reference.T_world_node[:, :3, 3]
+    blocks = [inspected.window(side, 0.1) for side in (0, 1)]
+    around = [inspected.window(side, _AROUND_M) for side in (0, 1)]
+    centres = inspected.reference.T_world_node[:, :3, 3]
     there, back = [np.zeros(0)], [np.zeros(0)]
     for j in some:
-        i = int(np.argmin(np.linalg.norm(centres - found.query.T_world_node[j][:3, 3], axis=1)))
-        T_ref_query = invert(found.reference.T_world_node[i]) @ found.query.T_world_node[j]
+        i = int(np.argmin(np.linalg.norm(centres - inspected.query.T_world_node[j][:3, 3], axis=1)))
+        T_ref_query = invert(inspected.reference.T_world_node[i]) @ inspected.query.T_world_node[j]
         there.append(_distances(around[0], i, blocks[1], j, T_ref_query))
         back.append(_distances(around[1], j, blocks[0], i, invert(T_ref_query)))
     return Residuals(np.concatenate(there), np.concatenate(back), len(some))

@@ -30,48 +30,48 @@ _BAND_M = 1.5
 """largest length of the bar of a pair, which reaches half-way to its neighbours"""
 
 
-def write_map(path: Path, found: InspectedSet, spots: list[Spot]) -> None:
+def write_map(path: Path, inspected: InspectedSet, spots: list[Spot]) -> None:
     """Draw the map, and below it strips along the drive. ``spots`` are in the order of the overlays' numbers."""
-    road = found.reference.T_world_node[:, :2, 3]
+    road = inspected.reference.T_world_node[:, :2, 3]
     wide, high = np.ptp(road @ _flat(road), axis=0).tolist()
     tall = float(np.clip(11 * high / max(wide, 1.0) + 1.5, 2.5, 7.0))
-    write_figure(path, (12, tall + 7.5), lambda figure: _draw(figure, found, spots, tall))
+    write_figure(path, (12, tall + 7.5), lambda figure: _draw(figure, inspected, spots, tall))
 
 
-def _draw(figure: Figure, found: InspectedSet, spots: list[Spot], tall: float) -> None:
-    pairs = found.pair_set.all_pairs
+def _draw(figure: Figure, inspected: InspectedSet, spots: list[Spot], tall: float) -> None:
+    pairs = inspected.pair_set.all_pairs
     colours = reason_colours(by_kind(reason_of(p) for p in pairs if not p.accepted))
     rows = figure.subplots(5, 1, height_ratios=(tall, 1.9, 1.5, 1.5, 1.1))
     accepted = sum(p.accepted for p in pairs)
-    title = f"{found.name}\n{found.conditions}: {accepted} of {len(pairs)} pairs accepted"
+    title = f"{inspected.name}\n{inspected.conditions}: {accepted} of {len(pairs)} pairs accepted"
     figure.suptitle(title, fontsize=11)
-    _map(figure, rows[0], found, spots, colours)
+    _map(figure, rows[0], inspected, spots, colours)
     strips: list[Axes] = list(rows[1:])
     for axes in strips[1:]:
         axes.sharex(strips[0])
-    positions = np.array([found.query.arc_length_at(p.query_timestamp_ns) for p in pairs])
+    positions = np.array([inspected.query.arc_length_at(p.query_timestamp_ns) for p in pairs])
     _bands(strips[:3], pairs, positions, colours)
-    _sigmas(strips[0], found, pairs, positions)
-    _rotations(strips[1], found, pairs, positions)
-    _overlaps(strips[2], found)
-    _verdicts(strips[3], found, pairs, positions, colours)
+    _sigmas(strips[0], inspected, pairs, positions)
+    _rotations(strips[1], inspected, pairs, positions)
+    _overlaps(strips[2], inspected)
+    _verdicts(strips[3], inspected, pairs, positions, colours)
     for axes in strips[:3]:
         axes.tick_params(labelbottom=False)
         axes.grid(True, axis="y", color="#dddddd", linewidth=0.6)
     strips[3].set_xlabel("metres driven by the query")
-    length = found.query.travelled_m[-1]
+    length = inspected.query.travelled_m[-1]
     strips[0].set_xlim(-0.01 * length, 1.01 * length)
 
 
-def _map(figure: Figure, axes: Axes, found: InspectedSet, spots: list[Spot], colours: dict[str, str]) -> None:
-    road = found.reference.T_world_node[:, :2, 3]
+def _map(figure: Figure, axes: Axes, inspected: InspectedSet, spots: list[Spot], colours: dict[str, str]) -> None:
+    road = inspected.reference.T_world_node[:, :2, 3]
     turn = _flat(road)
     axes.plot(*(road @ turn).T, color="#bbbbbb", linewidth=5, solid_capstyle="round", zorder=1)
-    there = found.query.connected
-    driven = np.where(there[:, None], found.query.T_world_node[:, :2, 3], np.nan) @ turn
+    there = inspected.query.connected
+    driven = np.where(there[:, None], inspected.query.T_world_node[:, :2, 3], np.nan) @ turn
     axes.plot(*driven.T, color=QUERY, linewidth=1, zorder=2)
-    pairs = found.pair_set.all_pairs
-    places = np.array([_place(found, p) for p in pairs]).reshape(-1, 2) @ turn
+    pairs = inspected.pair_set.all_pairs
+    places = np.array([_place(inspected, p) for p in pairs]).reshape(-1, 2) @ turn
     good = np.array([p.accepted for p in pairs], dtype=bool)
     sigma = np.array([np.nan if p.sigma_translation_m is None else 100 * p.sigma_translation_m for p in pairs])
     dots = axes.scatter(
@@ -82,7 +82,7 @@ def _map(figure: Figure, axes: Axes, found: InspectedSet, spots: list[Spot], col
         these = np.array([not p.accepted and kind_of(reason_of(p)) == kind for p in pairs])
         axes.scatter(places[these, 0], places[these, 1], marker="x", color=colour, s=34, linewidths=1.5, zorder=5)
     for number, spot in enumerate(spots, start=1):
-        x, y = (_place(found, spot.pair) @ turn).tolist()
+        x, y = (_place(inspected, spot.pair) @ turn).tolist()
         axes.annotate(
             str(number),
             (x, y),
@@ -98,8 +98,8 @@ def _map(figure: Figure, axes: Axes, found: InspectedSet, spots: list[Spot], col
     axes.margins(0.04, 0.12)
     axes.set_ylabel("m, turned so that\nthe road lies flat")
     handles: list[Artist] = [
-        Line2D([], [], color="#bbbbbb", linewidth=5, label=f"reference {shortened(found.reference.name, 30)}"),
-        Line2D([], [], color=QUERY, linewidth=1, label=f"query {shortened(found.query.name, 30)}"),
+        Line2D([], [], color="#bbbbbb", linewidth=5, label=f"reference {shortened(inspected.reference.name, 30)}"),
+        Line2D([], [], color=QUERY, linewidth=1, label=f"query {shortened(inspected.query.name, 30)}"),
         Line2D([], [], color="#21918c", marker="o", linestyle="", label=f"{good.sum()} accepted"),
     ]
     for kind, members in by_kind(reason_of(p) for p in pairs if not p.accepted).items():
@@ -117,11 +117,11 @@ def _flat(road: Array) -> Array:
     return np.array([[first[0], -first[1]], [first[1], first[0]]])
 
 
-def _place(found: InspectedSet, pair: Pair) -> Array:
+def _place(inspected: InspectedSet, pair: Pair) -> Array:
     """(2,) where a pair is drawn: at its query, or at its keyframe if the graph does not connect the query."""
-    if found.connected(pair):
-        return np.asarray(found.query.at(pair.query_timestamp_ns)[:2, 3])
-    return np.asarray(found.reference.at(pair.ref_timestamp_ns)[:2, 3])
+    if inspected.connected(pair):
+        return np.asarray(inspected.query.at(pair.query_timestamp_ns)[:2, 3])
+    return np.asarray(inspected.reference.at(pair.ref_timestamp_ns)[:2, 3])
 
 
 def _bands(strips: list[Axes], pairs: list[Pair], positions: Array, colours: dict[str, str]) -> None:
@@ -141,19 +141,19 @@ def _bars(positions: Array) -> list[tuple[float, float]]:
     return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
-def _sigmas(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array) -> None:
+def _sigmas(axes: Axes, inspected: InspectedSet, pairs: list[Pair], positions: Array) -> None:
     values = np.array([[np.nan if s is None else 100 * s for s in p.axis_sigmas] for p in pairs]).reshape(-1, 3)
     for k, (name, marker) in enumerate((("along", "o"), ("across", "x"), ("height", "+"))):
         axes.plot(positions, values[:, k], marker, color=AXES[k], markersize=3 + k, label=name)
-    _limit(axes, values, None if found.limits.sigma_m is None else 100 * found.limits.sigma_m)
+    _limit(axes, values, None if inspected.limits.sigma_m is None else 100 * inspected.limits.sigma_m)
     axes.set_ylabel("sigma (cm)")
     axes.legend(fontsize=8, loc="upper left", ncols=4, frameon=False)
 
 
-def _rotations(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array) -> None:
+def _rotations(axes: Axes, inspected: InspectedSet, pairs: list[Pair], positions: Array) -> None:
     values = np.array([np.nan if p.sigma_rotation_deg is None else p.sigma_rotation_deg for p in pairs])
     axes.plot(positions, values, ".", color="#000000", markersize=5)
-    _limit(axes, values, found.limits.sigma_deg)
+    _limit(axes, values, inspected.limits.sigma_deg)
     axes.set_ylabel("sigma (deg)\nof rotation")
 
 
@@ -171,9 +171,9 @@ def _limit(axes: Axes, values: Array, limit: float | None) -> None:
         axes.text(1, 1.02, f"up to {highest:.3g}", transform=axes.transAxes, ha="right", fontsize=8)
 
 
-def _overlaps(axes: Axes, found: InspectedSet) -> None:
-    tried = [r for r in found.registrations if 0 <= r.query < len(found.query)]
-    positions = found.query.travelled_m[[r.query for r in tried]] if tried else np.zeros(0)
+def _overlaps(axes: Axes, inspected: InspectedSet) -> None:
+    tried = [r for r in inspected.registrations if 0 <= r.query < len(inspected.query)]
+    positions = inspected.query.travelled_m[[r.query for r in tried]] if tried else np.zeros(0)
     for side, colour, name in (("ref", REFERENCE, "of the reference"), ("query", QUERY, "of the query")):
         values = [100 * getattr(r.evidence, f"overlap_{side}") for r in tried]
         axes.plot(positions, values, ".", color=colour, markersize=5, label=name)
@@ -182,13 +182,15 @@ def _overlaps(axes: Axes, found: InspectedSet) -> None:
     axes.legend(fontsize=8, loc="lower left", ncols=2, frameon=False)
 
 
-def _verdicts(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array, colours: dict[str, str]) -> None:
+def _verdicts(
+    axes: Axes, inspected: InspectedSet, pairs: list[Pair], positions: Array, colours: dict[str, str]
+) -> None:
     for pair, (begin, end) in zip(pairs, _bars(positions), strict=True):
         colour = ACCEPTED if pair.accepted else colours[kind_of(reason_of(pair))]
         axes.axvspan(begin, end, 0.55, 0.95, color=colour, linewidth=0)
-    travelled = found.query.travelled_m
+    travelled = inspected.query.travelled_m
     step = float(np.median(np.diff(travelled))) if len(travelled) > 1 else 1.0
-    for node, verdict in found.query.verdicts.items():
+    for node, verdict in inspected.query.verdicts.items():
         axes.axvspan(travelled[node] - step / 2, travelled[node] + step / 2, 0.05, 0.45,
                      color="#CC3311" if verdict else ACCEPTED, alpha=0.75, linewidth=0)  # fmt: skip
     axes.set_ylim(0, 1)

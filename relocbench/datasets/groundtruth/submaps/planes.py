@@ -224,7 +224,7 @@ def _nearest(
     points: Array, normals: Array, planes: Array, facing: Array, grid: Grid, reach: float, cosine: float
 ) -> Indices:  # pragma: no cover - compiled
     cell, starts = grid.size_m, grid.starts
-    found = np.full(len(points), -1, dtype=np.int64)
+    nearest = np.full(len(points), -1, dtype=np.int64)
     low, high = np.empty(3), np.empty(3)
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -251,5 +251,5 @@ def _nearest(
                 squared = ex * ex + ey * ey + ez * ez
                 if squared < best and (free or a * facing[j, 0] + b * facing[j, 1] + c * facing[j, 2] >= cosine):
                     best = squared
-                    found[i] = j
-    return found
+                    nearest[i] = j
+    return nearest
