@@ -47,7 +47,7 @@ def per_query(answers: Sequence[PipelineAnswer], metric: str) -> Array:
         **{name: np.array([f"failed_{a.outcome}" == name for a in answers]) for name in FAILURES},
     }
     if metric.startswith("basin_recall"):
-        count = int(metric.partition("")[2])
+        count = int(metric.partition("@")[2])
         shares[metric] = np.array([a.hit_rank is not None and a.hit_rank <= count for a in answers])
     if metric not in shares:
         raise ConfigError(f"pipelines have no metric '{metric}'; expected one of {', '.join((*POSE_METRICS, *shares))}")
