@@ -301,7 +301,7 @@ def _plain_pose(value: Any) -> Array:
     try:
         given = np.asarray(value)
     except ValueError as bad:
-        raise ContractFault(f"T_query_ref is no array: {raised(bad)}") from None
+        raise ContractFault(f"T_query_ref is not an array: {raised(bad)}") from None
     if given.shape != (4, 4):
         raise ContractFault(f"T_query_ref has shape {given.shape}, expected (4, 4)")
     if not (np.issubdtype(given.dtype, np.floating) or np.issubdtype(given.dtype, np.integer)):

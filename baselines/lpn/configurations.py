@@ -67,7 +67,7 @@ def configuration(name: str) -> Configuration:
         ConfigError: there is no configuration of that name.
     """
     if name not in CONFIGURATIONS:
-        raise ConfigError(f"no configuration '{name}', there are {', '.join(CONFIGURATIONS)}")
+        raise ConfigError(f"no configuration '{name}'; available: {', '.join(CONFIGURATIONS)}")
     return CONFIGURATIONS[name]
 
 

@@ -51,7 +51,7 @@ class ViewMeans:
 
     def __init__(self, folder: Path, describe: Callable[[Sequence[ImageView]], Descriptors], parts: int) -> None:
         if not folder.is_dir():
-            raise MethodError("is no folder; expected one with a folder of images for each view", folder)
+            raise MethodError("is not a folder; expected one with a folder of images for each view", folder)
         self._folder, self._describe, self._parts = folder, describe, parts
         self._means: dict[str, Descriptors] = {}
 

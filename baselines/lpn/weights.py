@@ -72,7 +72,7 @@ def load_weights(path: Path) -> tuple[LpnNetwork, About]:
         about = options_from_dict(About, told)
     except (ConfigError, KeyError, ValueError, TypeError) as bad:
         told_of = " ".join(str(bad).split())[:200]
-        raise MethodError(f"what it says of its network is not understood ({told_of})", path) from bad
+        raise MethodError(f"its description of the network is not understood ({told_of})", path) from bad
     check_enough(tensors, options.least_parameters + options.parts * options.width * classes, path)
     network = LpnNetwork(classes, options)
     fill_network(network, tensors, path)

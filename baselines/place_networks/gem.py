@@ -81,7 +81,7 @@ def load_gem(path: Path, method: str) -> GemNetwork:
     backbone = backbone_of(state, "backbone")
     dimensions, _ = shape_of(state, "aggregation.3.weight", 2, path, what)
     if backbone is None or backbone.stages < 4:
-        raise MethodError(f"its 'backbone' is none that is known; expected {what}", path)
+        raise MethodError(f"its 'backbone' is unknown; expected {what}", path)
     with torch.device("meta"):
         network = GemNetwork(backbone, dimensions)
     return filled(network, state, path, f"the weights of {method} on {backbone} with {dimensions} dimensions")

@@ -122,7 +122,7 @@ def load_megaloc(path: Path) -> MegaLocNetwork:
     state.pop("backbone.mask_token", None)
     backbone = VitShape.of(state, "backbone")
     if backbone is None:
-        raise MethodError(f"its 'backbone' is none that is known; expected {_WHAT}", path)
+        raise MethodError(f"its 'backbone' is unknown; expected {_WHAT}", path)
     hidden, _ = shape_of(state, "aggregator.agg.token_features.0.weight", 2, path, _WHAT)
     token, _ = shape_of(state, "aggregator.agg.token_features.2.weight", 2, path, _WHAT)
     features = shape_of(state, "aggregator.agg.cluster_features.3.weight", 4, path, _WHAT)[0]

@@ -94,7 +94,7 @@ def load_netvlad(path: Path) -> NetVladNetwork:
     clusters, _ = shape_of(state, f"{layout[1]}.centroids", 2, path, what)
     backbone = backbone_of(state, layout[0])
     if backbone is None:
-        raise MethodError(f"its '{layout[0]}' is none that is known; expected {what}", path)
+        raise MethodError(f"its '{layout[0]}' is unknown; expected {what}", path)
     whitened = _whitened(state, path, what)
     with torch.device("meta"):
         network = NetVladNetwork(backbone, clusters, f"{layout[1]}.conv.bias" in state, whitened, layout)

@@ -64,7 +64,7 @@ def _check(method: str, known: Dimensions, backbone: BackboneName, dimensions: i
     if dimensions not in known.get(backbone, ()):
         available = "; ".join(f"{name}: {', '.join(map(str, sizes))}" for name, sizes in known.items())
         raise MethodError(
-            f"there are no weights of {method} on {backbone} with {dimensions} dimensions; there are {available}"
+            f"there are no weights of {method} on {backbone} with {dimensions} dimensions; available: {available}"
         )
 
 

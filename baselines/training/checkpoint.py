@@ -104,7 +104,7 @@ def load_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | Non
     changed = list(_differences(found.identity, identity))
     if changed:
         raise MethodError(
-            f"a training made otherwise ({'; '.join(changed[:3])}); choose another --out or remove it", path
+            f"a training with other options or data ({'; '.join(changed[:3])}); choose another --out or remove it", path
         )
     return found
 

@@ -124,7 +124,7 @@ class _Kinds(Group):
         from relocbench.methods.lookup import hint
 
         if args[0] not in KINDS and not args[0].startswith("-"):
-            ctx.fail(f"no kind {quoted(args[0])}{hint(args[0], KINDS)}; there is {', '.join(KINDS)}")
+            ctx.fail(f"no kind {quoted(args[0])}{hint(args[0], KINDS)}; available: {', '.join(KINDS)}")
         return super().resolve_command(ctx, args)
 
 

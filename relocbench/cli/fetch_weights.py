@@ -45,7 +45,7 @@ def fetch_weights(
     for path, file in missing.items():
         typer.echo(_shown(path, file), err=json)
     if missing and not yes and not _confirmed(len(missing), err=json):
-        raise MethodError("nothing was fetched: it was not confirmed (--yes fetches without asking)")
+        raise MethodError("nothing was fetched: not confirmed (--yes fetches without asking)")
     fetched = {}
     for path, file in missing.items():
         fetched[str(path)] = digest = fetch(file, path, reporter(quiet))

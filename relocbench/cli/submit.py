@@ -161,7 +161,7 @@ def _write_template(folder: Path) -> Path:
 
     path = folder / CARD
     if path.exists() or path.is_symlink():
-        raise ConfigError("is there already, and is not overwritten", path)
+        raise ConfigError("exists already, and is not overwritten", path)
     write_text(path, TEMPLATE)
     return path
 

@@ -197,12 +197,12 @@ class _Document:
             raise YamlFault(f"found undefined alias {quoted(event.anchor)}", _line(event), syntax=True)
         known = self._anchors[event.anchor]
         if known is None:
-            raise YamlFault(f"the alias {quoted(event.anchor)} stands in what it stands for", _line(event))
+            raise YamlFault(f"the alias {quoted(event.anchor)} is used inside its own definition", _line(event))
         value, nodes, self._height = known
         self._nodes += nodes - 1
         self._aliased += nodes
         if self._aliased > MAX_ALIASED:
-            raise YamlFault(f"aliases stand for more than {MAX_ALIASED:,} values", _line(event))
+            raise YamlFault(f"aliases expand to more than {MAX_ALIASED:,} values", _line(event))
         if depth + self._height > MAX_DEPTH:
             raise YamlFault(f"nested more than {MAX_DEPTH} deep", _line(event))
         return value

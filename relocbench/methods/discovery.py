@@ -257,7 +257,7 @@ def parse_methods(
         wanted = setting_label(setting)
         if wanted is not None and wanted.removesuffix(f".{START}") not in labels:
             raise MethodError(
-                f"--set {cut(setting)}: no {kind.noun} '{wanted}' in this run; there is {', '.join(labels)}"
+                f"--set {cut(setting)}: no {kind.noun} '{wanted}' in this run; available: {', '.join(labels)}"
             )
     return specs
 

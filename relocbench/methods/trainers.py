@@ -59,14 +59,14 @@ def chosen_options(trainer: Trainer | PlaceTrainer, config: str | None, settings
         path = Path(config)
         if not path.exists():
             meant = hint(config, trainer.configurations)
-            raise ConfigError(f"no configuration and no file '{config}'{meant}; there is {_listed(trainer)}")
+            raise ConfigError(f"no configuration and no file '{config}'{meant}; available: {_listed(trainer)}")
         named = named or [str(load_yaml_values(path, _OPTIONS, ConfigError)[0].get(_CONFIGURATION, ""))]
     elif config is not None:
         named = named or [config]
     for name in named:
         if name and name not in trainer.configurations:
             raise ConfigError(
-                f"no configuration '{name}'{hint(name, trainer.configurations)}; there is {_listed(trainer)}"
+                f"no configuration '{name}'{hint(name, trainer.configurations)}; available: {_listed(trainer)}"
             )
     usual = trainer.options_of(named[-1]) if named and named[-1] else trainer.default_options()
     return trainer_options(usual, path, settings)
@@ -105,7 +105,7 @@ def _merge(
         name = f"{prefix}{key}"
         if key not in into and usual:
             meant = hint(str(key), into, prefix)
-            raise ConfigError(f"unknown option '{name}'{meant}; there is {', '.join(into)}", path)
+            raise ConfigError(f"unknown option '{name}'{meant}; available: {', '.join(into)}", path)
         if isinstance(into.get(key), dict):
             if not isinstance(value, Mapping):
                 names = ", ".join(into[key]) or "NAME=VALUE"

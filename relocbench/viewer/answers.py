@@ -52,7 +52,7 @@ def results_of(results: Path, dataset: Dataset) -> DatasetResults:
             return folder
     available = ", ".join(quoted(folder.root.name) for folder in found)
     raise PredictionError(
-        f"holds no results of {dataset.name}@{dataset.fingerprint[:SHORT]}; there is {available}", results
+        f"holds no results of {dataset.name}@{dataset.fingerprint[:SHORT]}; available: {available}", results
     )
 
 
@@ -62,7 +62,7 @@ def chosen_methods(folder: DatasetResults, names: Sequence[str]) -> list[MethodR
     for name in names:
         if name not in known:
             available = ", ".join(known) or "none"
-            raise PredictionError(f"no results of a method {quoted(name)}; there is {available}", folder.root)
+            raise PredictionError(f"no results of a method {quoted(name)}; available: {available}", folder.root)
     return [known[name] for name in dict.fromkeys(names)] if names else list(known.values())
 
 

@@ -135,7 +135,7 @@ def test_a_configuration_file_can_ask_for_pipelines(dataset: Dataset, tmp_path: 
         (("-r", "oracle", "-m", f"keyframe-pose={KNOWS}"), "'keyframe-pose' is the name of a trivial baseline"),
         (("-r", "oracle", "-m", f"a+b={KNOWS}"), "'+' joins the two halves"),
         (("-r", "oracle", "-m", f"t={KNOWS}", "--set", "reach=2"), "say for which method, as LABEL.key=value"),
-        (("-r", "oracle", "-m", f"t={KNOWS}", "--set", "u.reach=2"), "no method 'u' in this run; there is oracle, t"),
+        (("-r", "oracle", "-m", f"t={KNOWS}", "--set", "u.reach=2"), "no method 'u' in this run; available: oracle, t"),
         (("-r", "oracle", "-m", f"t={KNOWS}", "--set", "t.each=2"), "has no parameter 'each'"),
         (("-r", "oracle", "--top", 0), "--top"),
         (("-r", "oracle", "--keep", 5), "No such option: --keep; it is an option of relocbench evaluate-retrieval"),
@@ -160,7 +160,7 @@ def test_options_of_pipelines_mean_nothing_elsewhere(dataset: Dataset, tmp_path:
 def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be ranked by 'R@1'"):
         load_pipelines(results, metric="R@1")
-    with pytest.raises(ConfigError, match="no split 'nowhere'; there is all, test"):
+    with pytest.raises(ConfigError, match="no split 'nowhere'; available: all, test"):
         load_pipelines(results, split="nowhere")
     board = load_pipelines(results, split="test")
     assert board is not None

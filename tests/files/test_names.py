@@ -216,7 +216,7 @@ def test_a_folder_of_results_whose_name_is_no_label_is_told(tmp_path: Path) -> N
     folder = tmp_path / "\x1b[31mred"
     folder.mkdir()
     (folder / "run.yaml").touch()
-    with pytest.raises(PredictionError, match="is no valid label") as raised:
+    with pytest.raises(PredictionError, match="is not a valid label") as raised:
         DatasetResults(tmp_path).methods()
     assert str(raised.value).isprintable()
 

@@ -58,7 +58,7 @@ def _chosen(known: Catalogue, only: str) -> list[str]:
     parts = [part.strip() for part in only.split(",") if part.strip()]
     chosen = [name for name in known.parsers if not parts or any(part in name for part in parts)]
     if not chosen:
-        sys.exit(f"no parser is called so; there is {', '.join(known.parsers)}")
+        sys.exit(f"no parser is called so; available: {', '.join(known.parsers)}")
     return chosen
 
 

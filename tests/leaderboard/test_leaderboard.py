@@ -442,7 +442,7 @@ def test_a_split_limits_tables_and_totals(tmp_path: Path) -> None:
     board = make_board(load_results(results.root, "test"), split="test")
     assert [(t.pair_set, t.split) for t in board.datasets[0].tables] == [(WINTER, "test"), ("total", "test")]
     assert row(board, "total", "mine").rank == 1
-    with pytest.raises(ConfigError, match="no split 'val'; there is test, train"):
+    with pytest.raises(ConfigError, match="no split 'val'; available: test, train"):
         load_results(results.root, "val")
 
 

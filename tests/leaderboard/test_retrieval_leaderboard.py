@@ -185,7 +185,7 @@ def test_both_halves_are_written_from_one_results_folder(tmp_path: Path) -> None
 def test_an_unknown_metric_or_split_is_refused(results: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be ranked by 'R@3'"):
         load_retrieval(results, metric="R@3")
-    with pytest.raises(ConfigError, match="no split 'test'; there is none"):
+    with pytest.raises(ConfigError, match="no split 'test'; available: none"):
         load_retrieval(results, split="test")
     assert board_of(results, metric="AP").metric == "AP"
 

@@ -340,7 +340,7 @@ def test_an_unknown_method_and_results_of_another_dataset_are_refused(
 ) -> None:
     out = ["--out", tmp_path / "a.rrd"]
     unknown = relocbench("view", dataset.root, "--results", results, "--methods", "nobody", *out)
-    assert (unknown.status, "'nobody'; there is exact, off" in unknown.complaint) == (2, True)
+    assert (unknown.status, "'nobody'; available: exact, off" in unknown.complaint) == (2, True)
     other = make_small_dataset(tmp_path / "other", name="other", frames=3)
     foreign = relocbench("view", other.root, "--results", results, *out)
     assert (foreign.status, "holds no results of other@" in foreign.complaint) == (2, True)

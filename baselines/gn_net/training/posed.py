@@ -44,7 +44,7 @@ def posed_pair(data: TrainingData, index: int, u_ref: Pixels, swapped: bool) -> 
         DatasetError: poses are withheld, or an image cannot be read.
     """
     if not is_posed(data):
-        raise MethodError("the pose loss (loss.pose.weight) needs data that tells true poses and cameras")
+        raise MethodError("the pose loss (loss.pose.weight) needs data with true poses and cameras")
     pair = data.posed(index)
     names = (pair.image_query, pair.image_ref) if swapped else (pair.image_ref, pair.image_query)
     keyframe, query = data.view(names[0], depth=True), data.view(names[1], depth=False)

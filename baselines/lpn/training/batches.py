@@ -47,7 +47,7 @@ class PlaceBatches(Dataset[Batch]):
         self._of_view = {view: self._images(view) for view in options.views}
         self._row_of = {number: row for numbers in self._of_view.values() for row, number in enumerate(numbers)}
         if len({data.images[i].place for numbers in self._of_view.values() for i in numbers}) < 2:
-            raise ConfigError("places to learn from: expected two or more, with images of the views asked for")
+            raise ConfigError("places to learn from: expected two or more, with images of the requested views")
         self._of_place: dict[View, dict[int, list[int]]] = {}
         for view, numbers in self._of_view.items():
             by_place = self._of_place.setdefault(view, {})
@@ -127,7 +127,7 @@ class PlaceBatches(Dataset[Batch]):
         numbers = [number for number, each in enumerate(self._data.images) if each.image.view == view]
         if not numbers:
             raise ConfigError(
-                f"no images of view '{view}' to learn from; there are {', '.join(self._data.views) or 'none'} "
+                f"no images of view '{view}' to learn from; available: {', '.join(self._data.views) or 'none'} "
                 "(--set views=[...] says which are learnt from)"
             )
         return numbers

@@ -93,7 +93,7 @@ def _backbone_file(options: TrainOptions) -> Path | None:
     if options.backbone_weights == IMAGENET:
         if options.network.backbone != _OF_PACKAGE:
             raise MethodError(
-                f"backbone_weights={IMAGENET} is there for network.backbone={_OF_PACKAGE}, not for "
+                f"backbone_weights={IMAGENET} exists for network.backbone={_OF_PACKAGE}, not for "
                 f"{options.network.backbone}, whose weights are given as a file"
             )
         return published_file()

@@ -110,16 +110,14 @@ def _check_elsewhere(
     elsewhere = [row for row in rows.values() if row.group == ELSEWHERE]
     if elsewhere and version is not None and version < ELSEWHERE_VERSION:
         findings.fault(
-            f"the group '{ELSEWHERE}' is that of pairs of different places, which format_version {ELSEWHERE_VERSION} "
+            f"the group '{ELSEWHERE}' is that of negative pairs, which format_version {ELSEWHERE_VERSION} "
             f"has; this dataset's is {version}",
             table,
             elsewhere[0].line,
         )
     for row in elsewhere:
         if (line := lines.get(row.key)) is not None and line.T_query_ref is None:
-            findings.fault(
-                "the truth is withheld, but the group tells that the pair is of different places", table, row.line
-            )
+            findings.fault("the truth is withheld, but the group says that it is a negative pair", table, row.line)
 
 
 def _check_frames(
@@ -138,7 +136,7 @@ def _check_frames(
         return
     unknown = [part for part in parts[:2] if part not in drives]
     if unknown:
-        findings.fault(f"no traversal '{unknown[0]}'; there is {', '.join(drives) or 'none'}", path)
+        findings.fault(f"no traversal '{unknown[0]}'; available: {', '.join(drives) or 'none'}", path)
         return
     reference, query, camera = drives[parts[0]], drives[parts[1]], parts[2]
     for drive in (reference, query):

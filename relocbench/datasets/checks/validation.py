@@ -154,7 +154,7 @@ def _check_cameras(drive: CheckedTraversal, findings: Findings) -> None:
     for kind, camera in sorted(drive.times):
         if camera not in drive.file.cameras:
             known = ", ".join(drive.file.cameras) or "none"
-            message = f"no camera '{camera}' in traversal.yaml; there is {known}"
+            message = f"no camera '{camera}' in traversal.yaml; available: {known}"
             if camera in drive.file.frames:
                 message = f"'{camera}' is a frame without images in traversal.yaml; expected no files of it"
             findings.fault(message, drive.layout.root / kind / camera)
@@ -168,7 +168,7 @@ def _check_intrinsics(drive: CheckedTraversal, findings: Findings) -> None:
     for camera, cameras in drive.intrinsics.items():
         path = drive.layout.intrinsics(camera)
         if drive.file is not None and camera not in drive.file.cameras:
-            findings.fault(f"no camera '{camera}' in traversal.yaml; there is {', '.join(drive.file.cameras)}", path)
+            findings.fault(f"no camera '{camera}' in traversal.yaml; available: {', '.join(drive.file.cameras)}", path)
         for time in sorted(cameras.keys() - drive.times.get(("images", camera), set())):
             findings.fault(f"has intrinsics of an image at {time}, and camera '{camera}' has no such image", path)
 

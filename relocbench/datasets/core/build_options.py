@@ -34,7 +34,7 @@ class DatasetOptions(Strict):
         """Raise ConfigError if a condition is given for a traversal that does not exist."""
         for name in self.conditions:
             if name not in traversals:
-                raise ConfigError(f"conditions: no traversal '{name}'; there is {', '.join(traversals)}")
+                raise ConfigError(f"conditions: no traversal '{name}'; available: {', '.join(traversals)}")
 
     @property
     def copies_images(self) -> bool:
@@ -106,7 +106,7 @@ class PairingOptions(DatasetOptions):
     @model_validator(mode="after")
     def _steps_not_zero(self) -> Self:
         if not self.pair_step or 0 in self.pair_step:
-            raise ValueError("pair_step must hold at least one step, none of them 0")
+            raise ValueError("pair_step must hold at least one step, and no 0")
         if len(set(self.pair_step)) != len(self.pair_step):
             raise ValueError("pair_step names a step twice")
         return self

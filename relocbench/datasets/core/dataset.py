@@ -77,7 +77,7 @@ class Dataset:
         if name not in self._traversals:
             if name not in self.traversal_names:
                 known = ", ".join(self.traversal_names) or "none"
-                raise DatasetError(f"no traversal '{name}'; there is {known}", self.root)
+                raise DatasetError(f"no traversal '{name}'; available: {known}", self.root)
             self._traversals[name] = Traversal(self.layout.traversal(name))
         return self._traversals[name]
 
@@ -85,7 +85,7 @@ class Dataset:
         """One pair set, read on demand. Raises DatasetError on an unknown name."""
         if name not in self.pair_set_names:
             known = ", ".join(self.pair_set_names) or "none"
-            raise DatasetError(f"no pair set '{name}'; there is {known}", self.root)
+            raise DatasetError(f"no pair set '{name}'; available: {known}", self.root)
         if name not in self._pair_sets:
             self._pair_sets[name] = PairSet(self.layout, name)
         return self._pair_sets[name]
@@ -96,7 +96,7 @@ class Dataset:
             return [self.pair_set(name) for name in self.pair_set_names]
         if split not in self.splits:
             known = ", ".join(self.splits) or "none"
-            raise DatasetError(f"no split '{split}'; there is {known}", self.layout.dataset_yaml)
+            raise DatasetError(f"no split '{split}'; available: {known}", self.layout.dataset_yaml)
         return [self.pair_set(name) for name in self.splits[split]]
 
     def has_images(self, pair_set: PairSet) -> bool:

@@ -148,7 +148,7 @@ class Traversal:
                 message = f"there are poses of '{camera}' and no images"
                 raise DatasetError(message, self.layout.traversal_yaml) from None
             known = ", ".join([*self.file.cameras, *self.file.frames]) or "none"
-            raise DatasetError(f"no camera '{camera}'; there is {known}", self.layout.traversal_yaml) from None
+            raise DatasetError(f"no camera '{camera}'; available: {known}", self.layout.traversal_yaml) from None
 
     def _neighbours(self, camera: str, timestamp_ns: int, count: int) -> Iterator[Neighbour]:
         times = [t for t in self.timestamps(camera) if t in self.poses]

@@ -64,7 +64,7 @@ def with_different_places(
     if len(found) < options.elsewhere:
         farthest = max(float(np.linalg.norm(centres[0] - centre, axis=1).max()) for centre in centres[1])
         raise DatasetError(
-            f"--elsewhere {options.elsewhere} pairs of different places: only {len(found)} pairs can exchange queries "
+            f"--elsewhere {options.elsewhere} negative pairs: only {len(found)} pairs can exchange queries "
             f"over --elsewhere-distance {options.elsewhere_distance:g} m, the farthest are {farthest:.3g} m apart; it "
             "takes a longer road, or a smaller number or distance",
             where,

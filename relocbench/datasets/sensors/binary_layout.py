@@ -72,7 +72,7 @@ def detect_layout(data: bytes, path: Path, number: Number | None = None, columns
     if number is not None and columns is not None:
         return fitting[0]
     if not any(data):
-        raise DatasetError("holds nothing but zeros, which tell no layout; name its type and columns", path)
+        raise DatasetError("holds only zeros, from which no layout follows; name its type and columns", path)
     types = [n for n in NUMBERS if any(layout.number == n for layout in fitting) and _is_sensible(data, n)]
     if not types:
         raise DatasetError(
@@ -84,7 +84,7 @@ def detect_layout(data: bytes, path: Path, number: Number | None = None, columns
     if len(counts) == 1:
         return BinaryLayout(chosen, counts[0])
     if len(data) < _FEWEST_POINTS * max(counts) * np.dtype(chosen).itemsize:
-        raise DatasetError(f"holds too few points to tell {_listed(counts)} columns apart; name them", path)
+        raise DatasetError(f"holds too few points to distinguish {_listed(counts)} columns apart; name them", path)
     values = _first(data, chosen)
     differences = {count: _lag_difference(values, count) for count in counts}
     best = min(counts, key=lambda count: differences[count])

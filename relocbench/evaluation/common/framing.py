@@ -78,7 +78,7 @@ def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tupl
         answer = json.loads(bytes(text).decode())
         words, about = answer["words"], [tuple(map(_size, numbers)) for numbers in answer["arrays"]]
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise FramingFault("something that is no JSON object of words and arrays") from None
+        raise FramingFault("something that is not a JSON object of words and arrays") from None
     sizes = [math.prod(numbers) for numbers in about]
     if len(about) > _MOST_ARRAYS or sum(sizes) > _MOST_BYTES:
         raise FramingFault(f"{len(about)} arrays of {sum(sizes)} bytes together")

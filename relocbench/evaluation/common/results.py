@@ -236,7 +236,7 @@ def method_folders(root: Path) -> list[Path]:
         try:
             check_label(path.parent.name, "method label")
         except ValueError as bad:
-            raise PredictionError(f"the folder's name is no valid label: {bad}", path.parent) from None
+            raise PredictionError(f"the folder's name is not a valid label: {bad}", path.parent) from None
     return records
 
 

@@ -92,7 +92,7 @@ class PipelineTruth:
         try:
             rows, _ = pipeline_answers(truth, found, tracked, run.top, Basin(basin.metres, basin.degrees, basin.source))
         except KeyError:
-            raise PredictionError(f"the tracker was not asked what '{name}' ranks; {AGAIN}", path) from None
+            raise PredictionError(f"the tracker has no answers to what '{name}' ranks; {AGAIN}", path) from None
         by_query = {row.query_timestamp_ns: row for row in rows}
         for row in claimed:
             expected = by_query.get(row.query_timestamp_ns)

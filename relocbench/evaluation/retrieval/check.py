@@ -72,7 +72,7 @@ def _fits(made: FittingRetriever, images: Sequence[ImageView]) -> Finding:
 
 def _alone_as_together(made: Any, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
     """Describe each image by itself, in the opposite order."""
-    name = "describes an image the same whatever it is asked with"
+    name = "describes an image in the same way in any batch"
     for index in reversed(range(len(images))):
         alone, problem = _describe(made, [images[index]])
         if problem or not _same(alone[0], values[index], _CLOSE):
@@ -96,7 +96,7 @@ def _tells_apart(values: NDArray[Any]) -> Finding:
     """Check that street, drone and satellite of the synthetic images, which differ, are described differently."""
     known = values[:3][np.isfinite(values[:3]).all(axis=1)]
     apart = len(known) < 2 or float(np.ptp(known, axis=0).max()) > 0
-    return Finding("tells different images apart", apart, "" if apart else "all descriptors are the same")
+    return Finding("describes different images differently", apart, "" if apart else "all descriptors are the same")
 
 
 def _leaves_input_alone(made: Any, image: ImageView) -> Finding:
@@ -109,11 +109,11 @@ def _leaves_input_alone(made: Any, image: ImageView) -> Finding:
 
 def _reranks(made: RerankingRetriever, values: NDArray[Any]) -> Finding:
     top, fault = rerank_top_of(made)
-    name = f"orders the first {top} anew"
+    name = f"re-ranks the first {top}"
     if fault is not None:
         return Finding(name, False, fault)
     if top == 0:
-        return Finding(name, True, "not asked to")
+        return Finding(name, True, "not requested")
     known = values[np.isfinite(values).all(axis=1)]
     if not len(known):
         return Finding(name, False, "no image has a descriptor")

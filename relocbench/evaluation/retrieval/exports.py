@@ -51,7 +51,7 @@ def export_lists(
     for name in pair_sets:
         if name not in available:
             raise PredictionError(
-                f"no rankings of pair set '{name}'; there is {', '.join(available) or 'none'}", folder.root
+                f"no rankings of pair set '{name}'; available: {', '.join(available) or 'none'}", folder.root
             )
     keep = folder.run_record().keep
     chosen = [name for name in available if not pair_sets or name in pair_sets]

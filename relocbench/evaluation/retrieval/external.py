@@ -65,7 +65,7 @@ def _files(
     known = [task.name for task in retrieval_set.tasks()]
     for name, path in files.items():
         if name not in known:
-            raise PredictionError(f"no task '{name}' in {retrieval_set.name}; there is {', '.join(known)}", path)
+            raise PredictionError(f"no task '{name}' in {retrieval_set.name}; available: {', '.join(known)}", path)
     chosen = [(task, files[task.name]) for task in tasks if task.name in files]
     if not chosen:
         raise PredictionError(f"answers none of {', '.join(task.name for task in tasks)}", source)

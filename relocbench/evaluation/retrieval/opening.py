@@ -163,7 +163,7 @@ def _chosen(tasks: Sequence[RetrievalTask], options: SetOptions, folder: Path) -
     known = [task.name for task in tasks]
     for name in options.tasks:
         if name not in known:
-            raise ConfigError(f"no task '{name}'; there is {', '.join(known)}", folder)
+            raise ConfigError(f"no task '{name}'; available: {', '.join(known)}", folder)
     return tuple(task for task in tasks if not options.tasks or task.name in options.tasks)
 
 

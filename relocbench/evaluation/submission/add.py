@@ -226,7 +226,7 @@ def _check_label(checked: Checked, card: Card, target: Path, replace: bool) -> b
         return False
     row: MethodResults = RetrieverResults(target) if (target.parent / SET_FILE).exists() else MethodResults(target)
     if not row.run_yaml.exists():
-        raise PredictionError("is there, and is no row of results; remove it, or choose another label", target)
+        raise PredictionError("exists, and is not a row of results; remove it, or choose another label", target)
     run = row.run_record()
     if not run.submitted:
         message = f"the label '{card.label}' is that of a row that was not submitted, and is never replaced"

@@ -163,7 +163,7 @@ def _suggestion(location: tuple[str | int, ...]) -> str:
             model = inner[0] if inner else field.annotation
     known = list(model.model_fields) if _is_model(model) else []
     near = difflib.get_close_matches(str(location[-1])[:100], known, n=1)
-    return f"; did you mean '{near[0]}'?" if near else f"; there are {', '.join(known)}"
+    return f"; did you mean '{near[0]}'?" if near else f"; available: {', '.join(known)}"
 
 
 def _is_model(thing: Any) -> bool:

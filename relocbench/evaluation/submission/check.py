@@ -204,7 +204,7 @@ def _check_folders(root: Path, card: Card, places: YamlPlaces, findings: Finding
             findings.fault(message, root / CARD, places.line(("datasets", name)))
     for folder in answer_folders(root):
         if folder.name not in card.datasets:
-            findings.fault(f"is not among the datasets of {CARD}; there is {', '.join(card.datasets)}", folder)
+            findings.fault(f"is not among the datasets of {CARD}; available: {', '.join(card.datasets)}", folder)
 
 
 def _check_poses(
@@ -219,7 +219,7 @@ def _check_poses(
     known = resolved.dataset.pair_set_names
     for stem, path in files.items():
         if stem not in known:
-            findings.fault(f"no pair set '{stem}' in {name}; there is {', '.join(known)}", path)
+            findings.fault(f"no pair set '{stem}' in {name}; available: {', '.join(known)}", path)
     for path in answer_files(folder, ".csv"):
         if path.stem not in files:
             findings.fault("has no predictions (.txt) of that name beside it", path)
@@ -276,7 +276,7 @@ def _check_lists(
     files = {path.stem: path for path in answer_files(folder)}
     for stem, path in files.items():
         if stem not in tasks:
-            findings.fault(f"no task '{stem}' in {name}; there is {', '.join(tasks)}", path)
+            findings.fault(f"no task '{stem}' in {name}; available: {', '.join(tasks)}", path)
     lists = [read_ranked(files[n], t, resolved, findings) if n in files else TaskLists(t) for n, t in tasks.items()]
     if not files:
         findings.fault("holds no lists of images (TASK.txt)", folder)

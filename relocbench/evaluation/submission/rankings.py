@@ -12,7 +12,7 @@ from relocbench.files import lines_of, read_text
 from relocbench.retrieval import RetrievalTask
 
 _LINE_BYTES, _SPARE_BYTES = 512, 2**16
-_REAL = ": this is a real name, and the card names a blind export, whose keys are due"
+_REAL = ": this is a real name, and the card names a blind export, whose keys are expected"
 MOST_IMAGES = 10_000
 """of one query's list"""
 

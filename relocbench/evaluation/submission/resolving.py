@@ -36,7 +36,9 @@ class ResolvedDataset:
         unknown = f"unknown pair {key[0]} {key[1]}"
         if self.blind is not None:
             if key in pair_set.by_key:
-                return f"{unknown}: these are real timestamps, and the card names a blind export, whose keys are due"
+                return (
+                    f"{unknown}: these are real timestamps, and the card names a blind export, whose keys are expected"
+                )
             return f"{unknown}: not keys of the blind export {self.blind.name}; expected one of its pairs"
         if (key[1], key[0]) in pair_set.by_key:
             return f"{unknown}: keyframe and query are exchanged"
@@ -93,7 +95,7 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
     if own is not None:
         return ResolvedDataset(own)
     available = ", ".join(d.name for d in datasets) or "none"
-    raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {available}")
+    raise PredictionError(f"no dataset '{name}' was given (--dataset); available: {available}")
 
 
 def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, OpenedSet]]) -> ResolvedRetrievalSet:
@@ -123,7 +125,7 @@ def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, Ope
         of = ", ".join(images.name for _, images in sets.values())
         message = f"an export of '{blind.dataset}', and the datasets given are {of} (along drives, --radius chooses)"
         raise PredictionError(f"no dataset '{name}' was given (--dataset): it is {message}")
-    raise PredictionError(f"no dataset '{name}' was given (--dataset); there is {available}")
+    raise PredictionError(f"no dataset '{name}' was given (--dataset); available: {available}")
 
 
 def _check_export(named: BlindName, own: BlindName, fingerprint: str) -> None:

@@ -127,7 +127,7 @@ def _repeatable(
     spec: MethodSpec, tracker: Any, questions: list[_Question], answers: list[CheckedAnswer], usable: list[int]
 ) -> Finding:
     """Ask the same tracker and a fresh one again, in another order: the answers must be equal."""
-    name = "gives the same answer whatever was asked before"
+    name = "gives the same answer in any order of calls"
     fresh, unmade = guarded(spec.create)
     if unmade is not None:
         return Finding(name, False, f"constructed again, it raised {unmade}")

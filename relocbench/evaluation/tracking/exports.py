@@ -79,7 +79,7 @@ def _lines_of(dataset: Dataset, pair_set: str, results: Path, method: str | None
     folder = DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
     known = [m.label for m in folder.methods()]
     if method not in known:
-        raise PredictionError(f"no predictions of '{method}'; there are {', '.join(known) or 'none'}", folder.root)
+        raise PredictionError(f"no predictions of '{method}'; available: {', '.join(known) or 'none'}", folder.root)
     poses = read_predictions(folder.method(method).predictions(pair_set), dataset.pair_set(pair_set))
     return [PoseLine(*pair.key, poses[pair.key]) for pair in dataset.pair_set(pair_set).pairs if pair.key in poses]
 

@@ -78,7 +78,7 @@ def _in_folder(dataset: Dataset, pair_sets: list[PairSet], source: Path) -> list
     for path in files:
         if path.stem not in dataset.pair_set_names:
             names = ", ".join(dataset.pair_set_names)
-            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; there is {names}", path)
+            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; available: {names}", path)
     wanted = {s.name: s for s in pair_sets}
     return [(wanted[path.stem], path) for path in files if path.stem in wanted]
 

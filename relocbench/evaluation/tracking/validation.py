@@ -165,7 +165,7 @@ def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], expected:
     if pair_sets is None:
         return
     if name not in pair_sets:
-        findings.fault(f"no pair set '{name}' in the dataset; there is {', '.join(pair_sets) or 'none'}", path)
+        findings.fault(f"no pair set '{name}' in the dataset; available: {', '.join(pair_sets) or 'none'}", path)
         return
     if expected.dataset is None:
         return

@@ -51,7 +51,7 @@ def faults_of_record(
     """
     path = folder.scores_yaml
     if not scores.formulas:
-        yield PredictionError(f"does not say what it was computed from, as earlier versions did not; {again}", path)
+        yield PredictionError(f"does not record what it was computed from (made by an earlier version); {again}", path)
         return
     if scores.formulas != FORMULAS:
         message = f"was computed by version {scores.formulas} of the formulas, this is version {FORMULAS}"

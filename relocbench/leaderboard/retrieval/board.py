@@ -185,7 +185,7 @@ def load_retrieval(
         return None  # the split is one of the trackers' datasets
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
-        raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
+        raise ConfigError(f"no split '{split}'; available: {', '.join(known) or 'none'}", results)
     sets = tuple(_set(copies, metric, split, seed, lookup) for copies in _group_copies(chosen))
     return RetrievalBoard(sets, metric, seed, split)
 

@@ -194,7 +194,7 @@ def load_results(
         known = sorted({name for folder in folders for name in folder.record.splits})
         folders = [folder for folder in folders if split in folder.record.splits]
         if not folders:
-            raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
+            raise ConfigError(f"no split '{split}'; available: {', '.join(known) or 'none'}", results)
     truths = [lookup.of(folder.record, _yaml(folder)) for folder in folders]
     entries = merge_copies([_dataset(folder, split, truth) for folder, truth in zip(folders, truths, strict=True)])
     if not any(entry.methods for entry in entries):

@@ -113,7 +113,7 @@ def test_a_training_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
     assert f"earlier/weights.safetensors, SHA-256 {digest}"[8:] in (tmp_path / "later" / "MODEL_CARD.md").read_text()
     other = train(tmp_path / "other", steps=1).weights
     shutil.copy(other, earlier)
-    with pytest.raises(MethodError, match=r"a training made otherwise \(start: "):
+    with pytest.raises(MethodError, match=r"a training with other options or data \(start: "):
         train(tmp_path / "later", start=str(earlier), steps=2, learning_rate=1e-12, weight_decay=0.0, ema=0.0)
 
 

@@ -187,7 +187,7 @@ def test_mistakes_are_told_in_one_line(tmp_path: Path, resnet: Path) -> None:
     for other, words in (
         ({"maps_limit": 0.00001}, r"2 of each drone image, 3 of each satellite image\) would take 0\.00 GB, more than"),
         ({"backbone_weights": ""}, "frozen is 'layer3', expected nothing, unless backbone_weights or start names"),
-        ({"frozen": "nothing", "frozen_blocks": 1}, "frozen_blocks is 1, expected 0 where frozen is nothing"),
+        ({"frozen": "nothing", "frozen_blocks": 1}, "frozen_blocks is 1, expected 0 where frozen is not set"),
         ({"frozen_blocks": 2}, "frozen_blocks is 2, expected 0 to 1 with this backbone"),
         ({"versions": {"drone": 0}}, "versions is .*, expected 1 or more of each view"),
         ({"frozen": "layer2"}, "frozen"),

@@ -433,7 +433,7 @@ def test_the_table_has_these_rows() -> None:
     street = configuration("street")
     assert (street.views, street.network.street, street.network.parts) == (("street",), "shared", 1)
     assert set(CONFIGURATIONS) == {*FROM_ABOVE, "street"}
-    with pytest.raises(ConfigError, match="no configuration 'lpn2', there are global-average, lpn, "):
+    with pytest.raises(ConfigError, match="no configuration 'lpn2'; available: global-average, lpn, "):
         configuration("lpn2")
 
 

@@ -121,7 +121,9 @@ def test_an_image_that_is_the_mean_has_no_descriptor(tmp_path: Path) -> None:
 
 
 def test_what_is_not_there_is_named(weights: Path, unlabelled: Path) -> None:
-    with pytest.raises(MethodError, match=r"nowhere: is no folder; expected one with a folder of images for each view"):
+    with pytest.raises(
+        MethodError, match=r"nowhere: is not a folder; expected one with a folder of images for each view"
+    ):
         Lpn(weights=weights, unlabelled=unlabelled / "nowhere")
     street = ViewMeans(unlabelled, lambda images: np.zeros((len(images), 2)), 1)
     with pytest.raises(MethodError, match=r"street: holds no JPEG or PNG; expected unlabelled"):

@@ -110,7 +110,7 @@ CHANGES: list[tuple[str, Callable[[State], Mapping[str, Any]], str]] = [
         changed(more=torch.zeros(1)),
         r"'more' is not part of this network; expected the weights",
     ),
-    ("cosplace", changed(backbone__0__weight=None), r"its 'backbone' is none that is known; expected the weights of"),
+    ("cosplace", changed(backbone__0__weight=None), r"its 'backbone' is unknown; expected the weights of"),
     ("cosplace", changed(backbone__4__2__conv1__weight=torch.zeros(1)), r"its 'backbone' is none that is known"),
     (
         "cosplace",

@@ -223,7 +223,7 @@ def numbered(number: int, _: int) -> str:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda d: None, r"/\d+\.bin: '\d+' is no time since 1970: .* give times\.txt or --rate-hz"),
+        (lambda d: None, r"/\d+\.bin: '\d+' is not a time since 1970: .* give times\.txt or --rate-hz"),
         (lambda d: write(d / "times.txt", "1.5\n2.5\n"), r"times\.txt: holds 2 times for 26 clouds"),
         (
             lambda d: write(d / "times.txt", "".join(f"{i}.5 7.bin\n" for i in range(26))),

@@ -387,7 +387,7 @@ def test_options_that_do_not_fit_are_refused(model: Path, tmp_path: Path) -> Non
     for options, message in (
         ({"queries": ["dusk/*"]}, "no image is named like 'dusk/\\*'"),
         ({"queries": ["*"]}, "none is left for the map"),
-        ({"query_poses": tmp_path}, "--query-poses tells"),
+        ({"query_poses": tmp_path}, "--query-poses has"),
         ({"query_list": tmp_path, "queries": ["a"]}, "give one of them"),
         ({"query_list": tmp_path}, "name their keyframes by --pairs"),
         ({"pairs": tmp_path, "elsewhere": 3}, "--pairs names the pairs"),

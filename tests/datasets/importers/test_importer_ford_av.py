@@ -197,7 +197,7 @@ def test_small_images_of_the_bag_stand_in_for_missing_ones(
     changed(calibration / "cameraFrontLeftIntrinsics.yaml", lambda values: values.update(width=whole.width * 2))
     drive, spoken = read(bag, calibration=calibration)
     assert not drive.cameras
-    assert any("are no smaller copies of images of" in note for note in spoken.notes)
+    assert any("are not smaller copies of images of" in note for note in spoken.notes)
     (calibration / "cameraFrontLeft_body.yaml").unlink()
     _, spoken = read(bag, calibration=calibration)
     assert any("'front_left' is not read" in note and "no cameraFrontLeft_body.yaml" in note for note in spoken.notes)
@@ -237,7 +237,7 @@ def test_calibrations_are_found_where_users_keep_them(logs: list[Made], tmp_path
     assert find_logs(bags[:1], tmp_path / "own")[0].calibration == tmp_path / "own"
     with pytest.raises(Exception, match=r"is of one vehicle, the logs are of V2 and V3"):
         find_logs(bags, tmp_path / "own")
-    with pytest.raises(DatasetError, match=r"nothing tells the vehicle of sample\.bag.*Calibration-V2, V3"):
+    with pytest.raises(DatasetError, match=r"the vehicle is not known of sample\.bag.*Calibration-V2, V3"):
         find_logs([tmp_path / "sample.bag"], None)
     with pytest.raises(DatasetError, match="the calibration of V2 is missing"):
         find_logs(bags[:1], bags[0])
@@ -293,7 +293,7 @@ def test_logs_are_brought_together_by_one_command(drives: list[StreetDrive], log
         (["{0}"], "needs a reference and at least one query"),
         (["{0}", "{0}"], "is given twice"),
         (["{0}", "{1}", "--cameras", "center"], "has no images of a camera 'center'; it has front_left"),
-        (["{0}", "{1}", "--lidars", "pink"], "has no lidar 'pink'; there is red, green, blue, yellow"),
+        (["{0}", "{1}", "--lidars", "pink"], "has no lidar 'pink'; available: red, green, blue, yellow"),
         (["{0}", "{1}", "--lidars", "green"], "has no /lidar_green_scan or /lidar_green_pointcloud that can be read"),
         (["{0}/..", "{1}"], "holds no bag; expected one, such as 2017-08-04-V2-Log1.bag"),
         (["{0}/none.bag", "{1}"], "missing; expected a bag, or the folder of one"),

@@ -478,7 +478,7 @@ def test_options_and_lists_that_do_not_fit_are_refused(made: Path, tmp_path: Pat
     both = [made / "mapping", made / "query"]
     for sources, options, message in (
         (both, {"queries": ["q/*"]}, "--queries names images of a single folder"),
-        (both, {"cameras": ["top*"]}, r"no camera is called like 'top\*'; there is left, right"),
+        (both, {"cameras": ["top*"]}, r"no camera matches 'top\*'; available: left, right"),
         ([made / "mapping"], {"queries": ["night/*"]}, "no image is named like"),
         ([made / "mapping"], {"queries": ["*"]}, "none is left for the map"),
         (both, {"pairs": pairs, "elsewhere": 3}, "--pairs names the pairs"),
@@ -499,7 +499,7 @@ def test_options_and_lists_that_do_not_fit_are_refused(made: Path, tmp_path: Pat
         pairs.write_text(text)
         with pytest.raises(DatasetError, match=message):
             build(both, tmp_path / "p", pairs=pairs)
-    for name, message in (("q/x.png", "which is no query"), ("q/l15.png", "trajectories.txt tells already")):
+    for name, message in (("q/x.png", "which is not a query"), ("q/l15.png", "trajectories.txt has too")):
         poses.write_text(f"{name} 1 0 0 0 0 0 0\n")
         with pytest.raises(DatasetError, match=message):
             build(both, tmp_path / "q", query_poses=poses)

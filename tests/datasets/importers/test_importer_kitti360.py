@@ -106,8 +106,8 @@ def test_times_keep_their_nine_decimals(tmp_path: Path) -> None:
     path.write_text("2013-05-28 08:46:02.904094464\n2013-05-28 08:46:03.008\n")
     assert read_times(path).tolist() == [1369730762904094464, 1369730763008000000]
     for text, words in (
-        ("2013-05-28\n", r"txt:1: '2013-05-28' is no date and time of day"),
-        ("2013-05-28 08:46:02.9\n2013-13-28 08:46:02.9\n", r"txt:2: .* is no date"),
+        ("2013-05-28\n", r"txt:1: '2013-05-28' is not a date and time of day"),
+        ("2013-05-28 08:46:02.9\n2013-13-28 08:46:02.9\n", r"txt:2: .* is not a date"),
         ("2013-05-28 08:46:02.9\n2013-05-28 08:46:02.9\n", r"txt:2: the time is not later"),
     ):
         path.write_text(text)

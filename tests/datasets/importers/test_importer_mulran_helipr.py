@@ -128,7 +128,7 @@ def test_early_scans_of_the_aeva_have_no_intensity(drive: StreetDrive, tmp_path:
 
 def test_lidars_of_helipr_are_chosen(helipr: Path, tmp_path: Path) -> None:
     assert [lidar.name for lidar in read_helipr(helipr, "a").lidars] == ["Ouster", "Velodyne"]
-    with pytest.raises(ConfigError, match="HeLiPR has no lidar 'VLP'; there is Ouster, Velodyne, Aeva, Avia"):
+    with pytest.raises(ConfigError, match="HeLiPR has no lidar 'VLP'; available: Ouster, Velodyne, Aeva, Avia"):
         read_helipr(helipr, "a", ["VLP"])
     with pytest.raises(DatasetError, match="LiDAR: holds no scan of Ouster or Velodyne"):
         read_helipr(tmp_path, "a")

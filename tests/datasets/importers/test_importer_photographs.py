@@ -177,7 +177,7 @@ def test_what_is_no_photograph_is_one_line(spoil: Callable[[Path], object], told
     [
         ("--size", "12", "size is WIDTHxHEIGHT or one number, 32 to 4096 pixels"),
         ("--changes", "dusk", "changes"),
-        ("--surfaces", "plane,plane", "surfaces must hold at least one, none of them twice"),
+        ("--surfaces", "plane,plane", "surfaces must hold at least one, and each once"),
         ("--validation", "1", "validation"),
     ],
 )

@@ -256,11 +256,11 @@ def _pairs(*lines: str) -> str:
             "pairs.txt",
             _pairs("1 2"),
             [],
-            "its name does not tell which traversals its pairs are of; expected REF__QUERY",
+            "its name does not say which traversals its pairs are of; expected REF__QUERY",
         ),
         ("pairs.txt", _pairs("1 2"), ["--traversals", "a"], "--traversals names the reference and the query"),
         ("a_to_b.txt", _pairs("1 2"), ["--trajectories", "x"], "--trajectories: 'x' is not NAME=FILE"),
-        ("a_to_b.txt", _pairs("1 2"), ["--trajectories", "c=x"], "no traversal 'c' in the pairs; there is a, b"),
+        ("a_to_b.txt", _pairs("1 2"), ["--trajectories", "c=x"], "no traversal 'c' in the pairs; available: a, b"),
         ("a_to_b.txt", _pairs("1 2"), ["--trajectories", "a=nowhere"], "nowhere: missing; expected a file of poses"),
     ],
 )

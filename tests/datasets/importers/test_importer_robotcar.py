@@ -431,7 +431,7 @@ DAMAGES: list[tuple[Damage, str]] = [
     (missing_folder, r"2024-12-24-10-00-00: no such folder"),
     (one_source, r"needs a reference and at least one other, got 1"),
     (the_same_twice, r"is given twice; expected different recordings"),
-    (unknown_camera, r"no camera 'stereo_top'; there is stereo_left"),
+    (unknown_camera, r"no camera 'stereo_top'; available: stereo_left"),
     (camera_that_is_not_there, r"mono_rear: no such folder; expected images"),
     (no_images, r"--cameras: 2024-03-02-10-00-00 has no images of a camera 'stereo_left'"),
     (first_pose_of_another_day, r"--first-pose: 1 \(nanoseconds\) is outside the times of 2024-03-01-10-00-00"),

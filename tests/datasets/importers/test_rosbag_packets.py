@@ -147,7 +147,7 @@ def test_a_calibration_of_the_beams_turns_them(tmp_path: Path) -> None:
     points, _ = packet_points(scan, PacketReading(calibration=path))
     assert np.abs(np.abs(points[:, 1]) - WALL_M).max() < 0.02
     (tmp_path / "broken.yaml").write_text("lasers: [1, 2\n")
-    for name, words in (("broken.yaml", "broken.yaml: is no calibration of the beams"), ("none.yaml", "missing")):
+    for name, words in (("broken.yaml", "broken.yaml: is not a calibration of the beams"), ("none.yaml", "missing")):
         with pytest.raises(DatasetError, match=words):
             check_calibration(tmp_path / name)
 

@@ -81,7 +81,7 @@ def test_compressed_images_are_rgb_whatever_they_were_before() -> None:
 @pytest.mark.parametrize(
     ("message", "complaint"),
     [
-        (plain(RGB, "32FC1"), "encoding '32FC1' is not read; there is mono8"),
+        (plain(RGB, "32FC1"), "encoding '32FC1' is not read; available: mono8"),
         (plain(RGB, "rgb8", height=7), "are no image of 8x7 in rgb8"),
         (plain(RGB, "rgb8", step=3), "are no image of 8x6"),
         (plain(RGB, "rgb8", width=0), "0x6 pixels cannot be read"),

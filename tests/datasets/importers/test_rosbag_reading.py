@@ -264,7 +264,7 @@ def test_guesses_say_why_and_take_the_rectified_images(tmp_path: Path) -> None:
             Wanted(),
             r"several topics of clouds in the frame 'lidar' .*--lidars",
         ),
-        (None, Wanted(odometry="/nothing"), "--odometry: no topic '/nothing' in .*there is /odom"),
+        (None, Wanted(odometry="/nothing"), "--odometry: no topic '/nothing' in .*available: /odom"),
         (None, Wanted(lidars=("/odom",)), "--lidars: /odom has nav_msgs/Odometry; expected sensor_msgs/PointCloud2"),
         (None, Wanted(cameras=("/points",)), "--cameras: /points has sensor_msgs/PointCloud2; expected"),
         (None, Wanted(gnss="/cam/image_raw"), "--gnss: /cam/image_raw has sensor_msgs/Image; expected"),
@@ -348,7 +348,7 @@ def test_a_missing_transform_names_both_frames(tmp_path: Path) -> None:
     path = bag.write(tmp_path / "drive.bag")
     with pytest.raises(DatasetError, match=r"no fixed transform between 'base_link' and 'lidar' in /tf_static or /tf"):
         read(path, base_frame="base_link")
-    with pytest.raises(DatasetError, match="--base-frame: there is no frame 'car'; there is base_link, cam_optical"):
+    with pytest.raises(DatasetError, match="--base-frame: no frame 'car'; available: base_link, cam_optical"):
         read(path, base_frame="car")
 
 
@@ -369,7 +369,7 @@ def test_without_tf_a_file_gives_the_poses_of_sensors(tmp_path: Path) -> None:
     assert np.allclose(recording.cameras["cam"].T_rig_cam, plain.cameras["cam"].T_rig_cam)
     assert np.allclose(recording.odometry.T_odom_rig, plain.odometry.T_odom_rig)
     told.write_text(EXTRINSICS.replace("/points", "/velodyne"))
-    with pytest.raises(ConfigError, match=r"extrinsics.yaml: no lidar '/velodyne' is read; there is /points, points"):
+    with pytest.raises(ConfigError, match=r"extrinsics.yaml: no lidar '/velodyne' is read; available: /points, points"):
         read(path, extrinsics=read_extrinsics(told), extrinsics_file=told)
     told.write_text(EXTRINSICS.replace("T_rig_lidar", "T_lidar_rig"))
     with pytest.raises(DatasetError, match=r"extrinsics.yaml:3: key 'lidars./points.T_rig_lidar' is missing"):
@@ -634,7 +634,7 @@ def test_what_is_no_bag_is_told(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="missing; expected a bag"):
         parts_of(tmp_path / "nothing.bag")
     (tmp_path / "drive.txt").write_text("")
-    with pytest.raises(DatasetError, match=r"drive.txt: is no bag by its name; expected .bag, .mcap, .db3"):
+    with pytest.raises(DatasetError, match=r"drive.txt: does not have the name of a bag; expected .bag, .mcap, .db3"):
         parts_of(tmp_path / "drive.txt")
     folder = tmp_path / "folder"
     folder.mkdir()

@@ -453,4 +453,4 @@ def test_pairs_of_different_places_change_nothing_else(tmp_path: Path) -> None:
     assert relocbench("validate", made.root).status == 0
     outcome = relocbench("build-dataset", "synthetic", *size, "--elsewhere", 4, "--out", tmp_path / "short", "-q")
     assert outcome.status == 2
-    assert "--elsewhere 4 pairs of different places: only 0 pairs can exchange queries" in outcome.err
+    assert "--elsewhere 4 negative pairs: only 0 pairs can exchange queries" in outcome.err

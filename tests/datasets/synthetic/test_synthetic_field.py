@@ -270,7 +270,7 @@ def test_the_boreas_layout_is_written_by_one_command_and_goes_on_where_it_was_cu
         (("--recording", "kitti", "--pair-step", "1,2"), "--pair-step applies to datasets"),
         (("--recording", "robotcar", "--rings", "32"), "--rings applies to --recording kitti and boreas only"),
         (("--recording", "boreas", "--motion-distorted"), "--motion-distorted applies to --recording kitti only"),
-        (("--recording", "boreas", "--recording-cameras", "image_0"), "no Boreas camera 'image_0'; there is camera"),
+        (("--recording", "boreas", "--recording-cameras", "image_0"), "no Boreas camera 'image_0'; available: camera"),
         (("--rings", "32"), "--rings applies to recordings (--recording)"),
         (("--route", "detour"), "--route applies to recordings (--recording)"),
         (("--recording", "kitti", "--rings", "12"), "--rings: Input should be greater than or equal to 16"),

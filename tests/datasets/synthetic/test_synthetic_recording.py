@@ -553,7 +553,7 @@ def test_another_recording_of_the_name_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"layout": "euroc"}, "no recording layout 'euroc'; there is robotcar, kitti"),
+        ({"layout": "euroc"}, "no recording layout 'euroc'; available: robotcar, kitti"),
         ({"frames": 1}, "at least 2 frames"),
         ({"scale": 0.0}, "scale of the images"),
         ({"cameras": ("stereo/top",)}, "no RobotCar camera 'stereo/top'"),

@@ -209,7 +209,7 @@ def test_no_street_of_a_seed_and_split_occurs_in_another() -> None:
 
 
 def test_bad_requests_are_told(district: District) -> None:
-    with pytest.raises(ConfigError, match="there is train, validation, test"):
+    with pytest.raises(ConfigError, match="available: train, validation, test"):
         make_district(0, "evaluation")
     with pytest.raises(ConfigError, match="at least 180 m"):
         make_district(0, "test", 100.0)

@@ -250,7 +250,7 @@ def test_ground_truth_and_predictions_are_exported_by_name(dataset: Dataset, tmp
     assert answers.read_bytes() == (tmp_path / "direct.txt").read_bytes() != written[0].read_bytes()
     (model,) = export_poses(dataset, [ACROSS], "colmap", tmp_path / "c", results, "s")
     assert sorted(p.name for p in model.iterdir()) == ["cameras.txt", "images.txt", "points3D.txt"]
-    with pytest.raises(PredictionError, match="no predictions of 'dso'; there are s"):
+    with pytest.raises(PredictionError, match="no predictions of 'dso'; available: s"):
         export_poses(dataset, [ACROSS], "tum", tmp_path / "x", results, "dso")
 
 

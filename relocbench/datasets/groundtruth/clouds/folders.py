@@ -94,7 +94,7 @@ def cloud_files(folder: Path, pattern: str = "") -> list[Path]:
         try:
             files = found(pattern)
         except (ValueError, NotImplementedError) as bad:
-            raise DatasetError(f"{quoted(pattern)} is no pattern of file names ({bad})", folder) from None
+            raise DatasetError(f"{quoted(pattern)} is not a pattern of file names ({bad})", folder) from None
     else:
         files = [p for p in found("*") if p.suffix.lower() in SUFFIXES and not _is_text(p)]
         files = files or [p for p in found("*/*") if p.suffix.lower() in SUFFIXES and not _is_text(p)]

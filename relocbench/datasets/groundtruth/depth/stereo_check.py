@@ -52,8 +52,8 @@ def rectified(left: Camera, right: Camera, T_right_left: Array, max_disparity: i
         raise ConfigError("depth by stereo needs two pinhole cameras with images of the same size")
     if baseline <= 0 or lens > _ROWS_PX or turned * left.fx > _ROWS_PX or aside > 0.01 * baseline:
         raise ConfigError(
-            f"the cameras are no rectified pair: the right one is {baseline:.3f} m to the right and {aside:.3f} m off "
-            f"that line, turned by {np.degrees(turned):.3f} deg; intrinsics differ by {lens:.2f} px"
+            f"the cameras are not a rectified pair: the right one is {baseline:.3f} m to the right and {aside:.3f} m "
+            f"off that line, turned by {np.degrees(turned):.3f} deg; intrinsics differ by {lens:.2f} px"
         )
     return StereoGeometry(left.fx * baseline, left.cx - right.cx, max_disparity=max_disparity)
 

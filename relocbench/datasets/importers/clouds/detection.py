@@ -101,7 +101,9 @@ def _with_times(
         return ScanLayout(names, dtype, None, "s", "scan", f"{words}, {name} is the same for all points")
     fitting: list[TimeUnit] = [u for u, seconds in _UNITS.items() if _SHORTEST_S <= span * seconds <= _LONGEST_S]
     if len(fitting) != 1:
-        raise DatasetError(f"the times of points in {name} span {span:g}, which is no scan in s, ms, us or ns", path)
+        raise DatasetError(
+            f"the times of points in {name} span {span:g}, which is not the length of a scan in s, ms, us or ns", path
+        )
     unit = fitting[0]
     absolute = abs(float(np.median(values)) * _UNITS[unit] - time_ns / 1e9) < 1.0
     relative = float(np.abs(values).max()) * _UNITS[unit] < 1.0

@@ -97,7 +97,7 @@ def _parsed(texts: list[str], places: Sequence[tuple[Path, int | None]]) -> tupl
     if factor is None:
         path, line = places[texts.index(longest)]
         raise DatasetError(
-            f"{quoted(longest, 40)} is no time since 1970: whole numbers have 10 (s), 13 (ms), 16 (us) or 19 (ns) "
+            f"{quoted(longest, 40)} is not a time since 1970: whole numbers have 10 (s), 13 (ms), 16 (us) or 19 (ns) "
             f"digits, seconds a decimal point; for numbered clouds give {TIME_FILES[0]} or --rate-hz",
             path,
             line,

@@ -110,7 +110,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 
 def _check_options(options: Options) -> None:
     if options.query_list is None and options.query_poses is not None:
-        raise ConfigError("--query-poses tells the poses of the queries of --query-list, which is not given")
+        raise ConfigError("--query-poses has the poses of the queries of --query-list, which is not given")
     if options.query_list is not None and options.queries:
         raise ConfigError("--queries names images of the model, --query-list other ones; give one of them")
     if options.query_list is not None and options.query_poses is None and options.pairs is None:
@@ -145,9 +145,7 @@ def _photos(folder: Path, root: Path, model: SparseModel, options: Options) -> t
     poses = {} if options.query_poses is None else read_named_poses(options.query_poses)
     for name in poses:
         if name not in cameras:
-            raise DatasetError(
-                f"tells the pose of {quoted(name)}, which --query-list does not name", options.query_poses
-            )
+            raise DatasetError(f"has a pose of {quoted(name)}, which --query-list does not name", options.query_poses)
     for i, (name, camera) in enumerate(sorted(cameras.items()), start=1):
         pose = in_metres(poses[name], options.metres_per_unit) if name in poses else None
         queries.append(Photo(name, STEP_NS * i, root / name, camera, pose, None))

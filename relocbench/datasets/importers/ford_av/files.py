@@ -99,7 +99,7 @@ def _bag_of(source: Path) -> Path:
         if not source.exists():
             raise DatasetError("missing; expected a bag, or the folder of one", source)
         if source.suffix not in SUFFIXES:
-            raise DatasetError(f"is no bag by its name; expected {', '.join(SUFFIXES)}", source)
+            raise DatasetError(f"does not have the name of a bag; expected {', '.join(SUFFIXES)}", source)
         return source
     bags = sorted(p for p in source.iterdir() if p.suffix in SUFFIXES and not p.name.startswith("."))
     if len(bags) == 1:
@@ -135,7 +135,7 @@ def _calibration_of(bag: Path, vehicle: str, given: Path | None) -> Path:
         if len(found) > 1 and not vehicle:
             names = ", ".join(p.name for p in found)
             raise DatasetError(
-                f"nothing tells the vehicle of {bag.name}, and there are calibrations of several ({names}); name one "
+                f"the vehicle is not known of {bag.name}, and there are calibrations of several ({names}); name one "
                 "by --calibration-folder",
                 base,
             )

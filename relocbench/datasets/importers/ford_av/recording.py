@@ -218,7 +218,9 @@ def _cameras(reading: Reading, log: Log) -> dict[str, CameraStream]:
             first, _ = read_picture(messages, 0)
             small = _smaller(intrinsics, size or FULL_SIZE, (first.shape[1], first.shape[0]))
             if small is None:
-                message = f"of {first.shape[1]}x{first.shape[0]} are no smaller copies of images of {size or FULL_SIZE}"
+                message = (
+                    f"of {first.shape[1]}x{first.shape[0]} are not smaller copies of images of {size or FULL_SIZE}"
+                )
                 reading.note(f"{camera.images} is not read: images {message}")
                 continue
             reading.note(f"{camera.images} holds images of {small.width}x{small.height}: smaller than the camera's")

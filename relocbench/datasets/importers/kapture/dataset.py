@@ -165,7 +165,7 @@ def _of_cameras(folder: KaptureFolder, cameras: Sequence[str]) -> list[tuple[int
     known = {record.device for record in folder.images}
     chosen = {name for name in known if not cameras or any(fnmatchcase(name, pattern) for pattern in cameras)}
     if not chosen:
-        message = f"no camera is called like {', '.join(map(quoted, cameras))}; there is {', '.join(sorted(known))}"
+        message = f"no camera matches {', '.join(map(quoted, cameras))}; available: {', '.join(sorted(known))}"
         raise DatasetError(message, folder.root)
     return [(number, record) for number, record in enumerate(folder.images) if record.device in chosen]
 
@@ -206,9 +206,9 @@ def _with_poses(queries: dict[str, list[Photo]], path: Path, metres_per_unit: fl
     known = {photo.name: photo for photos in queries.values() for photo in photos}
     for name in poses:
         if name not in known:
-            raise DatasetError(f"tells the pose of {quoted(name)}, which is no query", path)
+            raise DatasetError(f"has a pose of {quoted(name)}, which is not a query", path)
         if known[name].T_cam_world is not None:
-            raise DatasetError(f"tells the pose of {quoted(name)}, which trajectories.txt tells already", path)
+            raise DatasetError(f"has a pose of {quoted(name)}, which trajectories.txt has too", path)
     return {
         name: [
             replace(photo, T_cam_world=in_metres(poses[photo.name], metres_per_unit)) if photo.name in poses else photo

@@ -137,7 +137,7 @@ def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[st
     """Image files by camera and frame number."""
     for name in cameras or ():
         if name not in CAMERAS:
-            raise ConfigError(f"KITTI has no camera '{name}'; there is {', '.join(CAMERAS)}")
+            raise ConfigError(f"KITTI has no camera '{name}'; available: {', '.join(CAMERAS)}")
     found: dict[str, dict[int, Path]] = {}
     for name in CAMERAS if cameras is None else dict.fromkeys(cameras):
         numbers = files.image_frames(name)

@@ -116,7 +116,7 @@ def read_times(path: Path) -> Times:
                 raise ValueError
             second = datetime.fromisoformat(f"{found[1]}T{found[2]}").replace(tzinfo=UTC).timestamp()
         except ValueError:
-            raise DatasetError(f"{quoted(line.strip())} is no date and time of day", path, number) from None
+            raise DatasetError(f"{quoted(line.strip())} is not a date and time of day", path, number) from None
         times.append(int(second) * 10**9 + int((found[3] or "0").ljust(9, "0")))
         if len(times) > 1 and times[-1] <= times[-2]:
             raise DatasetError("the time is not later than that of the frame before", path, number)

@@ -129,5 +129,5 @@ def chosen_of(asked: Sequence[str], known: Sequence[str], default: Sequence[str]
     """The sensors that were asked for, else the default ones. Raises ConfigError if there is no such sensor."""
     for name in asked:
         if name not in known:
-            raise ConfigError(f"{dataset} has no {what} '{name}'; there is {', '.join(known)}")
+            raise ConfigError(f"{dataset} has no {what} '{name}'; available: {', '.join(known)}")
     return list(dict.fromkeys(asked or default))

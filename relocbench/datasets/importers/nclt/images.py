@@ -95,6 +95,6 @@ def read_table(path: Path, width: int, height: int) -> tuple[Floats, Floats]:
     except (ValueError, UnicodeDecodeError):
         raise DatasetError("expected four numbers a line (row, column, recorded row, recorded column)", path) from None
     if values.shape != (width * height, 4) or not np.isfinite(values).all():
-        raise DatasetError(f"is no table for images of {width}x{height}: holds {len(values)} pixels", path)
+        raise DatasetError(f"is not a table for images of {width}x{height}: holds {len(values)} pixels", path)
     u, v = values[:, 3].reshape(height, width), values[:, 2].reshape(height, width)
     return u.astype(np.float32), v.astype(np.float32)

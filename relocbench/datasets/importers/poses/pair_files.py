@@ -136,7 +136,7 @@ def _key(source: Path, options: Options) -> SetKey:
     else:
         parts = _PREFIX.sub("", source.stem).split("_to_")
     if len(parts) != 2:
-        raise DatasetError(f"its name does not tell which traversals its pairs are of; {_NAMES}", source)
+        raise DatasetError(f"its name does not say which traversals its pairs are of; {_NAMES}", source)
     try:
         reference, query = (plain_name(part, "traversal name") for part in parts)
         return reference, query, check_name(frame, "frame name")
@@ -169,7 +169,7 @@ def _trajectory_files(options: Options, names: Sequence[str]) -> dict[str, Path]
         if not equals or not file:
             raise ConfigError(f"--trajectories: '{text}' is not NAME=FILE")
         if name not in names:
-            raise ConfigError(f"--trajectories: no traversal '{name}' in the pairs; there is {', '.join(names)}")
+            raise ConfigError(f"--trajectories: no traversal '{name}' in the pairs; available: {', '.join(names)}")
         if name in found:
             raise ConfigError(f"--trajectories gives poses of '{name}' twice")
         found[name] = Path(file)

@@ -73,5 +73,5 @@ def chosen(asked: Sequence[str] | None, known: Sequence[str], what: str) -> tupl
     """The sensors that were asked for, else all. Raises ConfigError if RobotCar has no such sensor."""
     for name in asked or ():
         if name not in known:
-            raise ConfigError(f"RobotCar has no {what} '{name}'; there is {', '.join(known)}")
+            raise ConfigError(f"RobotCar has no {what} '{name}'; available: {', '.join(known)}")
     return tuple(known if asked is None else dict.fromkeys(asked))

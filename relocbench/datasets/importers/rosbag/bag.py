@@ -71,7 +71,7 @@ def parts_of(source: Path) -> tuple[Path, ...]:
         raise DatasetError(f"missing; expected a bag ({', '.join(SUFFIXES)}) or a folder of ROS 2", source)
     if source.suffix not in SUFFIXES:
         packed = " decompress it first;" if source.suffix in (".zstd", ".zst", ".gz", ".active") else ""
-        raise DatasetError(f"is no bag by its name;{packed} expected {', '.join(SUFFIXES)}", source)
+        raise DatasetError(f"does not have the name of a bag;{packed} expected {', '.join(SUFFIXES)}", source)
     plain_file(source, "a bag", DatasetError)
     return (source,)
 
@@ -103,7 +103,7 @@ class Part:
             for connection in self._reader.connections:
                 name = connection.topic
                 if not (isinstance(name, str) and isinstance(connection.msgtype, str)):
-                    raise DatasetError(f"{quoted(name)} is no name of a topic, or its type is none", path)
+                    raise DatasetError(f"{quoted(name)} is not the name of a topic, or its type is invalid", path)
                 if self.types.setdefault(name, connection.msgtype) != connection.msgtype:
                     raise DatasetError(f"topic {name} has messages of several types", path)
                 if path.suffix == ".bag" or getattr(connection, "encoding", "") == "ros1":

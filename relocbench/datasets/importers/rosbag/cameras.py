@@ -46,7 +46,7 @@ def _read_camera(reading: Reading, camera: CameraTopic) -> CameraStream:
         assert pose is not None
         return BagCamera(camera.name, messages, entry.camera, pose, times)
     if not camera.info:
-        raise DatasetError(f"{topic} has no CameraInfo; --extrinsics can tell its intrinsics", reading.source)
+        raise DatasetError(f"{topic} has no CameraInfo; give its intrinsics by --extrinsics", reading.source)
     try:
         found = calibration_of(reading.survey.first(camera.info), size, camera.rectified)
     except ValueError as bad:
@@ -57,7 +57,7 @@ def _read_camera(reading: Reading, camera: CameraTopic) -> CameraStream:
         if abs(pose[2, 2]) > _UPRIGHT and "optical" not in frame:
             raise DatasetError(
                 f"{topic} would look {'up' if pose[2, 2] > 0 else 'down'}: its frame {frame!r} seems to have x "
-                "forward, where images need z forward, x right, y down; --extrinsics tells the pose of the camera",
+                "forward, where images need z forward, x right, y down; give the pose of the camera by --extrinsics",
                 reading.source,
             )
         pose = pose @ make_transform(found.R_optical_camera, [0.0, 0.0, 0.0])

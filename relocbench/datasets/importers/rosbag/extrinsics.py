@@ -72,7 +72,7 @@ class Extrinsics(Strict):
             (n, cameras, "camera") for n in self.cameras
         ]:
             if name not in known:
-                raise ConfigError(f"no {what} {name!r} is read; there is {', '.join(sorted(known)) or 'none'}", path)
+                raise ConfigError(f"no {what} {name!r} is read; available: {', '.join(sorted(known)) or 'none'}", path)
 
 
 def read_extrinsics(path: Path | None) -> Extrinsics:

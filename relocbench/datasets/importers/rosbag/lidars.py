@@ -88,7 +88,7 @@ def _point_times(reading: Reading, lidar: BagLidar, samples: Sequence[int], patt
     if settings.motion == "distorted" and settings.point_times is None:
         found = _detected(reading, lidar, samples, period)
         if not found.field and pattern != "spinning":
-            raise ConfigError(f"--motion distorted: {topic} is no spinning lidar, and its points have no times")
+            raise ConfigError(f"--motion distorted: {topic} is not a spinning lidar, and its points have no times")
         return found if found.field else PointTimes(turn_ns=_turn_ns(lidar))
     if settings.motion == "compensated":
         return PointTimes()
@@ -120,6 +120,6 @@ def _detected(reading: Reading, lidar: BagLidar, samples: Sequence[int], period:
         return detect(name, scans, period)
     except ValueError as bad:
         raise DatasetError(
-            f"{topic}: {bad}; --point-time tells it (FIELD:UNIT:BASE, or none if scans are motion compensated)",
+            f"{topic}: {bad}; give it by --point-time (FIELD:UNIT:BASE, or none if scans are motion compensated)",
             reading.source,
         ) from None

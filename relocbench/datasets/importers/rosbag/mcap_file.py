@@ -70,7 +70,7 @@ class McapFile:
         self._reader = SeekingReader(self._stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
         summary = self._reader.get_summary()
         if summary is None or summary.statistics is None:
-            raise DatasetError("has no summary, which says what is in it; `mcap recover` writes one", self.path)
+            raise DatasetError("has no summary of its content; `mcap recover` writes one", self.path)
         counts = summary.statistics.channel_message_counts
         for number, channel in summary.channels.items():
             schema = summary.schemas.get(channel.schema_id)

@@ -140,4 +140,4 @@ def _calibration(path: Path) -> Any:
         return _library().Calibration.read(str(path))
     except Exception as bad:  # noqa: BLE001  what the parser of a damaged file raises is open
         message = " ".join(str(bad).split())
-        raise DatasetError(f"is no calibration of the beams of a Velodyne ({message[:200]})", path) from None
+        raise DatasetError(f"is not a calibration of the beams of a Velodyne ({message[:200]})", path) from None

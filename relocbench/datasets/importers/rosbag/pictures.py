@@ -63,7 +63,7 @@ def image_of(kind: str, message: Any, path: Path) -> Image:
 def _plain(message: Any) -> Image:
     encoding, height, width = str(message.encoding), int(message.height), int(message.width)
     if encoding not in _PLAIN:
-        raise ValueError(f"encoding {quoted(encoding, 30)} is not read; there is {', '.join(ENCODINGS)}")
+        raise ValueError(f"encoding {quoted(encoding, 30)} is not read; available: {', '.join(ENCODINGS)}")
     if not 0 < height * width <= MOST_PIXELS:
         raise ValueError(f"an image of {width}x{height} pixels cannot be read")
     channels, size, code = _PLAIN[encoding]

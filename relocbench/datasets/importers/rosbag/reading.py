@@ -83,7 +83,7 @@ class Reading:
             known = {*self.frames.names(), first, poses.child if poses else ""}
             if named not in known:
                 available = ", ".join(sorted(known - {""})) or "none"
-                raise DatasetError(f"--base-frame: there is no frame {named!r}; there is {available}", self.source)
+                raise DatasetError(f"--base-frame: no frame {named!r}; available: {available}", self.source)
             return named
         given = self.settings.extrinsics.lidar(name, topic) is not None
         for frame in (*BASES, poses.child if poses else ""):

@@ -125,7 +125,7 @@ def _named(found: Survey, name: str, types: Sequence[str], option: str) -> Topic
     allowed = ", ".join(kinds.short(kind) for kind in types)
     if topic is None:
         available = ", ".join(t.name for t in found.of_types(types)) or "none"
-        raise ConfigError(f"{option}: no topic {name!r} in {found.source.name}; of {allowed} there is {available}")
+        raise ConfigError(f"{option}: no topic {name!r} in {found.source.name}; of {allowed} available: {available}")
     if topic.type in kinds.UNREADABLE:
         message = f"{kinds.short(topic.type)} cannot be read: {kinds.UNREADABLE[topic.type]}"
         raise ConfigError(f"{option}: {topic.name} of {found.source.name}: {message}")

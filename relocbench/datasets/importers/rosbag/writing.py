@@ -44,7 +44,7 @@ def write_bag(recording: FieldRecording, path: Path, storage: Storage = "rosbag1
         ConfigError: the path exists, or there is no such storage.
     """
     if storage not in get_args(Storage):
-        raise ConfigError(f"no storage '{storage}'; there is {', '.join(get_args(Storage))}")
+        raise ConfigError(f"no storage '{storage}'; available: {', '.join(get_args(Storage))}")
     if path.exists():
         raise ConfigError("exists already; expected a new file or folder", path)
     made = _Messages(storage == "rosbag1")

@@ -65,7 +65,7 @@ class Options(ImportOptions):
         for name in ("surfaces", "changes"):
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
-                raise ValueError(f"{name} must hold at least one, none of them twice")
+                raise ValueError(f"{name} must hold at least one, and each once")
         return self
 
 

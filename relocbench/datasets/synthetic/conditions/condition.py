@@ -223,7 +223,7 @@ CONDITIONS: dict[str, NamedCondition] = {
 def condition_named(name: str) -> NamedCondition:
     """The condition of a name in :data:`CONDITIONS`. Raises ConfigError, listing the names, if there is none."""
     if name not in CONDITIONS:
-        raise ConfigError(f"no condition '{name}'; there is {', '.join(CONDITIONS)}")
+        raise ConfigError(f"no condition '{name}'; available: {', '.join(CONDITIONS)}")
     return CONDITIONS[name]
 
 
@@ -268,7 +268,7 @@ begin with ``imaging.``."""
 def sweep(name: str, steps: int, base: Factors | None = None) -> Sequence[Factors]:
     """``steps`` conditions that differ only in one swept factor. Raises ConfigError on an unknown name."""
     if name not in SWEEPS:
-        raise ConfigError(f"no sweep '{name}'; there is {', '.join(SWEEPS)}")
+        raise ConfigError(f"no sweep '{name}'; available: {', '.join(SWEEPS)}")
     if steps < 2:
         raise ConfigError(f"a sweep needs at least 2 steps, got {steps}")
     base = base if base is not None else CONDITIONS["Sunny"].factors

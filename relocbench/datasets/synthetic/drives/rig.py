@@ -80,5 +80,5 @@ baselines of the stereo rigs, 0.24 m and 0.54 m, are those of the Bumblebee XB3 
 def rig_named(name: str) -> Rig:
     """The rig of a name in :data:`RIGS`. Raises ConfigError, listing the names, if there is none."""
     if name not in RIGS:
-        raise ConfigError(f"no rig '{name}'; there is {', '.join(RIGS)}")
+        raise ConfigError(f"no rig '{name}'; available: {', '.join(RIGS)}")
     return RIGS[name]

@@ -72,7 +72,7 @@ class BoreasLayout(FieldsOnly):
     def __post_init__(self) -> None:
         for name in self.chosen:
             if name not in CAMERAS:
-                raise ConfigError(f"no Boreas camera '{name}'; there is {', '.join(CAMERAS)}")
+                raise ConfigError(f"no Boreas camera '{name}'; available: {', '.join(CAMERAS)}")
 
     @property
     def name(self) -> str:

@@ -57,7 +57,7 @@ class KittiLayout(FieldsOnly):
     def __post_init__(self) -> None:
         for name in self.chosen:
             if name not in CAMERAS:
-                raise ConfigError(f"no KITTI camera '{name}'; there is {', '.join(CAMERAS)}")
+                raise ConfigError(f"no KITTI camera '{name}'; available: {', '.join(CAMERAS)}")
 
     @property
     def name(self) -> str:

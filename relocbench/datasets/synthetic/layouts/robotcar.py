@@ -101,7 +101,7 @@ class RobotCarLayout(FieldsOnly):
     def __post_init__(self) -> None:
         for name in self.chosen:
             if name not in CAMERAS:
-                raise ConfigError(f"no RobotCar camera '{name}'; there is {', '.join(CAMERAS)}")
+                raise ConfigError(f"no RobotCar camera '{name}'; available: {', '.join(CAMERAS)}")
 
     @property
     def name(self) -> str:

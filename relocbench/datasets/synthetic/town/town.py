@@ -66,7 +66,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
         ConfigError: the split is unknown, the seed is negative, or the extent is below 180 m.
     """
     if split not in SPLITS:
-        raise ConfigError(f"no split '{split}'; there is {', '.join(SPLITS)}")
+        raise ConfigError(f"no split '{split}'; available: {', '.join(SPLITS)}")
     if seed < 0:
         raise ConfigError(f"the seed of a district must not be negative, got {seed}")
     if not extent_m >= SMALLEST_M:
