@@ -117,7 +117,7 @@ def test_no_answer_is_no(server: str, place: Path, monkeypatch: pytest.MonkeyPat
     answering(monkeypatch, "")
     told = relocbench("fetch-weights", METHOD)
     assert told.status == 2
-    assert "it was not confirmed" in told.complaint
+    assert "not confirmed" in told.complaint
 
 
 def test_the_digest_is_told_where_nobody_states_one(server: str, place: Path) -> None:

@@ -64,7 +64,7 @@ def test_a_template_is_not_written_over_a_card(tmp_path: Path) -> None:
     assert relocbench("submit-check", "--new", tmp_path / "s").status == 0
     (tmp_path / "s" / "card.yaml").write_text("mine")
     outcome = relocbench("submit-check", "--new", tmp_path / "s")
-    assert (outcome.status, "is there already" in outcome.complaint) == (2, True)
+    assert (outcome.status, "exists already" in outcome.complaint) == (2, True)
     assert (tmp_path / "s" / "card.yaml").read_text() == "mine"
 
 

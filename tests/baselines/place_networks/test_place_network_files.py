@@ -111,7 +111,7 @@ CHANGES: list[tuple[str, Callable[[State], Mapping[str, Any]], str]] = [
         r"'more' is not part of this network; expected the weights",
     ),
     ("cosplace", changed(backbone__0__weight=None), r"its 'backbone' is unknown; expected the weights of"),
-    ("cosplace", changed(backbone__4__2__conv1__weight=torch.zeros(1)), r"its 'backbone' is none that is known"),
+    ("cosplace", changed(backbone__4__2__conv1__weight=torch.zeros(1)), r"its 'backbone' is unknown"),
     (
         "cosplace",
         changed(backbone__0__weight=torch.zeros(64, 3, 5, 5)),
@@ -123,7 +123,7 @@ CHANGES: list[tuple[str, Callable[[State], Mapping[str, Any]], str]] = [
         changed(pool__conv__bias=torch.zeros(4)),
         r"'pool\.conv\.bias' is \(4,\), expected \(5,\)",
     ),
-    ("netvlad", changed(encoder__0__weight=None), r"its 'encoder' is none that is known"),
+    ("netvlad", changed(encoder__0__weight=None), r"its 'encoder' is unknown"),
     (
         "netvlad",
         changed(WPCA__0__bias=torch.zeros(4)),
@@ -133,7 +133,7 @@ CHANGES: list[tuple[str, Callable[[State], Mapping[str, Any]], str]] = [
     (
         "megaloc",
         changed(backbone__pos_embed=torch.zeros(1, 25, 128)),
-        r"its 'backbone' is none that is known",
+        r"its 'backbone' is unknown",
     ),
     (
         "megaloc",

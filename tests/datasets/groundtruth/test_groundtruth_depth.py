@@ -301,7 +301,7 @@ def test_a_pair_that_is_not_rectified_is_refused() -> None:
     aside = make_transform(np.eye(3), [-0.5, 0, 0])
     assert rectified(CAMERA, CAMERA, aside).focal_baseline == pytest.approx(122.5)
     for wrong in (invert(aside), se3_exp([-0.5, 0, 0, 0.02, 0, 0]), make_transform(np.eye(3), [-0.5, 0.1, 0])):
-        with pytest.raises(ConfigError, match="no rectified pair"):
+        with pytest.raises(ConfigError, match="not a rectified pair"):
             rectified(CAMERA, CAMERA, wrong)
 
 

@@ -489,7 +489,7 @@ def test_retrievers_that_keep_the_contract_pass_the_check(method: str, views: Pa
     [
         ("Constant", [], "describes different images differently"),
         ("Whitened", ["breaks=true"], "fits to a gallery"),
-        ("Reversing", ["fault=nan"], "orders the first 2 anew"),
+        ("Reversing", ["fault=nan"], "re-ranks the first 2"),
         ("Picky", ["always=true"], "describes a street"),
         *(("WrongShapes", [f"answer={i}"], "describes a street") for i in range(5)),
         ("makes_nothing", [], "has describe()"),

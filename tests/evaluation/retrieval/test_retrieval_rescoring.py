@@ -200,7 +200,7 @@ def test_edited_files_are_refused_without_the_truth(results: Path) -> None:
     assert refused(results, "changed since it was scored; run") == folder.predictions(D2S)
     folder.predictions(D2S).write_text(lists)
     change_yaml(folder.scores_yaml, lambda scores: [scores.pop("run"), scores.pop("lists")])
-    assert refused(results, "does not say what it was computed from, as earlier versions did not") is not None
+    assert refused(results, "does not record what it was computed from") is not None
 
 
 def test_claiming_that_more_images_are_kept_than_there_are_exposes_the_ranks_behind_them(
