@@ -2,7 +2,7 @@
 
 A number that was printed by code that no longer exists need not be wrong, but it cannot be checked. The commit is the
 last one that wrote the page; what decides it is the code of the datasets, methods, metrics and pages that it is made
-by. The documentation has this table at the time when it was built (``docs/published.md``).
+by. The site of the documentation has this table as it was when the site was built (``leaderboard/README.md``).
 
     python tools/published.py
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 PLACE = "<!-- standing of the published pages -->"
-"""of the table in ``docs/published.md``"""
+"""of the table in ``leaderboard/README.md``"""
 
 _EVALUATION = ("relocbench/evaluation/common", "relocbench/metrics", "relocbench/geometry", "relocbench/tracking.py")
 _TRACKERS = (

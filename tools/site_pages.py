@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: what the site has beside ``docs/`` (the published results, and the notebook as a page).
+"""Hooks of mkdocs: the published results and the notebook become pages too, and the search gets to know what comes first.
 
 Pages link to each other as they lie in the repository, where ``leaderboard/`` is beside ``docs/`` and a notebook is its
 own page. On the site ``leaderboard/`` is inside, and the notebook is a page in Markdown; links are changed to match.
@@ -20,6 +20,16 @@ ROOT = Path(__file__).parents[1]
 BOARD = "leaderboard"
 _SHOWN = {".md", ".csv", ".png"}
 """of the published results; the archives of errors are left to the repository"""
+_SEARCH: dict[str, dict[str, Any]] = {
+    "metrics.md": {"boost": 4},
+    "tutorials/your-method.md": {"boost": 4},
+    "add-a-method.md": {"boost": 3},
+    "interoperability.md": {"boost": 3},
+    "ground-truth.md": {"boost": 2},
+    "results.md": {"boost": 2},
+    "decisions.md": {"exclude": True},
+}
+"""how the search ranks a page; those of the published results, which have every word in their tables, come last"""
 _TO_DOCS = re.compile(r"(\]\((?:\.\./)+)docs/")
 _TO_BOARD = re.compile(r"(\]\((?:\.\./)*)\.\./leaderboard/")
 _TO_NOTEBOOK = re.compile(r"(\]\([^)\s]+)\.ipynb\)")
@@ -40,8 +50,10 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Turn links of the repository into those of the site."""
-    if page.file.src_uri.startswith(f"{BOARD}/"):
+    """Turn links of the repository into those of the site, and say how the search ranks the page."""
+    published = page.file.src_uri.startswith(f"{BOARD}/")
+    page.meta.setdefault("search", _SEARCH.get(page.file.src_uri, {"boost": 0.3 if published else 1}))
+    if published:
         return _TO_DOCS.sub(r"\1", markdown)
     if (ROOT / "docs" / page.file.src_uri).with_suffix(".ipynb").exists():
         return markdown  # it links to itself, to be downloaded
