@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: the published results and the notebook become pages too, and the search gets to know what comes first.
+"""Hooks of mkdocs: the published results and the notebook become pages too, and the search knows what comes first.
 
 Pages link to each other as they lie in the repository, where ``leaderboard/`` is beside ``docs/`` and a notebook is its
 own page. On the site ``leaderboard/`` is inside, and the notebook is a page in Markdown; links are changed to match.
