@@ -31,7 +31,7 @@ class OptionError(ConfigError, ValueError):
 
     def __init__(self, name: str, value: object, expected: str) -> None:
         self.option, self.value, self.rule = name, value, expected
-        super().__init__(f"{name} is {_shown(value)}, expected {expected}")
+        super().__init__(f"{name} is {_quoted_value(value)}, expected {expected}")
 
     def __reduce__(self) -> Any:
         return type(self), (self.option, self.value, self.rule)
@@ -96,10 +96,10 @@ def options_from_dict(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
     try:
         return TypeAdapter(kind).validate_python(dict(values))
     except ValidationError as bad:
-        raise ConfigError("; ".join(_told(fault) for fault in bad.errors())) from bad
+        raise ConfigError("; ".join(_fault_text(fault) for fault in bad.errors())) from bad
 
 
-def _told(fault: Any) -> str:
+def _fault_text(fault: Any) -> str:
     """One fault that pydantic found: the option by its full name, its value and what was expected."""
     name = ".".join(str(part) for part in fault["loc"])
     raised = fault.get("ctx", {}).get("error")
@@ -109,10 +109,10 @@ def _told(fault: Any) -> str:
         return f"unknown option {name}"
     if fault["type"] == "missing":
         return f"option {name} is missing"
-    return f"{name} is {_shown(fault['input'])}: {fault['msg']}"
+    return f"{name} is {_quoted_value(fault['input'])}: {fault['msg']}"
 
 
-def _shown(value: object) -> str:
+def _quoted_value(value: object) -> str:
     """A value as it is written in YAML, in quotation marks if it is text."""
     if isinstance(value, str):
         return quoted(value)

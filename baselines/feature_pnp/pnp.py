@@ -108,7 +108,7 @@ class Pnp(ABC, Generic[Prepared]):
         threshold = self.reprojection_threshold_px
         start = ransac_pose(matches, query.camera, threshold, self.max_iterations, self.confidence, self.seed)
         if start is None:
-            shown = told_matches(matches, np.zeros(0, dtype=np.int64))
+            shown = sampled_matches(matches, np.zeros(0, dtype=np.int64))
             return TrackResult.failure("no pose agrees with the matches", matches=len(matches), shown_matches=shown)
         refined = refine_pose(start, matches, query.camera, threshold)
         inliers = len(refined.inliers)
@@ -119,7 +119,7 @@ class Pnp(ABC, Generic[Prepared]):
             "reprojection_rms_px": _finite_or_none(refined.rms_px),
             "translation_sigma_m": _finite_or_none(translation_sigma),
             "rotation_sigma_deg": _finite_or_none(float(np.rad2deg(rotation_sigma))),
-            "shown_matches": told_matches(matches, refined.inliers),
+            "shown_matches": sampled_matches(matches, refined.inliers),
         }
         if inliers < self.min_inliers:
             return TrackResult.failure(f"{inliers} inliers, {self.min_inliers} needed", **info)
@@ -139,7 +139,7 @@ class Pnp(ABC, Generic[Prepared]):
         return TrackResult(refined.T_query_ref, confidence=confidence, info=info)
 
 
-def told_matches(matches: Matches2D3D, inliers: NDArray[np.intp]) -> list[list[float]]:
+def sampled_matches(matches: Matches2D3D, inliers: NDArray[np.intp]) -> list[list[float]]:
     """Some matches as ``info["shown_matches"]`` has them, so that pages can draw them: evenly chosen, inliers first.
 
     Each is ``[u, v of the keyframe, u, v of the query, 1 for an inlier, else 0]``, in tenths of pixels.

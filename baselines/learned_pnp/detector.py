@@ -58,10 +58,10 @@ class NetworkDetector(ABC):
         Raises:
             MethodError: the image is smaller than 64 pixels.
         """
-        return self._cache.get(image, self._found)
+        return self._cache.get(image, self._compute)
 
     @torch.inference_mode()
-    def _found(self, image: NDArray[np.uint8]) -> Features:
+    def _compute(self, image: NDArray[np.uint8]) -> Features:
         tensor, factor = network_input(
             image, self.channels, self.longest_px, self.name, self.device, multiple=self.multiple
         )

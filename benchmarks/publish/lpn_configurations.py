@@ -235,7 +235,7 @@ def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], tes
             f"{label}.device={given.device or 'cpu'}" for label in labels
         ]
         if (options := options_of(name, given)).frozen != "nothing":
-            settings += [f"{label}.shared_blocks={options.remembered_blocks}" for label in labels]
+            settings += [f"{label}.shared_blocks={options.cached_blocks}" for label in labels]
         found = answers(ask(given, test.root, labels, settings), test)
         system = CONFIGURATIONS[name]
         logged = (system.logged.r_at_1, system.logged.ap) if system.logged else None

@@ -65,7 +65,7 @@ def seconds_of(name: str, frozen: dict[str, Any], steps: int) -> list[float]:
     out = []
     with TemporaryDirectory() as folder:
         training = Training(places(), None, options, TrainingRun(Path(folder), device="cpu"))
-        training.remember_maps()
+        training.cache_maps()
         for number in range(steps + 1):
             start = time.process_time()
             training.one_step(training.batches[number])

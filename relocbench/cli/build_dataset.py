@@ -254,7 +254,7 @@ def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
     from relocbench.cli.configuration import Where, merged
     from relocbench.errors import DatasetError
     from relocbench.execution import Run, default_workers
-    from relocbench.files import alone_writing_to
+    from relocbench.files import locked_output
 
     sources, out = given.pop("sources", []), given.pop("out")
     config, quiet, as_json = given.pop("config"), given.pop("quiet"), given.pop("json")
@@ -275,7 +275,7 @@ def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
     for source in sources:
         if out.resolve().is_relative_to(source.resolve()):  # not even a folder is made there
             raise DatasetError(f"lies inside the recording {source}, which is never written to", out)
-    with alone_writing_to(out):
+    with locked_output(out):
         _make(kind, chosen, sources, out, run, quiet, as_json)
 
 

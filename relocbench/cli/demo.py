@@ -51,7 +51,7 @@ def demo(
     from relocbench.datasets.importers import importer
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
     from relocbench.execution import Run, default_workers
-    from relocbench.files import alone_writing_to
+    from relocbench.files import locked_output
     from relocbench.leaderboard import write_leaderboard
     from relocbench.leaderboard.html.rows import Boards
     from relocbench.leaderboard.html.site import write_site
@@ -59,7 +59,7 @@ def demo(
     from relocbench.leaderboard.tracking.condition_picture import write_condition_picture
 
     report = reporter(quiet)
-    with alone_writing_to(out):
+    with locked_output(out):
         town = importer("synthetic")
         options = town.Options.model_validate({**_STREET, "seed": seed})
         dataset = town.build([], options, out / "dataset", report, Run(workers or default_workers()))

@@ -94,7 +94,7 @@ def export(
     from relocbench.evaluation.retrieval.exports import export_lists
     from relocbench.evaluation.tracking.blind_export import export_blind
     from relocbench.evaluation.tracking.exports import export_poses
-    from relocbench.files import alone_writing_to
+    from relocbench.files import locked_output
 
     if retriever is None and top is not None:
         raise ConfigError("--top is the length of a retriever's lists; name the retriever: --retriever LABEL")
@@ -112,7 +112,7 @@ def export(
     opened = Dataset(dataset)
     check_outside(out, dataset)
     if format == "blind":
-        with alone_writing_to(out):
+        with locked_output(out):
             blind = export_blind(opened, out, 1 if edition is None else edition, reporter(quiet))
         if json:
             print_json({"dataset": str(out), "name": blind.name, "fingerprint": blind.fingerprint}, of_dataset(blind))
@@ -121,7 +121,7 @@ def export(
         return
     if retriever is not None:
         asked = [opened.pair_set(name).name for name in pair_set]
-        with alone_writing_to(out):
+        with locked_output(out):
             lists = export_lists(opened, asked, out, results, retriever, _TOP if top is None else top)
         if json:
             counts = {"files_written": len(lists), "queries": sum(one.queries for one in lists)}
@@ -135,7 +135,7 @@ def export(
         return
     names = [opened.pair_set(name).name for name in pair_set] or opened.pair_set_names
     # The zip appears whole in one step: nothing is shared with whoever writes beside it.
-    with nullcontext() if format == "mlad" else alone_writing_to(out):
+    with nullcontext() if format == "mlad" else locked_output(out):
         written = export_poses(opened, names, format, out, results, method, relocalization_file, reporter(quiet))
     if json:
         print_json({"files": [str(path) for path in written]}, {"files_written": len(written), "pair_sets": len(names)})
@@ -149,13 +149,13 @@ def _export_images(dataset: Path, out: Path, radius: float | None, edition: int,
     from relocbench.errors import ConfigError
     from relocbench.evaluation.retrieval.blind_export import export_blind_images
     from relocbench.evaluation.retrieval.opening import SetOptions, open_set
-    from relocbench.files import alone_writing_to
+    from relocbench.files import locked_output
 
     if radius == 0:
         raise ConfigError("--radius is 0, expected metres")
     told = reporter(quiet)
     asked = open_set(dataset, out, SetOptions(radius_m=radius), told)
-    with alone_writing_to(out):
+    with locked_output(out):
         file = export_blind_images(asked, dataset, out, edition, told)
     if json:
         queries = sum(task.queries for task in file.tasks.values())

@@ -63,7 +63,7 @@ def inspect(
     from relocbench.datasets.importers.rosbag.bag import is_recording
     from relocbench.datasets.inspect.summary import take_inventory
     from relocbench.evaluation.common.opening import check_outside
-    from relocbench.files import alone_writing_to
+    from relocbench.files import locked_output
 
     if is_recording(dataset):
         _inspect_bag(dataset, [pictures, ground_truth, *pair_set], json)
@@ -82,13 +82,13 @@ def inspect(
     if pictures is not None:
         from relocbench.datasets.inspect.overlay import write_pictures
 
-        with alone_writing_to(pictures):
+        with locked_output(pictures):
             drawn = write_pictures(opened, chosen, pictures, pairs, seed, reporter(quiet))
     page: Path | None = None
     if ground_truth is not None:
         from relocbench.datasets.groundtruth.report.pictures import write_ground_truth
 
-        with alone_writing_to(ground_truth):
+        with locked_output(ground_truth):
             page = write_ground_truth(opened, chosen, ground_truth, pairs, seed, reporter(quiet))
     if json:
         told = {**take_inventory(opened).to_dict(), "pictures": [p.to_dict() for p in drawn]}

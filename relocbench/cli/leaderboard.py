@@ -119,7 +119,7 @@ def leaderboard(
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.evaluation.common.opening import check_in_no_dataset
-    from relocbench.files import alone_writing_to
+    from relocbench.files import locked_output
     from relocbench.leaderboard.formats import How, check_formats, write_formats
     from relocbench.leaderboard.html.rows import Boards
     from relocbench.leaderboard.relocalization.write import note_missing as note_missing_pipelines
@@ -131,7 +131,7 @@ def leaderboard(
     ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
     told, chosen = reporter(quiet), check_formats(formats, html)
     lookup = DatasetLookup(results, dataset or (), told)
-    with alone_writing_to(out):
+    with locked_output(out):
         board, found, pipelines = _load(results, lookup, ranked_by, split, seed, told)
         if found is not None:
             note_missing(found, told)
@@ -200,7 +200,7 @@ def report(
     """
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-    from relocbench.files import alone_writing_to
+    from relocbench.files import locked_output
     from relocbench.leaderboard.html.manifest import earlier_files
     from relocbench.leaderboard.html.rows import Boards
     from relocbench.leaderboard.html.site import write_site
@@ -209,7 +209,7 @@ def report(
     told = reporter(quiet)
     earlier_files(out)  # a folder that is not for pages is refused before the work
     lookup = DatasetLookup(results, dataset or (), told)
-    with alone_writing_to(out):
+    with locked_output(out):
         boards = Boards(*_load(results, lookup, ranked_by, split, seed, told))
         start = write_site(boards, out, pairs=pairs, reporter=told)
     if json:

@@ -86,7 +86,7 @@ def probe(
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.probe import ProbeOptions, probe_methods
-    from relocbench.files import alone_writing_to
+    from relocbench.files import locked_output
 
     chosen = common.given(
         dataset=dataset,
@@ -110,7 +110,7 @@ def probe(
         scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
     )
     options = merged(ProbeOptions, config, chosen)
-    with alone_writing_to(options.out):
+    with locked_output(options.out):
         report = probe_methods(options, reporter(quiet))
     if json:
         told = report.to_dict()

@@ -173,9 +173,9 @@ def register(
     written = []
     if out is not None:
         from relocbench.datasets.groundtruth.clouds.writing import write_registration
-        from relocbench.files import alone_writing_to
+        from relocbench.files import locked_output
 
-        with alone_writing_to(out):
+        with locked_output(out):
             clouds = sides[0].cloud, sides[1].cloud
             written = write_registration(out, found, *clouds, (str(a), str(b)), cloud=save_cloud)
     if json:

@@ -133,7 +133,7 @@ def train(
         if not root.is_dir():  # trainers take seconds to load
             raise DatasetError("no such folder; expected a dataset", root)
 
-    from relocbench.files import alone_writing_to, dump_yaml, remove_parts
+    from relocbench.files import dump_yaml, locked_output, remove_parts
     from relocbench.methods.trainers import chosen_options, trainer_named
     from relocbench.training import PlaceTrainer
 
@@ -172,7 +172,7 @@ def train(
     words += ["--no-validation" if no_validation else asked]
     command = shlex.join(["relocbench", *words, f"--device={place}"])
     run = TrainingRun(out, name, command, 1 if workers is None else workers, place, reporter(quiet), tensorboard)
-    with alone_writing_to(out, MethodError):
+    with locked_output(out, MethodError):
         remove_parts(out, deep=False)
         if isinstance(trainer, PlaceTrainer):
             share = 0.0 if no_validation else validation_places

@@ -31,10 +31,10 @@ from relocbench.files.plain import plain_file, read_bytes
 from relocbench.files.tables import CHUNK_ROWS, read_csv, read_table, read_table_chunks
 from relocbench.files.text import lines_of, read_rows, read_text
 from relocbench.files.writing import (
-    alone_in,
-    alone_writing_to,
     atomic_write,
     link_file,
+    locked_folder,
+    locked_output,
     remove_parts,
     sha256_file,
     write_bytes,
@@ -58,8 +58,6 @@ __all__ = [
     "MAX_NODES",
     "YamlFault",
     "YamlPlaces",
-    "alone_in",
-    "alone_writing_to",
     "atomic_write",
     "check_distinct",
     "check_joined_name",
@@ -74,6 +72,8 @@ __all__ = [
     "load_yaml",
     "load_yaml_value",
     "load_yaml_values",
+    "locked_folder",
+    "locked_output",
     "parse_count",
     "parse_floats",
     "parse_json",

@@ -73,7 +73,7 @@ def link_file(source: Path, path: Path) -> None:
 
 
 @contextmanager
-def alone_in(folder: Path, error: type[RelocbenchError] = RelocbenchError) -> Iterator[None]:
+def locked_folder(folder: Path, error: type[RelocbenchError] = RelocbenchError) -> Iterator[None]:
     """Be the only process that works in a folder. The system lets go of it however the process ends.
 
     Raises:
@@ -96,7 +96,7 @@ def alone_in(folder: Path, error: type[RelocbenchError] = RelocbenchError) -> It
 
 
 @contextmanager
-def alone_writing_to(folder: Path, error: type[RelocbenchError] = RelocbenchError) -> Iterator[None]:
+def locked_output(folder: Path, error: type[RelocbenchError] = RelocbenchError) -> Iterator[None]:
     """Be the only process that writes to an output folder. It is made, and removed again where nothing was written.
 
     Within it the same folder may be entered again, by a part of the work that guards itself.
@@ -117,7 +117,7 @@ def alone_writing_to(folder: Path, error: type[RelocbenchError] = RelocbenchErro
         yield
         return
     try:
-        with alone_in(folder, error):
+        with locked_folder(folder, error):
             token = _written_to.set(_written_to.get() | {(about.st_dev, about.st_ino)})
             try:
                 yield

@@ -42,7 +42,7 @@ def _tab(name: str, pair_set: PairSet, world: str, errors: bool, pictured: bool)
         rrb.Spatial2DView(origin=paths.images(name, paths.KEYFRAME), name="keyframe"),
         rrb.Spatial2DView(origin=paths.images(name, paths.QUERY), name="query"),
     )
-    words = rrb.TextDocumentView(origin=paths.told(name), name="this pair")
+    words = rrb.TextDocumentView(origin=paths.words(name), name="this pair")
     if not errors and not pictured:
         return rrb.Horizontal(space, words, column_shares=[2, 1], name=name)
     if not errors:

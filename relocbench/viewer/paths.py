@@ -40,6 +40,6 @@ def error(what: str, name: str, *method: str) -> str:
     return path("errors", what, name, *method)
 
 
-def told(name: str) -> str:
+def words(name: str) -> str:
     """What is told in words of a set's pair."""
     return path("told", name)

@@ -163,7 +163,7 @@ class _Work:
             self._add_answer(one, root, method, answer, camera, T_world_ref)
         self._add_rig(one)
         words = rr.TextDocument(self._words(one), media_type="text/markdown")
-        self.rec.log(paths.told(pair_set.name), words)
+        self.rec.log(paths.words(pair_set.name), words)
         self.pairs += 1
         self.without_pose += T_world_ref is None
 

@@ -16,7 +16,7 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.importers import KINDS
 from relocbench.errors import DatasetError
-from relocbench.files import alone_in, alone_writing_to
+from relocbench.files import locked_folder, locked_output
 
 AT_WORK = "another process is at work here; wait for it to end"
 COMMANDS = {
@@ -52,7 +52,7 @@ def test_a_command_whose_folder_another_process_writes_to_changes_nothing(
     out = tmp_path / "out"
     out.mkdir()
     (out / "half").write_text("of a table")
-    with alone_in(out):
+    with locked_folder(out):
         ended = relocbench(*COMMANDS[name], OUT.get(name, "--out"), out)
     assert ended.status == 2
     assert ended.complaint == f"relocbench: {out}: {AT_WORK}"
@@ -62,8 +62,8 @@ def test_a_command_whose_folder_another_process_writes_to_changes_nothing(
 def test_the_folder_is_free_again_however_the_process_ended(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     program = (
-        "import sys; from pathlib import Path; from relocbench.files import alone_writing_to\n"
-        "with alone_writing_to(Path(sys.argv[1])): print('in', flush=True); sys.stdin.read()\n"
+        "import sys; from pathlib import Path; from relocbench.files import locked_output\n"
+        "with locked_output(Path(sys.argv[1])): print('in', flush=True); sys.stdin.read()\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-c", program, str(out)]
@@ -91,11 +91,11 @@ def test_a_command_that_fails_leaves_no_folder_behind(tmp_path: Path) -> None:
 def test_a_part_of_the_work_may_guard_the_same_folder_again(tmp_path: Path) -> None:
     again = tmp_path / "." / ".." / tmp_path.name
     with ExitStack() as entered:
-        entered.enter_context(alone_writing_to(tmp_path))
-        entered.enter_context(alone_writing_to(again))
+        entered.enter_context(locked_output(tmp_path))
+        entered.enter_context(locked_output(again))
         with pytest.raises(DatasetError, match=AT_WORK):
-            entered.enter_context(alone_in(tmp_path, DatasetError))
-    with alone_in(tmp_path):
+            entered.enter_context(locked_folder(tmp_path, DatasetError))
+    with locked_folder(tmp_path):
         pass
 
 
@@ -104,6 +104,6 @@ def test_a_file_system_without_locks_is_written_to_as_ever(tmp_path: Path, monke
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    with alone_writing_to(tmp_path / "out"):
+    with locked_output(tmp_path / "out"):
         (tmp_path / "out" / "file").touch()
     assert (tmp_path / "out" / "file").exists()

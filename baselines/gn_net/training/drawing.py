@@ -37,7 +37,7 @@ class EvenDraw:
         by_dataset: dict[str, list[int]] = {}
         for index in range(len(data)):
             by_dataset.setdefault(data.label(index).dataset, []).append(index)
-        shares = {_told(name, by_dataset): share for name, share in (shares or {}).items()}
+        shares = {_owners_text(name, by_dataset): share for name, share in (shares or {}).items()}
         left, parts = Fraction(1), []
         for name in sorted(shares):
             share = Fraction(str(shares[name]))
@@ -66,7 +66,7 @@ class EvenDraw:
         raise AssertionError("the last part takes every draw")
 
 
-def _told(name: str, datasets: Collection[str]) -> str:
+def _owners_text(name: str, datasets: Collection[str]) -> str:
     """The label of the dataset that a name, or a name with fingerprint, tells."""
     of_name = sorted(label for label in datasets if name in (label, label.rpartition("@")[0]))
     if len(of_name) == 1:

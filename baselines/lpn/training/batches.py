@@ -22,8 +22,8 @@ from torch.utils.data import Dataset
 from baselines.lpn.images import as_bytes, resized
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.training.augmentation import augmented
+from baselines.lpn.training.cached_maps import CachedMaps
 from baselines.lpn.training.options import TrainOptions
-from baselines.lpn.training.remembered_maps import RememberedMaps
 from baselines.training.random_streams import shuffled_round
 from relocbench.errors import ConfigError
 from relocbench.retrieval import PlaceData
@@ -43,7 +43,7 @@ class PlaceBatches(Dataset[Batch]):
 
     def __init__(self, data: PlaceData, options: TrainOptions, steps: int = 0) -> None:
         self._data, self._options, self.steps = data, options, steps
-        self.maps: RememberedMaps | None = None
+        self.maps: CachedMaps | None = None
         self._of_view = {view: self._images(view) for view in options.views}
         self._row_of = {number: row for numbers in self._of_view.values() for row, number in enumerate(numbers)}
         if len({data.images[i].place for numbers in self._of_view.values() for i in numbers}) < 2:

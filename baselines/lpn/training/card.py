@@ -16,7 +16,7 @@ def differences(options: TrainOptions, started: str) -> list[str]:
 
     Args:
         options: of the training.
-        started: where the backbone's initial weights came from (``initial_weights.Start.told``).
+        started: where the backbone's initial weights came from (``initial_weights.Start.text``).
     """
     out = []
     if options.network.backbone != "resnet50":

@@ -32,7 +32,7 @@ _PUBLISHED = {
 class Start:
     """The files that a training starts from."""
 
-    told: str
+    text: str
     """where the backbone's weights came from, in words"""
     digests: dict[str, str]
     """SHA-256 of each file by the option that names it; other files make another training"""
@@ -48,12 +48,12 @@ def start_of(options: TrainOptions) -> Start:
     digests = {option: _digest(path) for option, path in names.items() if path}
     if options.start:
         about = load_weights(Path(options.start))[1]
-        told = f"network '{about.configuration}' of {Path(options.start).name} (backbone: {about.backbone_start})"
+        text = f"network '{about.configuration}' of {Path(options.start).name} (backbone: {about.backbone_start})"
     elif backbone := names["backbone_weights"]:
-        told = _told(backbone, digests["backbone_weights"])
+        text = _source_text(backbone, digests["backbone_weights"])
     else:
-        told = "drawn, no ImageNet"
-    return Start(told, digests)
+        text = "drawn, no ImageNet"
+    return Start(text, digests)
 
 
 def initial_network(options: TrainOptions, stage: Stage, number: int, classes: int) -> LpnNetwork:
@@ -100,7 +100,7 @@ def _backbone_file(options: TrainOptions) -> Path | None:
     return Path(options.backbone_weights) if options.backbone_weights else None
 
 
-def _told(path: Path, digest: str) -> str:
+def _source_text(path: Path, digest: str) -> str:
     """What the model card says of a backbone's file."""
     file = f"file {path.name}, SHA-256 {digest[:16]}"
     if are_weights(path):

@@ -15,11 +15,11 @@ from baselines.lpn.network import LpnNetwork, View, ViewOutput, copy_weights
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.stages import enter
 from baselines.lpn.training.batches import Batch, PlaceBatches
+from baselines.lpn.training.cached_maps import MapsOfFrozen
 from baselines.lpn.training.card import description
 from baselines.lpn.training.curves import draw_curves
 from baselines.lpn.training.initial_weights import initial_network, random_network, start_of
 from baselines.lpn.training.options import TrainOptions
-from baselines.lpn.training.remembered_maps import MapsOfFrozen
 from baselines.lpn.training.schedule import Schedule, ScheduledStage
 from baselines.lpn.weights import About, save_weights
 from baselines.options import OptionError, plain
@@ -85,12 +85,12 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         self._enter(number, make(self.options, self.schedule.stages[number].stage, number, self._data.places))
 
     def run_to_end(self) -> TrainingReport:
-        """See ``TrainingLoop``; maps of a frozen backbone are computed first. Raises also as ``remember_maps`` does."""
+        """See ``TrainingLoop``; maps of a frozen backbone are computed first. Raises also as ``cache_maps`` does."""
         if self.step < self.steps:
-            self.remember_maps()
+            self.cache_maps()
         return super().run_to_end()
 
-    def remember_maps(self) -> None:
+    def cache_maps(self) -> None:
         """Have batches of maps in place of images where the backbone is frozen; those that are missing are computed.
 
         Raises:
@@ -100,7 +100,7 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         if self.options.frozen != "nothing":
             folder = Path(self.options.maps) if self.options.maps else self.run.out / "maps"
             maps = MapsOfFrozen(self.network, self._data, self.options, folder, self.device)
-            self.run.reporter.note(maps.told)
+            self.run.reporter.note(maps.summary)
             self._place_batches.maps = maps.remembered(self.run.reporter)
 
     @property
@@ -144,7 +144,7 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         if images.dtype != torch.float16:
             return cast(ViewOutput, self.network(view, as_network_takes_them(images, self.device)))
         maps = images.to(self.device, non_blocking=True).float().contiguous(memory_format=torch.channels_last)
-        return self.network.forward_from(view, maps, self.options.remembered_blocks)
+        return self.network.forward_from(view, maps, self.options.cached_blocks)
 
     @property
     def remedy(self) -> str:
@@ -167,7 +167,7 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         draw_curves(path, log, validation)
 
     def describe(self) -> Description:
-        return description(self.options, self._data, self.network, self.steps, self._start.told)
+        return description(self.options, self._data, self.network, self.steps, self._start.text)
 
     def announce(self) -> None:
         """Report also what people trip over: views left out, places that only one view shows, the backbone's start."""
@@ -184,7 +184,7 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         if not overlap:
             note("no place is shown by all views: nothing teaches what they have in common; check the folders' names")
         epochs = " + ".join(f"{scheduled.stage.epochs}" for scheduled in self.schedule.stages)
-        note(f"{epochs} epochs of {batches.steps_per_epoch} steps; backbone: {self._start.told}")
+        note(f"{epochs} epochs of {batches.steps_per_epoch} steps; backbone: {self._start.text}")
 
     @property
     def _scheduled(self) -> ScheduledStage:
@@ -227,7 +227,7 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         return About(
             configuration=options.configuration + (f" (stage {stage})" if stage else ""),
             size=options.size,
-            backbone_start=self._start.told,
+            backbone_start=self._start.text,
             views=options.views,
             rerank_top=0 if stage else options.system.rerank_top,
             card=weights_card(data.described, options.seed, step, self.steps, scores, places=str(data.places)),

@@ -152,7 +152,7 @@ class TrainOptions(Options):
         return replace(configuration(self.configuration), network=self.network, loss=self.loss)
 
     @property
-    def remembered_blocks(self) -> int:
+    def cached_blocks(self) -> int:
         """The number of blocks of ``layer4`` that remembered maps have passed; none where attention, which learns, is
         in front of them."""
         return 0 if "layer3" in self.network.attention.after else self.frozen_blocks

@@ -61,7 +61,7 @@ def check_pair_sets(
             if layout.pair_table(name).exists():
                 rows = read_pair_table(layout.pair_table(name), findings)
                 _check_table(layout, name, lines, rows, findings)
-                _check_elsewhere(layout, name, lines, rows, version, findings)
+                _check_negative_pairs(layout, name, lines, rows, version, findings)
             _check_frames(layout, name, lines, rows, drives, findings)
             out[name] = lines
             advance(1)
@@ -97,7 +97,7 @@ def _check_table(
             findings.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", pair_file, line.line)
 
 
-def _check_elsewhere(
+def _check_negative_pairs(
     layout: DatasetLayout,
     name: str,
     lines: dict[PairKey, PoseLine],

@@ -113,7 +113,7 @@ def _nothing(verdict: Verdict, words: str, regions: int = 0, measured: int = 0) 
     return ImageAgreement(verdict, regions, measured, np.nan, (np.nan, np.nan), words)
 
 
-def _untold(why: str, regions: int = 0, measured: int = 0) -> ImageAgreement:
+def _undecided(why: str, regions: int = 0, measured: int = 0) -> ImageAgreement:
     return _nothing("cannot tell", f"whether the images agree cannot be told: {why}", regions, measured)
 
 
@@ -139,7 +139,7 @@ def _measured(
     carried = _carried(points, edges_ref, to_reference, reference.camera, query.camera, T_query_ref)
     height, width = edges.shape
     if min(height, width) < _LEAST_SIDE:
-        return _untold("the query is too small")
+        return _undecided("the query is too small")
     u, v = np.rint(((uv_query + 0.5) * scale - 0.5).T).astype(int)
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
     total = np.zeros((height, width), dtype=np.complex64)
@@ -165,9 +165,9 @@ def _judged(shifts: Array, centres: Array, regions: int, scale: float) -> ImageA
     """What the shifts (N, 2) at places (N, 2) of the reduced image say."""
     among = f"measured in {len(shifts)} of {regions} regions of the image"
     if regions < _LEAST_REGIONS:
-        return _untold("too little of the query shows points of the keyframe", regions, len(shifts))
+        return _undecided("too little of the query shows points of the keyframe", regions, len(shifts))
     if len(shifts) < _LEAST_REGIONS:
-        return _untold(f"edges were {among}, which is too few", regions, len(shifts))
+        return _undecided(f"edges were {among}, which is too few", regions, len(shifts))
     lengths = np.linalg.norm(shifts, axis=1)
     length = float(np.median(lengths))
     right, down = (np.median(shifts, axis=0) / scale).tolist()
@@ -179,7 +179,7 @@ def _judged(shifts: Array, centres: Array, regions: int, scale: float) -> ImageA
     np.fill_diagonal(apart, np.inf)
     differences = np.linalg.norm(shifts - shifts[np.argmin(apart, axis=1)], axis=1)
     if np.mean(differences <= np.maximum(2.0, _ALIKE * lengths)) < 0.5:
-        return _untold(f"shifts of edges, {among}, differ from one region to the next", regions, len(shifts))
+        return _undecided(f"shifts of edges, {among}, differ from one region to the next", regions, len(shifts))
     across = f"{abs(right):.1f} px to the {'right' if right >= 0 else 'left'}"
     where = f"{across} and {abs(down):.1f} px {'down' if down >= 0 else 'up'}"
     words = f"CHECK THE TRUE POSE: edges are {px} apart, the keyframe's points should lie {where}, {among}"

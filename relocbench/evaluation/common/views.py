@@ -21,7 +21,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 _TOKEN_CHARACTERS = 16
 
 
-def shown_query(query: Query, times: bool = False) -> Query:
+def masked_query(query: Query, times: bool = False) -> Query:
     """A query as a tracker sees it: read-only, with a token for its key, and without its time unless ``times``."""
     image = read_only(query.image)
     return replace(
@@ -29,7 +29,7 @@ def shown_query(query: Query, times: bool = False) -> Query:
     )
 
 
-def shown_reference(reference: Reference, times: bool = False) -> Reference:
+def masked_reference(reference: Reference, times: bool = False) -> Reference:
     """A keyframe as a tracker sees it: read-only, with a token for its key, and without its time unless ``times``."""
     points, depth = reference.sparse_points, reference.depth
     return replace(

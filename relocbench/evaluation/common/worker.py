@@ -25,7 +25,7 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.evaluation.common.handles import LocalTracker, TrackerHandle
 from relocbench.evaluation.common.isolation import IsolatedTracker
-from relocbench.evaluation.common.views import shown_query, shown_reference
+from relocbench.evaluation.common.views import masked_query, masked_reference
 from relocbench.execution import MANY_TIMES, Run, chunks, step
 from relocbench.files import read_journal
 from relocbench.methods import SUBPROCESS, MethodSpec
@@ -110,13 +110,13 @@ def show_keyframe(unit: Unit, tracker: TrackerHandle) -> str | None:
     neighbours = 0 if unit.reference == unit.query else tracker.declared.neighbours
     keyframe = traversal.reference(unit.camera, unit.keys[0][0], neighbours)
     with step(PREPARE, unit.keys, MANY_TIMES):
-        return tracker.prepare(shown_reference(keyframe, unit.visibility.times))
+        return tracker.prepare(masked_reference(keyframe, unit.visibility.times))
 
 
 def query_of(unit: Unit, key: PairKey) -> Query:
     """The query of a pair as the tracker sees it. Raises DatasetError."""
     query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
-    return shown_query(query, unit.visibility.times)
+    return masked_query(query, unit.visibility.times)
 
 
 def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:

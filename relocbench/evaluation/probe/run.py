@@ -160,7 +160,7 @@ def _probe(
     if not lines and not starts:
         raise ConfigError("no pair has a visible correspondence: there is no pixel to probe", dataset.root)
     files = write_probe(options.out, dataset, lines, starts, _about(dataset, options, tasks))
-    crashed = [b for label, found in answers.items() for b in _broken(label, found)]
+    crashed = [b for label, found in answers.items() for b in _crashes(label, found)]
     return ProbeReport(lines, [*files, *pictures], crashed, starts)
 
 
@@ -263,7 +263,7 @@ def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[Method
     }
 
 
-def _broken(label: str, found: dict[tuple[str, PairKey], PairResult]) -> list[tuple[str, str]]:
+def _crashes(label: str, found: dict[tuple[str, PairKey], PairResult]) -> list[tuple[str, str]]:
     crashed = [(f"{name} {key[0]} {key[1]}", r.message) for (name, key), r in sorted(found.items()) if r.message]
     return first_crash(label, f"crashed on {len(crashed)} of {len(found)} pairs, counted as not found", crashed)
 

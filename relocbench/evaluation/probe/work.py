@@ -38,7 +38,7 @@ from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
 from relocbench.evaluation.probe.starts import probe_starts
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.execution import MANY_TIMES, Run, step
-from relocbench.files import alone_in, sha256_file
+from relocbench.files import locked_folder, sha256_file
 from relocbench.methods import MethodSpec, distribution_version
 from relocbench.progress import Reporter
 
@@ -118,10 +118,10 @@ def ask_pairs(
         ]
 
     with (
-        alone_in(root, PredictionError),
+        locked_folder(root, PredictionError),
         reporter.stage(f"{spec.label} on {dataset.name}", _left(asked, journals)) as advance,
     ):
-        run_until_answered(_probe_unit, open_units, LossHandler(_write_broken), run, advance)
+        run_until_answered(_probe_unit, open_units, LossHandler(_write_crash), run, advance)
     return {
         (pair_set.name, entry["key"]): PairResult(tuple(map(Tally.from_dict, entry["tallies"])), entry["message"])
         for pair_set, keys in asked
@@ -204,6 +204,6 @@ def _entry(key: PairKey, tallies: list[Tally], message: str) -> dict[str, Any]:
     return {"key": list(key), "tallies": [t.to_dict() for t in tallies], "message": one_line(message)}
 
 
-def _write_broken(unit: ProbeUnit, key: PairKey, message: str) -> None:
+def _write_crash(unit: ProbeUnit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
     append_entry(unit.journal, _entry(key, _ask(unit, key, None)[0], message))

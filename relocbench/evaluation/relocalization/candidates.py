@@ -54,7 +54,7 @@ def track_candidates(
     """
     folder = results.method(spec.label)
     pools: Sequence[PairSet] = [
-        Candidates(dataset.pair_set(name), [*keys, *(() if overwrite == "always" else _asked_before(folder, name))])
+        Candidates(dataset.pair_set(name), [*keys, *(() if overwrite == "always" else _answered_pairs(folder, name))])
         for name, keys in wanted.items()
     ]
     return run_method(
@@ -80,7 +80,7 @@ def read_tracked(dataset: Dataset, folder: MethodResults, task: str) -> Tracked:
     return Tracked(answers, poses)
 
 
-def _asked_before(folder: MethodResults, task: str) -> list[PairKey]:
+def _answered_pairs(folder: MethodResults, task: str) -> list[PairKey]:
     """The pairs that have an answer, from earlier calls or in the journal of a run that was stopped."""
     known = list(read_answers(folder.answers(task))) if folder.complete(task) else []
     return [*known, *(entry["key"] for entry in journal_entries(folder.journal(task)))]

@@ -35,7 +35,7 @@ from relocbench.evaluation.relocalization.records import (
 from relocbench.evaluation.relocalization.score import Values
 from relocbench.evaluation.relocalization.tasks import PipelineTasks, pipeline_tasks
 from relocbench.evaluation.relocalization.truth import MapTruth
-from relocbench.evaluation.relocalization.writing import broken_queries, write_pipeline_results
+from relocbench.evaluation.relocalization.writing import crashed_queries, write_pipeline_results
 from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
@@ -163,7 +163,7 @@ def _evaluate(
     )
     results = pipeline_results(options.out, tasks.record.name, tasks.record.fingerprint)
     write_set(results, tasks.record)
-    retrieved = {each.label: _found(each, tasks, options.top) for each in ranked}
+    retrieved = {each.label: _retrieved(each, tasks, options.top) for each in ranked}
     wanted = {name: _pairs(tasks.truth[name], [of[name] for of in retrieved.values()]) for name in tasks.names}
     answered = [
         track_candidates(
@@ -188,7 +188,7 @@ def _evaluate(
         for folder in answered:
             run = _run(tasks, each, folder.label, options.top, folder)
             folders.append(write_pipeline_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
-    messages = [each for folder in folders for each in broken_queries(folder, tasks.names)]
+    messages = [each for folder in folders for each in crashed_queries(folder, tasks.names)]
     return RelocalizationReport(tasks, folders, results.root, messages)
 
 
@@ -201,7 +201,7 @@ def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], repo
     return basins
 
 
-def _found(ranking: RankingSource, tasks: PipelineTasks, top: int) -> dict[str, list[Retrieved]]:
+def _retrieved(ranking: RankingSource, tasks: PipelineTasks, top: int) -> dict[str, list[Retrieved]]:
     """The keyframes that a retriever found, by task."""
     return {task.name: ranking.of(task, tasks.truth[task.name], top) for task in tasks.asked.chosen}
 

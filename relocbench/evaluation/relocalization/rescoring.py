@@ -62,7 +62,7 @@ class PipelineTruth:
         Returns:
             None where the ranking or the tracker's answers are not in the results folder.
         """
-        retrieved = self._found(run, name)
+        retrieved = self._retrieved(run, name)
         tracked = None if retrieved is None else self._tracked(run, name, retrieved)
         return None if retrieved is None or tracked is None else (retrieved, tracked)
 
@@ -101,7 +101,7 @@ class PipelineTruth:
                 raise PredictionError(f"{message}; {AGAIN}", path)
         return True
 
-    def _found(self, run: PipelineRun, name: str) -> list[Retrieved] | None:
+    def _retrieved(self, run: PipelineRun, name: str) -> list[Retrieved] | None:
         task = next(task for task in self._tasks.asked.chosen if task.name == name)
         truth = self._tasks.truth[name]
         if run.retriever == ORACLE:

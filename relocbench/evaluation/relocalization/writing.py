@@ -66,7 +66,7 @@ def write_pipeline_results(
     return folder
 
 
-def broken_queries(folder: PipelineResults, names: Sequence[str]) -> list[tuple[str, str]]:
+def crashed_queries(folder: PipelineResults, names: Sequence[str]) -> list[tuple[str, str]]:
     """The label and a message if a method broke, rather than failed, on any query; else nothing."""
     rows = [row for name in names for row in read_pipeline(folder.answers(name))]
     crashed = [(row.query_timestamp_ns, row.message) for row in rows if row.status == "error"]

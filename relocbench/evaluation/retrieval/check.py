@@ -47,9 +47,9 @@ def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Findi
         one, fault = _describe(made, [image])
         findings.append(Finding(f"describes {image.key}", fault is None, fault or _words(one)))
     if problem is None:
-        findings.append(_alone_as_together(made, images, values))
+        findings.append(_single_equals_batch(made, images, values))
         findings.append(_repeatable(spec, images, values))
-        findings.append(_tells_apart(values))
+        findings.append(_distinguishes_images(values))
     findings.append(_leaves_input_alone(made, images[0]))
     if problem is None and guarded(lambda: callable(getattr(made, "rerank", None)))[0] is True:
         findings.append(_reranks(made, values))
@@ -70,7 +70,7 @@ def _fits(made: FittingRetriever, images: Sequence[ImageView]) -> Finding:
     return Finding("fits to a gallery", problem is None, problem or "")
 
 
-def _alone_as_together(made: Any, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
+def _single_equals_batch(made: Any, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
     """Describe each image by itself, in the opposite order."""
     name = "describes an image in the same way in any batch"
     for index in reversed(range(len(images))):
@@ -92,7 +92,7 @@ def _repeatable(spec: MethodSpec, images: Sequence[ImageView], values: NDArray[A
     return Finding(name, same, "" if same else problem or "another descriptor than the first time")
 
 
-def _tells_apart(values: NDArray[Any]) -> Finding:
+def _distinguishes_images(values: NDArray[Any]) -> Finding:
     """Check that street, drone and satellite of the synthetic images, which differ, are described differently."""
     known = values[:3][np.isfinite(values[:3]).all(axis=1)]
     apart = len(known) < 2 or float(np.ptp(known, axis=0).max()) > 0

@@ -137,7 +137,7 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
         write_set_record(results, opened, opened.chosen)
     record = results.record
     names = [task.name for task in opened.chosen]
-    crashed = [b for folder in folders for b in _broken(folder, names)]
+    crashed = [b for folder in folders for b in _crashes(folder, names)]
     if record.is_withheld:
         reporter.note(f"{opened.name} is a blind export: answers are kept, and scored by who has the truth")
         return RetrievalReport(opened, record, folders, results.root, crashed, [])
@@ -152,7 +152,7 @@ def _set_options(options: RetrievalOptions) -> SetOptions:
     )
 
 
-def _broken(folder: RetrieverResults, names: list[str]) -> list[tuple[str, str]]:
+def _crashes(folder: RetrieverResults, names: list[str]) -> list[tuple[str, str]]:
     answers = [a for name in names if folder.complete(name) for a in read_answers(folder.answers(name))]
     crashed = [(a.query, a.message) for a in answers if a.status == BROKEN]
     return first_crash(

@@ -119,7 +119,7 @@ def truth_of(folder: SetResults, lookup: DatasetLookup) -> RetrievalTruth | None
     """
     record = folder.record
     for is_it in (_has_fingerprint, _asks_the_same):
-        places = _found(record, lookup, is_it)
+        places = _find(record, lookup, is_it)
         if places is not None:
             return RetrievalTruth(folder, places)
     return None
@@ -135,7 +135,7 @@ def belongs(dataset: Dataset | CrossViewSet, record: SetRecord) -> bool:
     )
 
 
-def _found(
+def _find(
     record: SetRecord, lookup: DatasetLookup, is_it: Callable[[StreetPlaces | CrossViewSet, SetRecord], bool]
 ) -> StreetPlaces | CrossViewSet | None:
     def has_places(dataset: Dataset) -> bool:

@@ -31,7 +31,7 @@ from relocbench.evaluation.retrieval.records import (
 )
 from relocbench.evaluation.tracking.run import Overwrite, made_by, now, refuse_mixture, refuse_submitted
 from relocbench.execution import Run, default_workers
-from relocbench.files import alone_in, remove_parts
+from relocbench.files import locked_folder, remove_parts
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalSet, RetrievalTask, Retriever
@@ -91,7 +91,7 @@ def run_retriever(
         asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, retrieval_set.fingerprint)
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, retrieval_set, tasks)
-    with alone_in(folder.root, PredictionError):
+    with locked_folder(folder.root, PredictionError):
         if not folder.run_yaml.exists():
             write_record(folder.run_yaml, record)
         # Each query counts twice: when it is described, and when it is ranked.

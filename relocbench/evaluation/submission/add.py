@@ -44,7 +44,7 @@ from relocbench.evaluation.submission.folder import checksums
 from relocbench.evaluation.submission.kept import kept_card, rows_of
 from relocbench.evaluation.submission.suspicions import same_answers
 from relocbench.evaluation.tracking.score import read_predictions, score_method
-from relocbench.files import alone_writing_to, read_bytes, write_bytes
+from relocbench.files import locked_output, read_bytes, write_bytes
 from relocbench.progress import Reporter
 
 SUBMISSION = f"{PREDICTIONS}submission/"
@@ -93,7 +93,7 @@ def add_submission(
         raise ConfigError("--to lies inside the submission; choose another folder", results)
     if (results / "dataset.yaml").exists() or (results / SET_FILE).exists():
         raise ConfigError("--to is a dataset, or the results of one; expected the folder above", results)
-    with alone_writing_to(results, PredictionError):
+    with locked_output(results, PredictionError):
         staging = results / _STAGING
         _recover(staging, results)
         plans = [

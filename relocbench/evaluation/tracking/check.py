@@ -16,7 +16,7 @@ from relocbench.errors import DatasetError
 from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
 from relocbench.evaluation.common.guard import batch_of, guarded, implements, neighbours_of
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
-from relocbench.evaluation.common.views import shown_query, shown_reference
+from relocbench.evaluation.common.views import masked_query, masked_reference
 from relocbench.execution import messages_to_stderr
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
@@ -49,7 +49,7 @@ class _Question:
 
     def shown(self, times: bool) -> _Question:
         """The question as an evaluation puts it, but with images that can be written to: a method that does is told."""
-        reference, query = shown_reference(self.reference, times), shown_query(self.query, times)
+        reference, query = masked_reference(self.reference, times), masked_query(self.query, times)
         writable = self.reference
         return _Question(
             self.name,

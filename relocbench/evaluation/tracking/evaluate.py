@@ -120,7 +120,7 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
             folders.append(run_clock(dataset, pair_sets, results))
     for folder in folders:
         score_method(dataset, pair_sets, folder)
-    return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _broken(f, pair_sets)])
+    return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _crashes(f, pair_sets)])
 
 
 def _check_images(dataset: Dataset, pair_sets: list[PairSet], specs: list[MethodSpec]) -> bool:
@@ -191,7 +191,7 @@ def _chosen(dataset: Dataset, options: EvaluateOptions) -> list[PairSet]:
     return chosen
 
 
-def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
+def _crashes(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
     answers = [
         answer
         for pair_set in pair_sets

@@ -51,7 +51,7 @@ from relocbench.evaluation.common.worker import (
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.tracking.run import new_record, refuse_mixture
 from relocbench.execution import Run, step
-from relocbench.files import alone_in
+from relocbench.files import locked_folder
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
 from relocbench.metrics import matching_quality
@@ -151,9 +151,9 @@ def match_method(
 
     with ExitStack() as alone:
         for pair_set in left:
-            alone.enter_context(alone_in(_journal(folder, pair_set), PredictionError))
+            alone.enter_context(locked_folder(_journal(folder, pair_set), PredictionError))
         with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
-            run_until_answered(_match_unit, open_units, LossHandler(_write_broken), run, advance)
+            run_until_answered(_match_unit, open_units, LossHandler(_write_crash), run, advance)
         for pair_set in left:
             _collect(pair_set, folder)
 
@@ -243,6 +243,6 @@ def _count(offset: int, starts: Starts, ends: Array) -> OffsetCounts:
     return OffsetCounts(offset, count, answered, near, nearer_than_3, start_near, start_3)
 
 
-def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
+def _write_crash(unit: Unit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
     append_entry(unit.journal, _entry(key, _starts(unit, key), None, message))

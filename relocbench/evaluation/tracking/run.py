@@ -43,7 +43,7 @@ from relocbench.evaluation.common.worker import (
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.execution import MANY_TIMES, Run, default_workers, kept_workers, step
-from relocbench.files import alone_in, read_rows, remove_parts, write_text
+from relocbench.files import locked_folder, read_rows, remove_parts, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
 from relocbench.tracking import Query
@@ -102,7 +102,7 @@ def run_method(
     if not folder.run_yaml.exists():
         write_record(folder.run_yaml, record)
     stage = reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values())))
-    lost = LossHandler(_write_broken)
+    lost = LossHandler(_write_crash)
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
             _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, visibility, seed, advance)
@@ -135,7 +135,7 @@ def _run_pair_set(
             dataset, pair_set, spec, journal, [key for key in todo if key not in answered], visibility, seed
         )
 
-    with alone_in(journal, PredictionError):
+    with locked_folder(journal, PredictionError):
         run_until_answered(_run_unit, open_units, lost, run, advance)
         _collect(pair_set, folder, journal)
 
@@ -189,7 +189,7 @@ def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[s
     }
 
 
-def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
+def _write_crash(unit: Unit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
     append_entry(unit.journal, _entry(key, error_answer(message), None))
 

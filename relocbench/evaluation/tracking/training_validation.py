@@ -21,7 +21,7 @@ from relocbench.datasets.learning.training_pairs import VALIDATION_SPLIT
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.answers import CheckedAnswer, error_answer
 from relocbench.evaluation.common.handles import LocalTracker
-from relocbench.evaluation.common.views import shown_query, shown_reference
+from relocbench.evaluation.common.views import masked_query, masked_reference
 from relocbench.metrics import PoseErrors, pose_errors, summarize
 from relocbench.progress import Reporter
 from relocbench.tracking import Tracker
@@ -103,10 +103,10 @@ def _track(tracker: Tracker, pairs: Sequence[_ValidationPair]) -> list[CheckedAn
     times = bool(getattr(tracker, "uses_times", False))
     handle = LocalTracker(tracker)
     keyframe = first.dataset.reference(first.pair_set, first.pair, handle.declared.neighbours)
-    crash = handle.declared.fault or handle.prepare(shown_reference(keyframe, times))
+    crash = handle.declared.fault or handle.prepare(masked_reference(keyframe, times))
     if crash:
         return [error_answer(crash)] * len(pairs)
-    queries = (shown_query(each.dataset.query(each.pair_set, each.pair), times) for each in pairs)
+    queries = (masked_query(each.dataset.query(each.pair_set, each.pair), times) for each in pairs)
     return [handle.ask([query])[0][0] for query in queries]
 
 

@@ -19,9 +19,9 @@ from baselines.lpn.network import Branch, LpnNetwork
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.training.augmentation import augmented
 from baselines.lpn.training.batches import PlaceBatches
+from baselines.lpn.training.cached_maps import MapsOfFrozen
 from baselines.lpn.training.initial_weights import initial_network
 from baselines.lpn.training.options import TrainOptions
-from baselines.lpn.training.remembered_maps import MapsOfFrozen
 from baselines.lpn.training.trainer import LpnTrainer
 from baselines.lpn.weights import load_weights
 from baselines.options import options_from_dict

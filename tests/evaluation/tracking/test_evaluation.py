@@ -24,7 +24,7 @@ from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.results import DatasetResults
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.evaluation.tracking.validation import validate_results
-from relocbench.files import alone_in, read_journal
+from relocbench.files import locked_folder, read_journal
 from relocbench.progress import Silent
 
 pytestmark = pytest.mark.usefixtures("workers_kept")
@@ -165,7 +165,7 @@ def test_two_processes_never_answer_the_same_pair_set_at_once(dataset: Dataset, 
     folder = evaluate(dataset, tmp_path, method, pair_sets=(WITHIN,)).folders[0]
     journal = folder.journal(ACROSS)
     journal.mkdir(parents=True)
-    with alone_in(journal), refused(PredictionError, journal):
+    with locked_folder(journal), refused(PredictionError, journal):
         evaluate(dataset, tmp_path, method)
     assert not folder.predictions(ACROSS).exists()
     evaluate(dataset, tmp_path, method)

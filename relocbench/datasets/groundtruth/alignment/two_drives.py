@@ -95,7 +95,7 @@ def _length_by_gnss(drive: Drive) -> str:
     ratio = length_ratio(recording.odometry, recording.prior, recording.prior_sigma_m)
     if ratio is None:
         return ""
-    return f"{drive.name} is {ratio.told(1)} by odometry than by GNSS (known to {100 * ratio.margin:.1f} %)"
+    return f"{drive.name} is {ratio.words(1)} by odometry than by GNSS (known to {100 * ratio.margin:.1f} %)"
 
 
 def map_prior(reference: Drive, query: Drive) -> MapPrior | None:

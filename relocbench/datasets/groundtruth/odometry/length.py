@@ -45,7 +45,7 @@ class LengthRatio:
         """Whether the lengths certainly differ by more than a share."""
         return abs(self.ratio - 1) - self.margin > stretch
 
-    def told(self, digits: int) -> str:
+    def words(self, digits: int) -> str:
         """How much the odometry is longer or shorter, such as ``8.2 % longer``."""
         return f"{100 * abs(self.ratio - 1):.{digits}f} % {'longer' if self.ratio > 1 else 'shorter'}"
 

@@ -111,7 +111,7 @@ def detect_motion(compensated: LidarStream, distorted: LidarStream) -> Detected:
     return Detected("compensated", f"cannot be told: {message}")
 
 
-def told_motion(title: str, compensated: LidarStream, distorted: LidarStream, reporter: Reporter) -> ScanMotion:
+def detected_motion(title: str, compensated: LidarStream, distorted: LidarStream, reporter: Reporter) -> ScanMotion:
     """What :func:`detect_motion` tells of a drive, which is reported together with the evidence.
 
     Raises:

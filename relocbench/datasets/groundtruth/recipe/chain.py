@@ -177,11 +177,11 @@ class _Chain:
         options = self._unit.options
         start = search(ref, query, options) if T_ref_query is None else T_ref_query
         fit = refine(ref, query, start, options)
-        reason = fit.refusal(options) or ("" if T_ref_query is None else self._too_far(self._apart(fit)))
+        reason = fit.refusal(options) or ("" if T_ref_query is None else self._too_far(self._offset_m(fit)))
         evidence = replace(NOTHING_JUDGED, overlap_query=fit.fitness, residual_query_m=fit.rmse_m)
         return Registration(keyframe, row, fit.T_ref_query, fit.information, evidence, reason)
 
-    def _apart(self, fit: Open3dFit) -> float:
+    def _offset_m(self, fit: Open3dFit) -> float:
         T_refcam_querycam = invert(self._unit.keyframes.T_rig_cam) @ fit.T_ref_query @ self._unit.queries.T_rig_cam
         return float(np.linalg.norm(T_refcam_querycam[:3, 3]))
 

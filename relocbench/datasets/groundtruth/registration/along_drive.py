@@ -179,10 +179,10 @@ class _DriveRegistration:
                     self._along(steps[:i][::-1], result.best)
                     continue
                 reason = result.reason
-            self.found[node] = self._unfound(node, reason)
+            self.found[node] = self._unregistered(node, reason)
         for node in steps:
             if node not in self.found:
-                self.found[node] = self._unfound(node, reason)
+                self.found[node] = self._unregistered(node, reason)
         return [self.found[node] for node in steps]
 
     def _from_given_pose(self, first: Guess) -> Registration | None:
@@ -305,6 +305,6 @@ class _DriveRegistration:
             starts = [s for s in starts if limit.allows(*s)]
         return choose_hypothesis(self.ref, self.query, starts, o.hypotheses, o.register)
 
-    def _unfound(self, node: int, reason: str) -> Registration:
+    def _unregistered(self, node: int, reason: str) -> Registration:
         nearest = -1 if self.prior is None else self.prior.nearest(node)
         return unregistered((nearest, node), np.full((4, 4), np.nan), f"not found: {reason}")

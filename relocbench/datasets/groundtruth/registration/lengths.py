@@ -29,7 +29,7 @@ _FEW = 0.6
 """share of trusted registrations below which they may hold by chance"""
 _SHORT_M = 60.0
 """registered length of road, a submap's, below which they may"""
-_TOLD = "the odometry is about"
+_PREFIX = "the odometry is about"
 
 
 def ratio_of_lengths(registrations: Sequence[Registration], ref: Nodes, query: Nodes) -> LengthRatio | None:
@@ -98,9 +98,9 @@ def may_hold_by_chance(registrations: list[Registration], step_m: float) -> bool
 
 def length_mismatch_message(ratio: LengthRatio) -> str:
     """The words about odometry that is longer or shorter than the reference's."""
-    return f"{_TOLD} {ratio.told(0)} than the reference's, so that the scale of one of them is wrong"
+    return f"{_PREFIX} {ratio.words(0)} than the reference's, so that the scale of one of them is wrong"
 
 
 def is_stretched(registrations: Sequence[Registration]) -> bool:
     """Whether registrations were refused for the ratio of lengths."""
-    return any(one.reason.startswith(_TOLD) for one in registrations)
+    return any(one.reason.startswith(_PREFIX) for one in registrations)

@@ -16,7 +16,7 @@ import numpy as np
 
 from relocbench.arrays import Times
 from relocbench.datasets.core.schema import Condition, Transform
-from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, told_motion
+from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, detected_motion
 from relocbench.datasets.importers.clouds.detection import ScanLayout, layout_of_scan
 from relocbench.datasets.importers.clouds.times import clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
@@ -100,7 +100,7 @@ def read_clouds(
     reporter.note(f"{name}: points are {seen.words}{_assumed(seen.time, motion, pattern)}")
     turning = seen.time is None and motion != "compensated" and pattern == "spinning"
     if turning and motion == "auto":
-        turning = told_motion(name, clouds, SweptClouds(clouds), reporter) == "distorted"
+        turning = detected_motion(name, clouds, SweptClouds(clouds), reporter) == "distorted"
     use = poses if odometry != "lidar" else None
     condition, cameras = _described(folder, name) if (folder / CAMERA_FILE).exists() else (dated(None, folder), {})
     return DriveFiles(

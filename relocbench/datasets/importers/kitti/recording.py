@@ -15,7 +15,7 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
-from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, told_motion
+from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, detected_motion
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
@@ -120,7 +120,7 @@ def read_kitti(
     streams = {camera: _camera(files, camera, numbers, times) for camera, numbers in found.items()}
     lidar = VelodyneStream(tuple(scans.values()), times[list(scans)], "compensated", elevation_deg)
     if motion == "auto":
-        motion = told_motion(files.traversal, lidar, replace(lidar, motion="distorted"), report)
+        motion = detected_motion(files.traversal, lidar, replace(lidar, motion="distorted"), report)
     lidar = replace(lidar, motion=motion)
     return FieldRecording(
         name=name or files.traversal,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from relocbench.datasets.groundtruth.odometry.scan_motion import told_motion
+from relocbench.datasets.groundtruth.odometry.scan_motion import detected_motion
 from relocbench.datasets.importers.rosbag import kinds
 from relocbench.datasets.importers.rosbag.clouds import cloud_fields
 from relocbench.datasets.importers.rosbag.point_times import FIELDS, PointTimes, detect
@@ -53,7 +53,7 @@ def lidar_stream(reading: Reading, name: str, topic: str) -> BagLidar:
     if settings.motion == "auto" and settings.point_times is None and pattern == "spinning" and not spread.field:
         swept = replace(lidar, times=PointTimes(turn_ns=_turn_ns(plain)))
         title = f"{reading.name}: {topic}: points have no times"
-        if told_motion(title, lidar, swept, reading.reporter) == "distorted":
+        if detected_motion(title, lidar, swept, reading.reporter) == "distorted":
             lidar = swept
     reading.note(f"{topic}: {pattern} lidar, times of points: {lidar.times}")
     return lidar

@@ -25,7 +25,7 @@ from relocbench.datasets.synthetic.town.network import Path as Route
 from relocbench.datasets.synthetic.town.town import District, make_district
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
-from relocbench.files import alone_writing_to, atomic_write, dump_yaml, load_yaml_values, parse_yaml, write_text
+from relocbench.files import atomic_write, dump_yaml, load_yaml_values, locked_output, parse_yaml, write_text
 from relocbench.progress import Reporter
 
 _CONFIGURATION = "recording.yaml"
@@ -95,7 +95,7 @@ def record_all(
         DatasetError: the folder holds something else, or another process is writing to it.
     """
     options.target(out)  # validates the options before anything is written
-    with alone_writing_to(out, DatasetError):
+    with locked_output(out, DatasetError):
         check_folder(out, configuration)
         write_text(out / _CONFIGURATION, _text(configuration))
         jobs: list[DriveJob] = []

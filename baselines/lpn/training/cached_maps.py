@@ -42,7 +42,7 @@ GIGABYTE = 1e9
 
 
 @dataclass(frozen=True)
-class RememberedMaps:
+class CachedMaps:
     """The maps of all images by view and version; a copy in another process opens the files itself."""
 
     files: Mapping[View, tuple[Path, ...]]
@@ -57,7 +57,7 @@ class RememberedMaps:
         """Maps (B, C, h, w) float16 of images, each given by its number among the view's images and its version."""
         return torch.from_numpy(np.stack([self._array(view, version)[image] for image, version in chosen]))
 
-    def __reduce__(self) -> tuple[type[RememberedMaps], tuple[Mapping[View, tuple[Path, ...]]]]:
+    def __reduce__(self) -> tuple[type[CachedMaps], tuple[Mapping[View, tuple[Path, ...]]]]:
         return type(self), (self.files,)
 
     def _array(self, view: View, version: int) -> NDArray[np.float16]:
@@ -84,7 +84,7 @@ class MapsOfFrozen:
         self, network: LpnNetwork, data: PlaceData, options: TrainOptions, folder: Path, device: torch.device
     ) -> None:
         self._network, self._data, self._options, self._folder, self._device = network, data, options, folder, device
-        self._blocks = options.remembered_blocks
+        self._blocks = options.cached_blocks
         self._images = {view: [each for each in data.images if each.image.view == view] for view in options.views}
         gigabytes = sum(self._bytes.values()) / GIGABYTE
         if gigabytes > options.maps_limit:
@@ -95,7 +95,7 @@ class MapsOfFrozen:
             )
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """What is kept where, in words."""
         counts = ", ".join(
             f"{self._options.versions[view]} versions of {len(images)} {view} images"
@@ -104,7 +104,7 @@ class MapsOfFrozen:
         gigabytes = sum(self._bytes.values()) / GIGABYTE
         return f"maps of the frozen backbone: {counts}, {gigabytes:.2f} GB in {self._folder}"
 
-    def remembered(self, reporter: Reporter) -> RememberedMaps:
+    def remembered(self, reporter: Reporter) -> CachedMaps:
         """All maps; those that are missing are computed first.
 
         Raises:
@@ -124,7 +124,7 @@ class MapsOfFrozen:
         for view, paths in files.items():
             for path in paths:
                 self._check(view, path)
-        return RememberedMaps(files)
+        return CachedMaps(files)
 
     @torch.inference_mode()
     def _computed(self, view: View, version: int) -> NDArray[np.float16]:
