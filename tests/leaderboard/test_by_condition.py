@@ -37,7 +37,7 @@ def good_of(count: int) -> Made:
 
 
 def test_the_maps_own_drive_is_first_and_trivial_baselines_are_last(found: ByCondition) -> None:
-    assert [column.pair_sets for column in found.columns] == [(OWN,), (NIGHT,), (SNOW,)]
+    assert [column.pair_sets for column in found.columns] == [(OWN,), (SNOW,), (NIGHT,)]
     assert [column.same_drive for column in found.columns] == [True, False, False]
     assert [(line.label, line.baseline) for line in found.lines] == [
         ("far", False),
@@ -48,17 +48,17 @@ def test_the_maps_own_drive_is_first_and_trivial_baselines_are_last(found: ByCon
 
 def test_an_answer_is_found_within_both_thresholds(found: ByCondition) -> None:
     far, close, _ = found.lines
-    assert close.found[2].right.tolist() == [True, False, False, False]
-    assert close.found[2].share == pytest.approx(0.25)
-    assert far.found[1].right.tolist() == [True, False, False, False]
+    assert close.found[1].right.tolist() == [True, False, False, False]
+    assert close.found[1].share == pytest.approx(0.25)
+    assert far.found[2].right.tolist() == [True, False, False, False]
     assert far.share == pytest.approx((1 + 0.25) / 2)
 
 
 def test_a_missing_result_has_neither_share_nor_marks(found: ByCondition) -> None:
     close = found.lines[1]
     assert close.share is None
-    assert close.found[1].share is None
-    assert len(close.found[1].right) == 0
+    assert close.found[2].share is None
+    assert len(close.found[2].right) == 0
 
 
 def test_methods_that_the_data_cannot_tell_apart_have_no_rank(found: ByCondition) -> None:

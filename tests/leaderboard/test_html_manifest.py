@@ -48,7 +48,7 @@ def test_the_list_names_every_file_of_the_site(tmp_path: Path) -> None:
 
 def test_another_file_of_that_name_is_no_site(tmp_path: Path) -> None:
     (tmp_path / MANIFEST).write_text("shopping\n")
-    with pytest.raises(ConfigError, match="is not a list of the files of a site"):
+    with pytest.raises(ConfigError, match="is no list of the files of a site"):
         write_site(EMPTY, tmp_path)
 
 

@@ -272,7 +272,7 @@ def test_sets_and_methods_of_all_tasks_are_counted(boards: Boards, site: Path) -
 def test_a_method_page_has_its_results_as_a_retriever_and_in_pipelines(site: Path) -> None:
     page = (site / "method-near.html").read_text(encoding="utf-8")
     assert "As a retriever" in page
-    assert "In retrieval followed by tracking" in page
+    assert "In full pipelines" in page
     assert "Numbers on all sets" not in page
     assert "relocbench evaluate-retrieval" in page
 

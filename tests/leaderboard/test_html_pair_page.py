@@ -86,9 +86,10 @@ def test_the_worst_of_each_method_that_is_no_floor_are_chosen(results: Path) -> 
     errors = methods["wrong"].errors[ACROSS]
     chosen = chosen_pairs([methods["wrong"]], ACROSS, 1)
     assert errors.statuses.index("failed") in chosen
-    assert len(chosen) <= 2
+    assert len(chosen) <= 3
     drawn = chosen_pairs([methods["identity"]], ACROSS, 3)
-    assert len(drawn) == 3
+    assert len(errors) // 2 in drawn
+    assert len(drawn) in (3, 4)
     assert drawn == chosen_pairs([methods["identity"]], ACROSS, 3)
     assert chosen_pairs(list(methods.values()), ACROSS, 0) == []
 
@@ -171,6 +172,8 @@ def _open_list(page: Any, site: Path, label: str, pair_set: str = ACROSS) -> Non
     """Open the first pair, the worst one, of a method's list."""
     (of_set,) = site.glob("set-*.html")
     page.goto(f"{of_set.as_uri()}#table={pair_set}&method={label}&pairs=1")
+    if (site / "data" / "images").exists():
+        page.wait_for_selector("#pair-list img[src^=data]")
     page.locator("#pair-list a").first.click()
     page.wait_for_selector("#numbers tr")
 

@@ -95,6 +95,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _open(page: Any, site: Path, state: str = "") -> None:
     page.goto(next(site.glob("set-*.html")).as_uri() + (f"#{state}" if state else ""))
+    page.locator("#curves").scroll_into_view_if_needed()
     page.wait_for_selector("#curves .main-svg")
 
 
@@ -121,21 +122,20 @@ def test_a_point_of_a_curve_lists_the_pairs_up_to_it_and_beside_them_all_others(
     shown = page.locator("#pair-list tbody tr")
     assert shown.count() == counts[0]
     limit = parts.first.inner_text().split("at most ")[1].split(" m")[0]
-    errors = page.locator("#pair-list tbody td:nth-child(4)")
+    errors = page.locator("#pair-list tbody td:nth-child(3)")
     assert errors.first.inner_text() == limit
     parts.last.click()
     assert errors.all_inner_texts()[:2] == ["inf", "inf"]
     assert shown.count() == 15
 
 
-def test_a_cell_of_the_conditions_lists_all_its_pairs(page: Any, site: Path) -> None:
-    _open(page, site, f"table={ACROSS}&method=wrong")
-    _draw(page, "heat")
-    page.locator("#heat").scroll_into_view_if_needed()
-    page.locator("#heat .nsewdrag").click()
+def test_a_cell_of_the_matrix_lists_its_pairs_found_and_missed(page: Any, site: Path) -> None:
+    _open(page, site)
+    page.locator(".matrix tbody tr", has_text="wrong").locator("td.share a").last.click()
     page.wait_for_selector("#pairs[open]")
-    assert page.locator("#pairs-title").inner_text().startswith("wrong: sunny, summer, day → snow, winter, day")
-    assert page.locator("#pair-list tbody tr").count() == 15
+    found, missed = (page.locator(f"#pair-list tbody .{word}").count() for word in ("found", "missed"))
+    assert found + missed == 15
+    assert page.locator("#pairs-title").inner_text() == f"wrong, snow, winter, day: {found} of 15 found"
     assert page.locator("#pairs-part button").count() == 0
 
 
@@ -154,7 +154,7 @@ def test_the_map_of_each_world_shows_its_pairs_and_opens_them(page: Any, site: P
     page.keyboard.press("Escape")
     _click(page, "map", 2, 0)
     page.wait_for_url("**/pair.html#*")
-    assert page.locator("#numbers .chosen .failed").inner_text() == "failed"
+    assert page.locator("#numbers .chosen .failed").inner_text() == "declined"
 
 
 def test_errors_depend_on_what_is_recorded_and_a_point_opens_its_pair(page: Any, site: Path, swept: Path) -> None:

@@ -138,7 +138,7 @@ def test_the_page_says_what_a_reader_must_know(results: Path, tmp_path: Path) ->
     page = (tmp_path / "retrieval.md").read_text(encoding="utf-8")
     for words in (
         "The denominator is every query",
-        "**Not shown to be better than chance:** `same`.",
+        "No significant gain over chance: `same`.",
         "- `half` on `satellite-drone`",
         "Each query has one right image",
         "| `drone-satellite` | drone → satellite |",

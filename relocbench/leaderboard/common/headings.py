@@ -2,7 +2,8 @@
 
 The name is that of the column in CSV, which says the unit (``median_translation_error_m``). In CSV shares are 0 to 1;
 on pages and on the terminal they are in percent, and their heading says so: ``coverage, %``. Two numbers in one cell
-have both names: ``failed / broke``.
+have both names: ``median_seconds / p95_seconds``. Pages call the columns ``failed`` and ``broke`` of CSV by what they
+count: ``declined / crashed``.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 METHOD, RANK = "method", "rank"
 SECONDS = "median_seconds"
 SECONDS_AND_P95 = "median_seconds / p95_seconds"
-COUNTS = "failed / broke"
+COUNTS = "declined / crashed"
 RESCORED = "rescored"
 RETRIEVER, TRACKER, TOP = "retriever", "tracker", "top"
 BASIN = "basin_m / basin_deg"

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.common.text import number
 from relocbench.metrics import Interval
 
@@ -69,7 +70,7 @@ class Line:
     """one for each column"""
     intervals: tuple[Interval | None, ...]
     competes: bool = True
-    """whether its values may be the best: those of floors and of methods that know more may not"""
+    """whether its values may be the best: those of trivial baselines and of methods that know more may not"""
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def table_text(table: LatexTable) -> str:
 
 def _line(table: LatexTable, line: Line, best: Sequence[str | None]) -> str:
     names = [escaped(name) if line.competes else rf"\textit{{{escaped(name)}}}" for name in line.names]
-    cells = [*names, "" if line.rank is None else str(line.rank)]
+    cells = [*names, rank_text(line, table.lines).replace("–", "--")]
     for index, column in enumerate(table.columns):
         text = _number(line.values[index], column)
         bold = line.competes and text != "" and text == best[index]
@@ -182,9 +183,9 @@ def _caption(table: LatexTable) -> str:
     shares = "Shares are in percent." if any(c.unit == "share" for c in table.columns) else ""
     ranged = any(interval is not None for line in table.lines for interval in line.intervals)
     intervals = "In small print, 95\\,\\% intervals." if ranged else ""
-    floors = "" if all(line.competes for line in table.lines) else "In italics, what is not ranked."
+    unranked = "" if all(line.competes for line in table.lines) else "In italics, what is not ranked."
     parts = [f"{escaped(table.title)}.", escaped(table.note), "; ".join(definitions) + "." if definitions else ""]
-    return " ".join(part for part in [*parts, shares, intervals, "Best in bold.", floors] if part)
+    return " ".join(part for part in [*parts, shares, intervals, "Best in bold.", unranked] if part)
 
 
 def _label(text: str) -> str:

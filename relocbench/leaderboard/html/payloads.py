@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 
 from relocbench.evaluation.common.tables import STATUSES
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.looks import looks
-from relocbench.leaderboard.tracking.cells import level_with_floor, plain_heading, shown_metrics
+from relocbench.leaderboard.tracking.by_condition import UNKNOWN, by_condition
+from relocbench.leaderboard.tracking.cells import level_with_identity, plain_heading, shown_metrics, why_no_ranks
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.marks import MARKS
-from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
+from relocbench.leaderboard.tracking.model import MEDIANS, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
 from relocbench.metrics import CORRECT, Interval, metric_named
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 
@@ -51,18 +53,22 @@ def site_payload(board: Board | None) -> dict[str, Any]:
 def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
     """All tables of a dataset."""
     entry = dataset.entry
-    others = [metric for metric in shown_metrics(board) if metric.name != board.metric.name]
-    metrics = [board.metric, *others, metric_named(_SECONDS)]
+    shown = [metric for metric in shown_metrics(board) if metric.name != board.metric.name]
+    first = [metric for metric in shown if metric.name in MEDIANS]
+    metrics = [board.metric, *first, *(m for m in shown if m not in first), metric_named(_SECONDS)]
     return {
         "id": id_of(dataset),
         "title": entry.title,
         "ranking": board.metric.name,
-        "metrics": [{"name": m.name, "heading": plain_heading(m), "unit": m.unit} for m in metrics],
-        "methods": {m.label: _method(m) for m in _by_rank(dataset)},
+        "metrics": [
+            {"name": m.name, "heading": plain_heading(m), "unit": m.unit, "higher": m.higher_is_better} for m in metrics
+        ],
+        "methods": {m.label: _method(m) for m in _best_first(dataset)},
         "pair_sets": {
             name: {
                 "key": f"errors/{id_of(dataset)}/{links.pair_set_id(name)}",
                 "answers": answers_key(dataset, name),
+                "title": record.query if record.query_condition == UNKNOWN else record.query_condition,
                 "reference": record.reference_condition,
                 "query": record.query_condition,
                 "same_drive": record.reference == record.query,
@@ -71,7 +77,7 @@ def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
             }
             for name, record in entry.pair_sets.items()
         },
-        "tables": [_table(dataset, table, [m.name for m in metrics]) for table in dataset.tables],
+        "tables": [_table(board, dataset, table, [m.name for m in metrics]) for table in dataset.tables],
     }
 
 
@@ -116,9 +122,9 @@ def marks_of(method: Method) -> list[str]:
     """What stands behind the name of a method in every table."""
     marks = [mark.name for mark in MARKS if mark.applies(method)]
     if method.is_floor:
-        marks.insert(0, "floor")
+        marks.insert(0, "trivial baseline")
     elif method.is_clock:
-        marks.insert(0, "floor of times")
+        marks.insert(0, "timestamp-only baseline")
     elif method.run.uses_times:
         marks.insert(0, "uses times")
     return marks
@@ -132,18 +138,17 @@ def table_title(table: Table) -> str:
     """The name of a table in a choice of tables."""
     if not table.is_total:
         return table.pair_set
-    kind = "total of one drive" if table.pair_set == SAME_DRIVE_TOTAL else "total of two drives"
+    kind = "total, same drive" if table.pair_set == SAME_DRIVE_TOTAL else "total, cross-condition"
     return f"{kind}, split {table.split}" if table.split else kind
 
 
-def _by_rank(dataset: DatasetBoard) -> list[Method]:
-    """The methods in the order of the first table, which is a total where there is one; others follow."""
-    first = next(iter(dataset.tables), None)
-    places = {} if first is None else {row.method.label: place for place, row in enumerate(first.rows)}
-    return sorted(dataset.entry.methods, key=lambda method: places.get(method.label, len(places)))
+def _best_first(dataset: DatasetBoard) -> list[Method]:
+    """The methods in the order of the matrix."""
+    order = [line.label for line in by_condition([dataset]).lines]
+    return sorted(dataset.entry.methods, key=lambda method: order.index(method.label))
 
 
-def _table(dataset: DatasetBoard, table: Table, metrics: list[str]) -> dict[str, Any]:
+def _table(board: Board, dataset: DatasetBoard, table: Table, metrics: list[str]) -> dict[str, Any]:
     return {
         "title": table_title(table),
         "total": table.is_total,
@@ -152,16 +157,17 @@ def _table(dataset: DatasetBoard, table: Table, metrics: list[str]) -> dict[str,
         "pairs": table.pairs,
         "rejected": table.rejected,
         "finer": sorted(table.finer),
-        "level_with_floor": level_with_floor(dataset, table),
-        "rows": [_row(row, metrics) for row in table.rows],
+        "ranks": why_no_ranks(board, table),
+        "level": level_with_identity(board, dataset, table),
+        "rows": [_row(table, row, metrics) for row in table.rows],
     }
 
 
-def _row(row: Row, metrics: list[str]) -> dict[str, Any]:
+def _row(table: Table, row: Row, metrics: list[str]) -> dict[str, Any]:
     intervals: Mapping[str, Interval | None] = row.intervals
     return {
         "method": row.method.label,
-        "rank": row.rank,
+        "rank": rank_text(row, table.rows),
         "values": [row.values[name] for name in metrics],
         "intervals": {n: [i.low, i.high] for n in metrics if (i := intervals.get(n)) is not None},
         "failed": row.failed,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from relocbench.evaluation.common.matching_table import ALL
+from relocbench.leaderboard.common.ranks import HasRank, rank_text
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.payloads import id_of, is_floor, marks_of, table_title
@@ -15,7 +16,11 @@ from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, i
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineRow, PipelineSetBoard, PipelineTable
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.retrieval.page import CHANCE, not_above_chance
-from relocbench.leaderboard.tracking.cells import level_with_floor, share_a_rank, without_intervals
+from relocbench.leaderboard.tracking.cells import (
+    NO_GAIN,
+    level_with_identity,
+    why_no_ranks,
+)
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import Interval
 
@@ -72,7 +77,7 @@ def _retrievers(board: RetrievalBoard) -> dict[str, Any]:
             rows.append(_chance(asked, table, board.metric))
             level = [row.method.label for row in table.rows if not_above_chance(board, table, row)]
             if level:
-                notes.append(f"{asked.title}, {table.name}: not shown to be better than chance: {', '.join(level)}")
+                notes.append(f"{asked.title}, {table.name}: no significant gain over chance: {', '.join(level)}")
     return {"title": "Retrievers", "metric": board.metric, "what": "queries", "rows": rows, "notes": notes}
 
 
@@ -85,7 +90,13 @@ def _pipelines(board: PipelineBoard) -> dict[str, Any]:
         if _is_first(table, asked.tables)
         for row in table.rows
     ]
-    return {"title": "Retrieval, then tracking", "metric": board.metric, "what": "queries", "rows": rows, "notes": []}
+    return {
+        "title": "Full pipeline: retrieval, then tracking",
+        "metric": board.metric,
+        "what": "queries",
+        "rows": rows,
+        "notes": [],
+    }
 
 
 def _is_first(table: Any, tables: Sequence[Any], *, across_views: bool = False) -> bool:
@@ -111,7 +122,7 @@ def line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
         "method_page": links.method_page(row.method.label),
         "floor": is_floor(row.method),
         "marks": marks_of(row.method),
-        "rank": row.rank,
+        **_ranked(row, table),
         "value": number(value, metric.unit),
         "sort": "" if value is None else repr(float(value)),
         "bounds": _bounds(row.intervals.get(metric.name), metric.unit),
@@ -119,7 +130,7 @@ def line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
         "missing": list(row.missing),
         "failed": row.failed,
         "broke": row.broke,
-        "link": f"{links.set_page(id_of(dataset))}#{links.hash_of(state)}" if table.group == ALL else "",
+        "link": f"{links.set_page(id_of(dataset))}#{links.hash_of(state)}&pairs=1" if table.group == ALL else "",
     }
 
 
@@ -144,7 +155,7 @@ def pipeline_line(
 
 
 def _linked(page: str, state: dict[str, str]) -> dict[str, str]:
-    return {"link": f"{page}#{links.hash_of(state)}"}
+    return {"link": f"{page}#{links.hash_of(state)}&queries=1"}
 
 
 def _other(title: str, table: Any, label: str, row: Any, metric: str) -> dict[str, Any]:
@@ -155,7 +166,7 @@ def _other(title: str, table: Any, label: str, row: Any, metric: str) -> dict[st
         "count": table.queries,
         "method": label,
         "method_page": "",
-        "rank": row.rank,
+        **_ranked(row, table),
         "value": number(value, "share"),
         "sort": "" if value is None else repr(float(value)),
         "bounds": _bounds(row.intervals.get(metric), "share"),
@@ -181,7 +192,8 @@ def _chance(asked: SetBoard, table: RetrievalTable, metric: str) -> dict[str, An
             "method": CHANCE,
             "floor": True,
             "marks": [],
-            "rank": None,
+            "rank": "",
+            "order": 1_000_000,
             "value": number(value, "share"),
             "sort": repr(value),
             "finer": False,
@@ -195,15 +207,14 @@ def _chance(asked: SetBoard, table: RetrievalTable, metric: str) -> dict[str, An
 def _notes(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
     """What a reader of a total must know besides its numbers."""
     where = f"{dataset.entry.title}, {table_title(table)}"
-    told = []
-    if without_intervals(board, table):
-        told.append(f"{where}: too few pairs for intervals, so that all methods share a rank")
-    elif share_a_rank(table.rows):
-        told.append(f"{where}: no method is shown to be better than another, and all share a rank")
-    level = level_with_floor(dataset, table)
-    if level:
-        told.append(f"{where}: not shown to be better than the floor: {', '.join(level)}")
-    return told
+    notes = [f"{where}: {why}"] if (why := why_no_ranks(board, table)) else []
+    level = level_with_identity(board, dataset, table)
+    return [*notes, *([f"{where}: {NO_GAIN}: {', '.join(level)}"] if level else [])]
+
+
+def _ranked(row: HasRank, table: Any) -> dict[str, Any]:
+    """The rank as text, and what sorts by it."""
+    return {"rank": rank_text(row, table.rows), "order": 1_000_000 if row.rank is None else row.rank}
 
 
 def _bounds(interval: Interval | None, unit: str) -> str:

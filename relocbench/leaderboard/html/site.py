@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.assets import asset_files, write_assets
 from relocbench.leaderboard.html.data import write_data
 from relocbench.leaderboard.html.manifest import earlier_files, write_manifest
+from relocbench.leaderboard.html.matrix import matrix_columns, matrix_of
 from relocbench.leaderboard.html.other_tasks import results_of, retriever_labels, with_other_tasks
 from relocbench.leaderboard.html.pages import write_page
 from relocbench.leaderboard.html.pair_page.write import USUAL_PAIRS, write_pair_pages
@@ -28,10 +30,12 @@ from relocbench.leaderboard.html.pipeline_pages.write import write_pipeline_page
 from relocbench.leaderboard.html.retrieval_pages.write import write_retrieval_pages
 from relocbench.leaderboard.html.rows import Boards, line, sections
 from relocbench.leaderboard.html.set_page.write import write_charts
+from relocbench.leaderboard.tracking.cells import why_no_ranks
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
-from relocbench.metrics import LEVEL
+from relocbench.leaderboard.tracking.reservations import reservations
+from relocbench.metrics import CORRECT, LEVEL
 from relocbench.progress import Reporter, Silent
 
 READING = "reading.html"
@@ -65,7 +69,7 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
     with (reporter or Silent()).stage("site", len(datasets)) as advance:
         for dataset in datasets:
             assert board is not None
-            written |= _write_set(board, dataset, site)
+            written |= _write_set(board, dataset, site, pictures=pairs > 0)
             advance(1)
     written |= _write_methods(boards, site)
     if board is not None:
@@ -78,7 +82,8 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
     _page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
     marks = [(mark.name, _code_spans(mark.words)) for mark in MARKS]
     _page(site / READING, "reading.html.j2", page="reading", metric=board.metric if board else None, marks=marks)
-    _page(site / links.START, "start.html.j2", page="start", level=f"{LEVEL:.0%}", sections=sections(boards))
+    opening = _opening(board, datasets, pictures=pairs > 0)
+    _page(site / links.START, "start.html.j2", page="start", level=f"{LEVEL:.0%}", sections=sections(boards), **opening)
     write_manifest(site, earlier | written)
     for path in earlier - written:
         path.unlink(missing_ok=True)
@@ -86,16 +91,31 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
     return site / links.START
 
 
-def _write_set(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
+def _opening(board: Board | None, datasets: Sequence[DatasetBoard], *, pictures: bool) -> dict[str, Any]:
+    """What the start page and the page of a set open with: the matrix, and what a reader must know before it."""
+    why = ""
+    if board is not None and len(datasets) == 1 and datasets[0].totals:
+        why = why_no_ranks(board, datasets[0].totals[0])
+    return {
+        "shown": matrix_of(datasets, pictures=pictures),
+        "correct": CORRECT,
+        "ranks": f"{why}." if why else "",
+        "reservations": [words for dataset in datasets for words in reservations(dataset)],
+    }
+
+
+def _write_set(board: Board, dataset: DatasetBoard, site: Path, *, pictures: bool) -> set[Path]:
     of_set = id_of(dataset)
-    written = {write_data(site, f"sets/{of_set}", set_payload(board, dataset))}
+    payload = {**set_payload(board, dataset), "columns": matrix_columns(dataset)}
+    written = {write_data(site, f"sets/{of_set}", payload)}
     for name in dataset.entry.pair_sets:
-        payload = errors_payload(dataset, name)
-        if payload is not None:
-            written.add(write_data(site, f"errors/{of_set}/{links.pair_set_id(name)}", payload))
+        errors = errors_payload(dataset, name)
+        if errors is not None:
+            written.add(write_data(site, f"errors/{of_set}/{links.pair_set_id(name)}", errors))
     written |= write_charts(board, dataset, site)
     page = site / links.set_page(of_set)
-    _page(page, "set.html.j2", page="set", entry=dataset.entry, of_set=of_set, pairs=_pairs(dataset))
+    opening = _opening(board, [dataset], pictures=pictures)
+    _page(page, "set.html.j2", page="set", entry=dataset.entry, of_set=of_set, pairs=_pairs(dataset), **opening)
     return written | {page}
 
 

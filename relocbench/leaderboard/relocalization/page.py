@@ -13,6 +13,7 @@ from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, Pipel
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, RANKING
 from relocbench.leaderboard.common.commands import labelled_target, settings_of
 from relocbench.leaderboard.common.headings import BASIN, COUNTS, RANK, RETRIEVER, SECONDS, TOP, TRACKER, heading
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.relocalization.board import (
     Pipeline,
@@ -136,7 +137,6 @@ def _section(board: PipelineBoard, table: PipelineTable) -> dict[str, object]:
         "table": table,
         "poses": _pose_table(board, table),
         "losses": _loss_table(table),
-        "ranks_shared": all(row.rank in (1, None) for row in table.rows),
         "without_intervals": all(row.intervals.get(board.metric) is None for row in table.rows),
         "coarse": SIGMA_FACTOR * sigma > RIGHT[0],
         "sigma": f"{sigma:.2f}",
@@ -153,7 +153,7 @@ def _pose_table(board: PipelineBoard, table: PipelineTable) -> str:
             number(row.values.get(name), unit)
             for name, unit in zip((*MEDIANS, SECONDS), ("m", "deg", "s"), strict=True)
         ]
-        rows.append([*_head(row), *(_cell(row, m) for m in poses), *medians])
+        rows.append([*_head(row, table), *(_cell(row, m) for m in poses), *medians])
     return table_text(columns, rows, left=3)
 
 
@@ -163,7 +163,7 @@ def _loss_table(table: PipelineTable) -> str:
     columns = [RETRIEVER, TRACKER, TOP, BASIN, *map(heading, shares), COUNTS]
     rows = [
         [
-            *_head(row)[1:],
+            *_head(row, table)[1:],
             basin_words(row, table),
             *(_cell(row, share) for share in shares),
             "" if row.missing else f"{row.failed} / {row.broke}",
@@ -173,12 +173,12 @@ def _loss_table(table: PipelineTable) -> str:
     return table_text(columns, rows, left=2)
 
 
-def _head(row: PipelineRow) -> list[str]:
+def _head(row: PipelineRow, table: PipelineTable) -> list[str]:
     run = row.pipeline.run
     names = [f"*{name}*" if name in (ORACLE, KEYFRAME) else escaped(name) for name in (run.retriever, run.tracker)]
     times = ["(uses times)"] if row.pipeline.uses_times else []
     told = " ".join([names[1], *times, *_signs(row)])
-    return ["" if row.rank is None else str(row.rank), names[0], told, str(run.top)]
+    return [rank_text(row, table.rows), names[0], told, str(run.top)]
 
 
 def _signs(row: PipelineRow) -> list[str]:

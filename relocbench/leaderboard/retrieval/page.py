@@ -11,6 +11,7 @@ from relocbench.leaderboard.common.cards import add_command, shown_cards
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.headings import COUNTS, METHOD, RANK, RESCORED, SECONDS, heading
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.tracking.load import machine_words
@@ -89,20 +90,19 @@ def _section(board: RetrievalBoard, table: RetrievalTable) -> dict[str, object]:
     return {
         "believed": _believed(board, table),
         "table": table,
-        "numbers": table_text(columns, [*(_row(board, row) for row in table.rows), chance], left=2),
+        "numbers": table_text(columns, [*(_row(board, table, row) for row in table.rows), chance], left=2),
         "at_chance": [row.method.label for row in table.rows if not_above_chance(board, table, row)],
-        "ranks_shared": all(row.rank in (1, None) for row in table.rows),
         "without_intervals": all(not row.intervals.get(board.metric) for row in table.rows if not row.missing),
     }
 
 
-def _row(board: RetrievalBoard, row: RetrievalRow) -> list[str]:
+def _row(board: RetrievalBoard, table: RetrievalTable, row: RetrievalRow) -> list[str]:
     name = escaped(row.method.label) + (" (missing)" if row.missing else "")
     cells = [with_bounds(row.values[m], row.intervals.get(m), "share") for m in board.shown]
     counts = "" if row.missing else f"{row.failed} / {row.broke}"
     seconds = "" if row.seconds is None else f"{row.seconds:.3g}"
     rescored = "" if row.missing else row.rescored
-    return ["" if row.rank is None else str(row.rank), name, *cells, seconds, counts, rescored]
+    return [rank_text(row, table.rows), name, *cells, seconds, counts, rescored]
 
 
 def _believed(board: RetrievalBoard, table: RetrievalTable) -> list[tuple[str, str]]:

@@ -11,13 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.leaderboard.tracking.cells import shown_rank
+from relocbench.leaderboard.common.ranks import shown_rank
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.marks import is_ranked
 from relocbench.leaderboard.tracking.model import DatasetBoard, Table
 from relocbench.leaderboard.tracking.thresholds import finer_thresholds
 from relocbench.metrics import CORRECT, within
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
+
+UNKNOWN = "unknown"
+"""the condition of drives of which none is recorded"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +40,16 @@ class Column:
     metres: float = CORRECT[0]
     degrees: float = CORRECT[1]
     """the greatest errors of a pair that is found"""
+
+    @property
+    def title(self) -> str:
+        """The condition, or what stands for it where it is not known: the queries' drives, or that it is all pairs."""
+        if self.condition != UNKNOWN:
+            return self.condition
+        entry = self.dataset.entry
+        if set(self.pair_sets) == set(entry.used):
+            return "all pairs"
+        return ", ".join(dict.fromkeys(entry.pair_sets[name].query for name in self.pair_sets))
 
     @property
     def is_finer(self) -> bool:
@@ -140,7 +153,7 @@ def _ranks(datasets: Sequence[DatasetBoard]) -> dict[str, int | None]:
     if len(datasets) != 1 or not datasets[0].totals:
         return {}
     first = datasets[0].totals[0]
-    return {row.method.label: shown_rank(row, first) for row in first.rows}
+    return {row.method.label: shown_rank(row, first.rows) for row in first.rows}
 
 
 def _line(label: str, method: Method, rank: int | None, columns: Sequence[Column]) -> Line:

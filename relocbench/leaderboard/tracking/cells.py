@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from relocbench.leaderboard.common import headings
+from relocbench.leaderboard.common.ranks import share_a_rank
 from relocbench.leaderboard.common.text import number, with_bounds
 from relocbench.leaderboard.tracking.marks import signs
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
-from relocbench.metrics import Metric, metric_named
+from relocbench.metrics import MIN_EFFECTIVE, Metric, metric_named
 from relocbench.pages.markdown import code, escaped
 
 SHOWN = (
@@ -24,8 +23,7 @@ SHOWN = (
     "recall@(5m,10deg)",
 )
 DAGGER = "†"
-NO_RANK = "–"
-"""in place of the rank that all methods of a table would share"""
+NO_GAIN = "no significant gain over the identity baseline"
 
 
 def shown_metrics(board: Board) -> list[Metric]:
@@ -50,25 +48,12 @@ def name(row: Row) -> str:
     label = escaped(row.method.label)
     told = [f"*{label}*" if row.method.is_floor or row.method.is_clock else label]
     if row.method.is_floor:
-        told.append("(the floor)")
+        told.append("(trivial baseline)")
     elif row.method.is_clock:
-        told.append("(the floor of times)")
+        told.append("(timestamp-only baseline)")
     elif row.method.run.uses_times:
         told.append("(uses times)")
     return " ".join([*told, *(["(missing)"] if row.missing else []), *signs(row.method).split()])
-
-
-def shown_rank(row: Row, table: Table) -> int | None:
-    """The rank; None for a method without one, and where all methods share one, which says nothing of any."""
-    return None if share_a_rank(table.rows) else row.rank
-
-
-def rank(row: Row, table: Table) -> str:
-    """The rank as text: empty for a method that has none, a dash where all methods share one."""
-    if row.rank is None:
-        return ""
-    shown = shown_rank(row, table)
-    return NO_RANK if shown is None else str(shown)
 
 
 def cell(metric: Metric, row: Row, table: Table, *, interval: bool = True) -> str:
@@ -86,7 +71,7 @@ def marked(text: str, metric: Metric, table: Table) -> str:
 
 
 def total_name(table: Table) -> str:
-    """What a total is over: pair sets of two drives or of one, and of which split, in Markdown."""
+    """What a total is over: pair sets across conditions or of the same drive, and of which split, in Markdown."""
     return f"{_drives(table)}, split {code(table.split)}" if table.split else _drives(table)
 
 
@@ -96,7 +81,7 @@ def total_words(table: Table) -> str:
 
 
 def _drives(table: Table) -> str:
-    return "one drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
+    return "same drive" if table.pair_set == SAME_DRIVE_TOTAL else "cross-condition"
 
 
 def group_heading(group: Table) -> str:
@@ -112,17 +97,29 @@ def same_method(row: Row, table: Table) -> Row:
     return next(other for other in table.rows if other.method is row.method)
 
 
-def level_with_floor(dataset: DatasetBoard, table: Table) -> list[str]:
-    """The methods that are not shown to be better than the floor; none where the floor was not run."""
+def level_with_identity(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
+    """The methods without a significant gain over the identity baseline.
+
+    None where that was not run, and where the pairs hold too few independent ones to show a gain of any method.
+    """
+    if without_intervals(board, table):
+        return []
     if not any(row.method is dataset.entry.floor and not row.missing for row in table.rows):
         return []
     compared = [row for row in table.rows if row.above_floor is not None and not row.method.is_clock]
     return [row.method.label for row in compared if not _beats(row)]
 
 
-def share_a_rank(rows: Sequence[Row]) -> bool:
-    """Whether all ranked methods share the first rank."""
-    return all(row.rank in (1, None) for row in rows)
+def why_no_ranks(board: Board, table: Table) -> str:
+    """Why a table shows no ranks, in a sentence without its full stop; empty where it has some, and without methods."""
+    if not share_a_rank(table.rows) or all(row.rank is None for row in table.rows):
+        return ""
+    if without_intervals(board, table):
+        few = f"too few of the {table.pairs} pairs are independent (effective sample size below {MIN_EFFECTIVE:g})"
+        return f"No ranks: {few}"
+    if sum(row.rank is not None for row in table.rows) == 1:
+        return "No ranks: there is one method alone"
+    return "No ranks: no significant difference between the methods"
 
 
 def without_intervals(board: Board, table: Table) -> bool:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -45,6 +45,9 @@ from relocbench.leaderboard.common.cards import add_command
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder
+
+if TYPE_CHECKING:
+    from relocbench.leaderboard.tracking.doubt import TruthCheck
 
 FLOOR = IDENTITY
 """the method that every other one is compared with"""
@@ -96,7 +99,7 @@ class Method:
 
     @property
     def is_clock(self) -> bool:
-        """Whether the method is the floor of times, whatever its label."""
+        """Whether the method is the timestamp-only baseline, whatever its label."""
         return self.run.target.removeprefix(PREDICTIONS) == CLOCK_TARGET
 
     @property
@@ -135,6 +138,8 @@ class DatasetEntry:
     """fingerprints of other copies of the same question, from other processors, that methods answered on"""
     dataset: Dataset | None = None
     """the dataset itself, or a copy of it, where it is at hand"""
+    truth_checks: Mapping[str, TruthCheck] = field(default_factory=dict)
+    """by pair set whose truth was compared with its images"""
 
     @property
     def title(self) -> str:
@@ -148,7 +153,7 @@ class DatasetEntry:
 
     @cached_property
     def clock(self) -> Method | None:
-        """The floor of times, if it was run."""
+        """The timestamp-only baseline, if it was run."""
         return next((m for m in self.methods if m.is_clock), None)
 
     @cached_property
@@ -266,10 +271,11 @@ def evaluate_command(
 def _dataset(folder: DatasetResults, split: str | None, truth: Truth | None) -> DatasetEntry:
     record = folder.record
     check_file_names(record.pair_sets, "the pair set", _yaml(folder))
-    chosen = list(record.pair_sets) if split is None else list(record.splits[split])
     unknown = [name for names in record.splits.values() for name in names if name not in record.pair_sets]
     if unknown:
         raise PredictionError(f"a split names the pair set '{unknown[0]}', which is not there", _yaml(folder))
+    in_order = dict.fromkeys([name for names in record.splits.values() for name in names] + list(record.pair_sets))
+    chosen = list(in_order) if split is None else list(record.splits[split])
     pair_sets = {n: s for n in chosen if (s := record.pair_sets[n]).has_truth and s.pairs > 0}
     there = folder.methods()
     check_file_names((m.label for m in there), "the method", folder.root)

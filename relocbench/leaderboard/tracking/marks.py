@@ -58,7 +58,7 @@ MARKS = (
     Mark(
         "³",
         "not rescored",
-        "the dataset, or the answers that the numbers follow from, were not at hand: the errors are those that the "
+        "the dataset, or the answers that the numbers follow from, were unavailable: the errors are those that the "
         "results folder claims",
         not_rescored,
     ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from relocbench.evaluation.common.matching_table import ALL
@@ -109,6 +109,13 @@ class DatasetBoard:
         """The tables of the groups of a pair set or total."""
         place = (table.pair_set, table.split)
         return [t for t in self.tables if t.group != ALL and (t.pair_set, t.split) == place]
+
+
+def short_title(dataset: DatasetBoard, datasets: Iterable[DatasetBoard]) -> str:
+    """The name of a dataset; with its fingerprint where another one of ``datasets`` has the same name."""
+    name = dataset.entry.record.name
+    alone = sum(other.entry.record.name == name for other in datasets) == 1
+    return name if alone else dataset.entry.title
 
 
 @dataclass(frozen=True, eq=False)

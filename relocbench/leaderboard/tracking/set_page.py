@@ -10,28 +10,29 @@ from relocbench.evaluation.common.matching_table import ALL
 from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.headings import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.common.text import json_text, number
 from relocbench.leaderboard.tracking.cells import (
     DAGGER,
     cell,
     group_heading,
     heading,
-    level_with_floor,
+    level_with_identity,
     marked,
     name,
     plain_heading,
-    rank,
     same_method,
-    share_a_rank,
     shown_metrics,
     total_name,
-    without_intervals,
+    why_no_ranks,
 )
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_numbers
+from relocbench.leaderboard.tracking.matrix_text import matrix_text
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
-from relocbench.metrics import CONFIDENT, LEVEL, MIN_EFFECTIVE, Metric, Spread, metric_named
+from relocbench.leaderboard.tracking.reservations import reservations
+from relocbench.metrics import CONFIDENT, CORRECT, LEVEL, Metric, Spread, metric_named
 from relocbench.pages import render
 from relocbench.pages.markdown import code, escaped, table_text
 
@@ -61,7 +62,6 @@ def set_page(board: Board, dataset: DatasetBoard, *, plots: bool) -> str:
         "set_page.md.j2",
         dagger=DAGGER,
         level=f"{LEVEL:.0%}",
-        min_effective=f"{MIN_EFFECTIVE:g}",
         confident=f"{CONFIDENT:g}",
         number=number,
         plots=plots,
@@ -73,9 +73,9 @@ def set_page(board: Board, dataset: DatasetBoard, *, plots: bool) -> str:
             for pair_set, facts in entry.pair_sets.items()
         ],
         unused=[pair_set for pair_set in entry.pair_sets if pair_set not in entry.used],
-        level_with_floor=[
-            (table.pair_set, level) for table in dataset.pair_sets if (level := level_with_floor(dataset, table))
-        ],
+        matrix=matrix_text([dataset]),
+        correct=CORRECT,
+        reservations=reservations(dataset),
         missing=list(_missing(dataset)),
         marked=[(mark, labels) for mark in MARKS if (labels := [m.label for m in methods if mark.applies(m)])],
         renamed=[(m.label, m.ran_as) for m in methods if _renamed(m)],
@@ -176,8 +176,8 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
         "total": False,
         "same_drive": table.pair_set == SAME_DRIVE_TOTAL,
         "numbers": _method_table(board, table),
-        "ranks_shared": share_a_rank(table.rows),
-        "without_intervals": without_intervals(board, table),
+        "why_no_ranks": why_no_ranks(board, table),
+        "level": level_with_identity(board, dataset, table),
         "finer": [m.name for m in shown_metrics(board) if m.name in table.finer],
         "ranked_by_finer": board.metric.name in table.finer,
         "sigmas": [
@@ -229,7 +229,7 @@ def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
     ]
     rows = []
     for row in table.rows:
-        head = [*([rank(row, table)] if ranks else []), name(row)]
+        head = [*([rank_text(row, table.rows)] if ranks else []), name(row)]
         rows.append([*head, *(cell(m, row, table) for m in metrics), _seconds(row), _counts(row)])
     for seed_row in table.seeds:
         head = [*([""] if ranks else []), f"*{escaped(seed_row.title)}, mean ± sd*"]

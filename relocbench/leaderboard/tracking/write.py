@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
@@ -12,6 +13,7 @@ from relocbench.execution import Run, default_workers, run_units
 from relocbench.files import remove_parts, write_bytes, write_text
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.text import write_records
+from relocbench.leaderboard.tracking.doubt import check_truth, doubts_of, truth_rows
 from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
 from relocbench.leaderboard.tracking.load import DatasetEntry, load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
@@ -82,15 +84,26 @@ def compare(
         for method in entry.methods:
             for pair_set in (name for name in entry.used if name in method.missing):
                 reporter.note(f"{entry.title}: {method.label} has no result on {pair_set}: {method.missing[pair_set]}")
-    return make_board(entries, metric=metric, seed=seed, split=split, reporter=reporter)
+    checked = [_with_checked_truth(entry, reporter) for entry in entries]
+    return make_board(checked, metric=metric, seed=seed, split=split, reporter=reporter)
+
+
+def _with_checked_truth(entry: DatasetEntry, reporter: Reporter) -> DatasetEntry:
+    """The entry with what the images of its dataset say of the truth, where the dataset is at hand."""
+    if entry.dataset is None:
+        return entry
+    checks = check_truth(entry.dataset, entry.used, reporter)
+    for pair_set, words in doubts_of(checks, checks):
+        reporter.note(f"{entry.title}: the truth of {pair_set} is in doubt: {words}")
+    return replace(entry, truth_checks=checks)
 
 
 def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:
     """Write ``leaderboard.csv``, ``errors.csv``, ``curves/*.png`` and the pages; returns the files.
 
-    ``seeds.csv`` and ``matching.csv`` are written as well if they have rows. ``leaderboard.md`` is the first page,
-    ``sets/`` has one for each dataset and of no other, and ``reading.md`` says how to read them. Each file appears
-    whole or not at all, and none contains a date.
+    ``seeds.csv``, ``matching.csv`` and ``truth.csv`` are written as well if they have rows. ``leaderboard.md`` is the
+    first page, ``sets/`` has one for each dataset and of no other, and ``reading.md`` says how to read them. Each file
+    appears whole or not at all, and none contains a date.
     """
     return [*write_tables(board, out), *write_pages(board, out, plots=plots, reporter=reporter)]
 
@@ -101,7 +114,16 @@ def write_tables(board: Board, out: Path) -> list[Path]:
     paths = [out / "leaderboard.csv", out / "errors.csv"]
     write_records(paths[0], leaderboard_rows(board))
     write_rows(paths[1], error_rows(board))
-    for name, records in (("seeds.csv", seed_rows(board)), ("matching.csv", matching_rows(board))):
+    checks = [
+        row
+        for dataset in board.datasets
+        for row in truth_rows(
+            {"dataset": dataset.entry.record.name, "fingerprint": dataset.entry.record.fingerprint},
+            dataset.entry.truth_checks,
+        )
+    ]
+    further = {"seeds.csv": seed_rows(board), "matching.csv": matching_rows(board), "truth.csv": checks}
+    for name, records in further.items():
         if records:
             paths.append(out / name)
             write_records(paths[-1], records)

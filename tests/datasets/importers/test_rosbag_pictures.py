@@ -82,8 +82,8 @@ def test_compressed_images_are_rgb_whatever_they_were_before() -> None:
     ("message", "complaint"),
     [
         (plain(RGB, "32FC1"), "encoding '32FC1' is not read; available: mono8"),
-        (plain(RGB, "rgb8", height=7), "are not an image of 8x7 in rgb8"),
-        (plain(RGB, "rgb8", step=3), "are not an image of 8x6"),
+        (plain(RGB, "rgb8", height=7), "are no image of 8x7 in rgb8"),
+        (plain(RGB, "rgb8", step=3), "are no image of 8x6"),
         (plain(RGB, "rgb8", width=0), "0x6 pixels cannot be read"),
         (plain(RGB, "rgb8", width=2**31, height=2**31), "cannot be read"),
     ],

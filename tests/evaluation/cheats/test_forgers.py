@@ -140,7 +140,7 @@ def test_who_computes_the_digests_again_is_exposed_by_the_truth(
     reseal(folder)
     row = rows_of(results, tmp_path / "board")["orb-pnp"]
     assert (row["rescored"], float(row["recall@(0.25m,2deg)"])) == ("no", 1.0), "nothing without the truth tells it"
-    told = r"does not follow from predictions and truth: pair \d+ \d+ has rotation_error_deg 0.01, expected"
+    told = r"is not what predictions and truth give: pair \d+ \d+ has rotation_error_deg 0.01, expected"
     assert refused(results, told, dataset) == folder.errors(ACROSS)
 
 
@@ -151,9 +151,7 @@ def test_no_column_of_the_errors_escapes_the_truth(results: Path, dataset: Datas
     forge_errors(folder, WITHIN, lambda row: replace(row, **{change: new[change]}))
     forge_summary(folder, WITHIN)
     reseal(folder)
-    with pytest.raises(
-        PredictionError, match=f"does not follow from predictions and truth: pair .* {change}|the {change}"
-    ):
+    with pytest.raises(PredictionError, match=f"is not what predictions and truth give: pair .* {change}|the {change}"):
         load_results(results, datasets=lookup(results, dataset.root))
 
 
@@ -170,7 +168,7 @@ def test_who_edits_predictions_and_digests_is_exposed_by_the_truth(results: Path
     write_pose_lines(folder.predictions(ACROSS), lines)
     reseal(folder)
     load_results(results)
-    assert refused(results, "does not follow from predictions and truth", dataset) == folder.errors(ACROSS)
+    assert refused(results, "is not what predictions and truth give", dataset) == folder.errors(ACROSS)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +202,7 @@ def test_what_the_record_of_a_run_admits_is_on_the_page(made: Path, dataset: Dat
     }
     assert list(rows)[2:] == ["timed", "clock", "identity"], "those without a rank stand below the others"
     page = board_pages(tmp_path / "board")
-    for name in ("inside ¹ ³", "theirs ² ³", "timed (uses times) ¹ ³", "*clock* (the floor of times) ³"):
+    for name in ("inside ¹ ³", "theirs ² ³", "timed (uses times) ¹ ³", "*clock* (timestamp-only baseline) ³"):
         assert f"| {name} |" in page
     assert "- ¹ not isolated: `inside`, `timed`" in page
     assert "- ² made elsewhere: `theirs`" in page
@@ -326,7 +324,7 @@ def test_the_commands_refuse_a_forgery_with_status_2(results: Path, dataset: Dat
     assert isinstance(told.exception, PredictionError)
     checked = run.invoke(app_module.app, ["validate", str(results), "--dataset", str(dataset.root)])
     assert checked.exit_code == 2
-    assert "does not follow from predictions and truth" in checked.stdout
+    assert "is not what predictions and truth give" in checked.stdout
 
 
 def test_rescored_boards_have_the_same_bytes(results: Path, dataset: Dataset, tmp_path: Path) -> None:

@@ -362,7 +362,7 @@ def test_what_is_there_is_not_asked_again(views: Path, tmp_path: Path) -> None:
 
 def test_answers_made_otherwise_are_refused(views: Path, tmp_path: Path) -> None:
     run(views, tmp_path, f"t={HERE}:Thumbnail", keep=5)
-    with pytest.raises(PredictionError, match=r"made with other settings \(side: 8 there, 4 now\)"):
+    with pytest.raises(PredictionError, match=r"made differently \(side: 8 there, 4 now\)"):
         run(views, tmp_path, f"t={HERE}:Thumbnail", set=("side=4",), keep=5)
     with pytest.raises(PredictionError, match="holds predictions of 'retrievers_for_tests:Thumbnail'"):
         run(views, tmp_path, f"t={HERE}:Constant", keep=5)

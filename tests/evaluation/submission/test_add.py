@@ -102,7 +102,7 @@ def test_a_row_with_errors_of_its_own_or_another_card_is_refused(town: Dataset, 
     row.predictions(ACROSS).write_text("\n".join([*lines[:-1], " ".join([*lines[-1].split()[:2], *"0000001"])]) + "\n")
     reseal(row)
     outcome = relocbench("leaderboard", tmp_path / "r", "-d", town.root, "--out", tmp_path / "b", "-q")
-    assert (outcome.status, "does not follow from predictions and truth" in outcome.complaint) == (2, True)
+    assert (outcome.status, "is not what predictions and truth give" in outcome.complaint) == (2, True)
 
 
 def test_what_has_a_fault_or_no_truth_is_not_added(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_two_at_once_wait_for_no_one_and_break_nothing(town: Dataset, tmp_path: 
     (tmp_path / "r").mkdir()
     descriptor = os.open(tmp_path / "r", os.O_RDONLY)  # as another process has it
     fcntl.flock(descriptor, fcntl.LOCK_EX)
-    with pytest.raises(PredictionError, match="another process holds the lock"):
+    with pytest.raises(PredictionError, match="another process is at work here"):
         add.add_submission(checked, tmp_path / "r", SubmissionOptions((town.root,)), Silent())
     os.close(descriptor)
     assert list((tmp_path / "r").iterdir()) == []

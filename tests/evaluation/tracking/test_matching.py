@@ -201,7 +201,7 @@ def _journal_line(rows: list[MatchingRow]) -> str:
 def test_overwriting_everything_measures_again(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path, MATCHING)
     settings = ("moves_px=2.5",)
-    with pytest.raises(PredictionError, match="holds predictions made with other settings"):
+    with pytest.raises(PredictionError, match="holds predictions made differently"):
         evaluate(dataset, tmp_path, MATCHING, settings=settings)
     folder = evaluate(dataset, tmp_path, MATCHING, settings=settings, overwrite="always").folders[0]
     assert folder.score_record().matching[ACROSS]["all"]["1px"]["match@1px"] == 0.0
@@ -305,9 +305,7 @@ def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Datas
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     reseal(folder)
-    with pytest.raises(
-        PredictionError, match=r"matching\.csv: differs from what scores\.yaml summarises; score again: .*"
-    ):
+    with pytest.raises(PredictionError, match=r"matching\.csv: is not what scores\.yaml summarises; score again: .*"):
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     folder.matching(ACROSS).unlink()

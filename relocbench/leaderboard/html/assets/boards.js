@@ -10,7 +10,7 @@ relocbench.boards = (() => {
   /** How DataTables shows text and numbers; what there is none of sorts behind everything else. */
   const text = (value, type) => (type === "display" ? escape(value ?? "") : value ?? "");
   const numeric = (unit) => (value, type) => (type === "display" ? escape(number(value, unit)) : Number.isFinite(Number(value ?? NaN)) ? Number(value) : Number(value) === Infinity ? 1e300 : -1);
-  const rank = (value, type) => (type === "display" ? (value ?? "") : (value ?? 1e9));
+  const rank = (value, type) => (type === "display" ? (value ?? "") : Number.parseInt(value, 10) || 1e9);
 
   /** A table that is drawn anew, with other rows. */
   function redraw(id, options, key) {

@@ -158,7 +158,38 @@
     });
   });
 
+  /** Small pictures, by the key of their payload in data-image, are loaded when they come into sight. */
+  const inSight = new IntersectionObserver((entries) => {
+    for (const { target } of entries.filter((entry) => entry.isIntersecting)) {
+      inSight.unobserve(target);
+      load(target.dataset.image).then((picture) => { target.src = picture.src; }, () => target.remove());
+    }
+  }, { rootMargin: "200px" });
+  const thumbs = (root) => root.querySelectorAll("img[data-image]:not([src])").forEach((image) => inSight.observe(image));
+
+  /** A table that is cut at the right fades out there, until it is scrolled to its end. */
+  const cut = (node) => node.classList.toggle("cut", node.scrollWidth - node.clientWidth - node.scrollLeft > 2);
+  const widths = new ResizeObserver((entries) => entries.forEach(({ target }) => cut(target.closest(".scroll"))));
+  document.addEventListener("scroll", ({ target }) => { if (target.classList?.contains("scroll")) cut(target); }, { capture: true, passive: true });
+  document.addEventListener("DOMContentLoaded", () => {
+    thumbs(document);
+    for (const node of document.querySelectorAll(".scroll")) {
+      widths.observe(node);
+      for (const child of node.querySelectorAll("table")) widths.observe(child);
+    }
+  });
+
+  /** The one scale of colours of all maps: from bad, orange, to good, blue; colours.py has it too. */
+  const QUALITY = [[0, "#b3561b"], [0.5, "#f4f4f4"], [1, "#2b5fb8"]];
+
+  /** What became of a pair or a query, by its status in the results. */
+  const STATUS = { ok: "answered", failed: "declined", error: "crashed" };
+
+  /** Whether a pair is found, as a full disc or an empty ring with the word. */
+  const verdict = (right) => `<span class="${right ? "found" : "missed"}">${right ? "●" : "○"} ${right ? "found" : "missed"}</span>`;
+
   window.relocbench = {
+    QUALITY, STATUS, thumbs, verdict,
     load, script, bytes, floats, integers, escape, element, number, state, DIGITS, UNITS,
     printing: false,
     get isDark() { return document.documentElement.dataset.theme === "dark"; },

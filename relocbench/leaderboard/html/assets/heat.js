@@ -7,7 +7,7 @@
  */
 relocbench.heat = (id, cells, a, b, titles) => {
   const { escape, chart } = relocbench, node = document.getElementById(id);
-  const names = (key) => [...new Set(cells.map((one) => one[key]))].sort();
+  const names = (key) => [...new Set(cells.map((one) => one[key]))]; // in the order of all other tables
   const rows = names("row"), columns = names("column");
   const at = (row, column) => cells.filter((one) => one.row === row && one.column === column);
   const valueOf = (one) => { const own = one.value(a), other = b ? one.value(b) : 0; return own === null || other === null ? null : 100 * (own - other); };
@@ -19,7 +19,7 @@ relocbench.heat = (id, cells, a, b, titles) => {
   node.style.minHeight = `${height}px`;
   chart(id, [{
     type: "heatmap", z, x: columns.map(escape), y: rows.map(escape), xgap: 2, ygap: 2,
-    colorscale: b ? [[0, "#b3561b"], [0.5, "#f4f4f4"], [1, "#2b5fb8"]] : "Cividis", showscale: innerWidth > 640, zmin: b ? -100 : 0, zmax: 100,
+    colorscale: relocbench.QUALITY, showscale: innerWidth > 640, zmin: b ? -100 : 0, zmax: 100,
     texttemplate: "%{z:.1f}", hovertemplate: "%{y} → %{x}: %{z:.1f} %<extra></extra>",
   }], { height, xaxis: { title: { text: titles[0] }, type: "category" }, yaxis: { title: { text: titles[1] }, type: "category" } },
   (event) => { const [y, x] = event.points[0].pointIndex || event.points[0].pointNumber; at(rows[y], columns[x])[0]?.open(); });

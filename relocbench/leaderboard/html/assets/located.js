@@ -110,7 +110,7 @@
 
   function drawAsked() {
     const { of, row, label } = now, c = of.chains[label], list = told(), [metres, degrees] = of.set.right, { tracker } = of.set.chains[label];
-    $("asked-about").textContent = list === null ? "Which keyframes were retrieved, and where they are, is shown where the dataset is at hand with rankings and answers beside the chain." : "Distance and angle are those of the true pose. A keyframe whose pair is among the results of trackers is linked to it.";
+    $("asked-about").textContent = list === null ? "Which keyframes were retrieved, and where they are, is shown where the dataset is at hand with rankings and answers beside the pipeline." : "Distance and angle are those of the true pose. A keyframe whose pair is among the results of trackers is linked to it.";
     const rows = list ?? [];
     $("asked").replaceChildren(...rows.map(([keyframe, distance, angle, near, status, confidence, t, r], i) => {
       const link = pairLink(of, keyframe, of.queries[row], tracker), is = Number(t) <= metres && Number(r) <= degrees, kept = String(c.keyframe[row]) === keyframe;

@@ -10,12 +10,10 @@
 
   const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
 
-  /** Plasma, which all eyes see alike, with the largest errors furthest from the background. */
-  const COLOURS = ["#f7e225", "#fca636", "#ed7953", "#d8576b", "#b12a90", "#7e03a8", "#4b03a1"];
-  function colourscale() {
-    const colours = relocbench.isDark ? [...COLOURS].reverse() : COLOURS;
-    return colours.map((colour, i) => [i / (colours.length - 1), colour]);
-  }
+  /** Good to bad, as on all maps; the middle is at the threshold: what is found is blue, what is missed orange. */
+  const AT_THRESHOLD = Math.log10(1 / FAINT) / Math.log10(STRONG / FAINT);
+  const [[, BAD], [, MIDDLE], [, GOOD]] = relocbench.QUALITY;
+  const colourscale = () => [[0, GOOD], [AT_THRESHOLD, MIDDLE], [1, BAD]];
 
   /** The points of a world: each pair that has a place there. */
   function pointsIn(world, page, label, places) {
@@ -88,7 +86,7 @@
     const unknown = unplaced ? element("li", { class: "muted" }, `${unplaced} of ${page.shown[label].length} pairs have no place in this world`) : null;
     const missing = page.shown[label].filter((pair) => !Number.isFinite(pair[page.field])).length;
     $("map-keys").replaceChildren(...[
-      element("li", {}, svg(`<circle cx="10" cy="6" r="5" fill="${COLOURS[2]}" stroke="${css("--line-strong")}"/>`), "where a query stands, in the colour of its error; the worst are on top"),
+      element("li", {}, svg(`<circle cx="10" cy="6" r="5" fill="${GOOD}" stroke="${css("--line-strong")}"/>`), "where a query stands: blue if it is found, orange if it is missed; the worst are on top"),
       element("li", {}, svg(`<path d="M6 2L14 10M14 2L6 10" stroke="${css("--text")}" stroke-width="2"/>`), `no answer: ${missing} of ${page.shown[label].length}`),
       keyframes.length ? element("li", {}, line(""), `drive of the keyframes: ${some(keyframes)}`) : null,
       queries.length ? element("li", {}, line("2 3"), `of the queries: ${some(queries)}`) : null,

@@ -86,16 +86,18 @@
     tell();
     $("pair").hidden = false;
     now = { of, row, label, labels, pictures: null };
-    document.title = `${of.name} ${wanted.pair} – relocbench`;
-    $("title").textContent = `${of.record.reference} → ${of.record.query}`;
+    $("title").textContent = `${of.record.title}: pair ${row + 1} of ${of.pairs}`;
+    document.title = `${$("title").textContent} – relocbench`;
     const fact = (name, ...value) => element("div", {}, element("dt", {}, name), element("dd", {}, ...value));
     $("facts").replaceChildren(
-      fact("set", element("a", { href: `set-${of.set.id}.html` }, of.set.title)), fact("pair set", of.name), fact("keyframe, ns", String(of.reference[row])),
+      fact("set", element("a", { href: `set-${of.set.id}.html` }, of.set.title)), fact("pair set", of.name), fact("conditions", `${of.record.reference} → ${of.record.query}`), fact("keyframe, ns", String(of.reference[row])),
       fact("query, ns", String(of.query[row])), fact("distance, m", number(of.distance[row], "m")), fact("angle, °", number(of.angle[row], "deg")),
       ...(of.groups.length > 1 ? [fact("group", of.groups[of.group[row]])] : []));
     $("method").replaceChildren(...labels.map((l) => element("option", { value: l, selected: l === label }, l)));
     $("pictured").disabled = !of.pictured.size;
     if (!of.pictured.size) $("pictured").checked = false;
+    const m = of.methods[label], far = site.statuses[m.status[row]] === "ok" ? `${number(m.t[row], "m")} m and ${number(m.r[row], "deg")}° off` : relocbench.STATUS[site.statuses[m.status[row]]];
+    $("verdict").innerHTML = `${relocbench.verdict(m.both[row] <= 1)} by ${relocbench.escape(label)}: ${far}`;
     place();
     drawNumbers();
     drawPlan();
@@ -152,14 +154,20 @@
     return svg;
   }
 
+  function verdict(right) {
+    const cell = element("td", { class: "text" });
+    cell.innerHTML = relocbench.verdict(right);
+    return cell;
+  }
+
   function drawNumbers() {
     const { of, row, label, labels } = now;
     $("numbers").replaceChildren(...labels.map((l) => {
       const m = of.methods[l], failed = site.statuses[m.status[row]] !== "ok";
       return element("tr", { class: `${l === label ? "chosen" : ""} ${m.floor ? "floor" : ""}` },
         element("td", { class: "text" }, key(l), element("button", { type: "button", class: "cell", "aria-current": l === label ? "true" : null, onclick: () => choose(l) }, l)),
-        element("td", {}, number(m.t[row], "m")), element("td", {}, number(m.r[row], "deg")), element("td", {}, number(m.confidence[row], "")),
-        element("td", {}, number(m.seconds[row], "s")), element("td", { class: failed ? "text failed" : "text" }, site.statuses[m.status[row]]),
+        verdict(m.both[row] <= 1), element("td", {}, number(m.t[row], "m")), element("td", {}, number(m.r[row], "deg")), element("td", {}, number(m.confidence[row], "")),
+        element("td", {}, number(m.seconds[row], "s")), element("td", { class: failed ? "text failed" : "text" }, relocbench.STATUS[site.statuses[m.status[row]]]),
         element("td", { class: "text message" }, messageOf(of, row, l)));
     }));
   }
@@ -231,7 +239,7 @@
     $("matches-section").hidden = !told;
     if (!told) return;
     const agree = told.filter((match) => match[4]).length;
-    const words = `${told.length} matches that ${label} tells of this pair: ${agree} agree with the best pose that it found (full lines), ${told.length - agree} do not (dashed).`;
+    const words = `${told.length} matches that ${label} reports for this pair: ${agree} agree with the best pose that it found (full lines), ${told.length - agree} do not (dashed).`;
     $("matches-about").textContent = words;
     relocbench.drawMatches($("matches"), reference, query, told, words);
   }
@@ -250,7 +258,7 @@
     delete out.dataset.correlation;
     now.warped = Boolean(poses[asked]);
     if (!poses[asked]) {
-      const why = asked === "answer" ? `${label} gave no pose for this pair: ${messageOf(of, row, label) || site.statuses[of.methods[label].status[row]]}` : "This pose is not known.";
+      const why = asked === "answer" ? `${label} gave no pose for this pair: ${messageOf(of, row, label) || relocbench.STATUS[site.statuses[of.methods[label].status[row]]]}` : "This pose is not known.";
       put("warp", new ImageData(pictures.to[0], pictures.to[1]));
       const none = relocbench.warp.compare(new ImageData(pictures.to[0], pictures.to[1]), pictures.images[1]);
       put("difference", none.picture);

@@ -13,7 +13,7 @@ relocbench.evenly = (items, most) => {
 /** What stands beside a point that is a pair. */
 relocbench.pairText = (pair) => {
   const { escape, number } = relocbench;
-  const error = pair.status === "ok" ? `${number(pair.t, "m")} m, ${number(pair.r, "deg")}°` : escape(pair.status);
+  const error = pair.status === "ok" ? `${number(pair.t, "m")} m, ${number(pair.r, "deg")}°` : relocbench.STATUS[pair.status];
   return `${error}<br>${escape(pair.set)}<br>${number(pair.distance, "m")} m and ${number(pair.angle, "deg")}° from the keyframe`;
 };
 

@@ -82,7 +82,7 @@
     };
     redraw("methods", {
       data: table.rows, createdRow,
-      columns: [{ title: "rank", data: "rank", className: "rank", render: rank }, ...head, ...columns(set.shown), { title: "failed / broke", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) }],
+      columns: [{ title: "rank", data: "rank", className: "rank", render: rank }, ...head, ...columns(set.shown), { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) }],
     }, "methods");
     const stages = set.stages.filter((name) => !name.startsWith("failed_") || table.rows.some((row) => row.values[indexOf[name]]));
     redraw("stages", { data: table.rows, createdRow, columns: [...head, { title: "basin_m / basin_deg", data: "basin", className: "text", render: text }, ...columns(stages)] }, "stages");
@@ -166,7 +166,7 @@
   const competing = (label) => !set.chains[label].floor && !set.chains[label].oracle;
   const chosen = labels.includes(state.get("method")) ? state.get("method") : current().rows.map((row) => row.method).find(competing) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
-  $("heat-b").replaceChildren(option("", "nothing", ""), ...labels.map((l) => option(l, l, state.get("less"))));
+  $("heat-b").replaceChildren(option("", "none", ""), ...labels.map((l) => option(l, l, state.get("less"))));
   $("choose-error").value = ["translation", "rotation"].includes(state.get("error")) ? state.get("error") : "both";
   $("choose-error").addEventListener("change", () => { state.set({ error: $("choose-error").value }); drawCharts(); });
   for (const [id, key] of [["heat-a", "method"], ["heat-b", "less"]]) $(id).addEventListener("change", () => { state.set({ [key]: $(id).value }); drawHeat(); });

@@ -67,7 +67,7 @@
         { title: "method", data: "method", className: "text", render: (label, type) => (type === "display" ? named(label, set.methods[label]?.marks ?? []) : label) },
         ...set.metrics.map((metric, index) => ({ title: escape(metric.heading), data: null, render: cell(metric, index, "Queries") })),
         { title: "median_seconds", data: "seconds", render: numeric("s") },
-        { title: "failed / broke", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) },
+        { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) },
         { title: "rescored", data: "rescored", className: "text", render: text },
       ],
       createdRow: (tr, row) => {
@@ -80,7 +80,7 @@
     const missing = table.rows.filter((row) => row.missing.length).map((row) => `${row.method} on ${row.missing.join(", ")}`);
     $("about").textContent = `${several}${table.queries} queries, ${table.gallery} images in the galler${table.tasks.length > 1 ? "ies" : "y"}.${without}${missing.length ? ` Missing: ${missing.join("; ")}.` : ""}`;
     $("level").hidden = !table.at_chance.length;
-    $("level").textContent = `Not shown to be better than chance: ${table.at_chance.join(", ")}.`;
+    $("level").textContent = `No significant gain over chance: ${table.at_chance.join(", ")}.`;
   }
 
   /** How many of ascending values are at most x. */
@@ -164,7 +164,7 @@
 
   const chosen = labels.includes(state.get("method")) ? state.get("method") : current().rows.map((row) => row.method).find((l) => !set.methods[l].floor) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
-  $("heat-b").replaceChildren(option("", "nothing", ""), ...labels.map((l) => option(l, l, state.get("less"))));
+  $("heat-b").replaceChildren(option("", "none", ""), ...labels.map((l) => option(l, l, state.get("less"))));
   for (const [id, key] of [["heat-a", "method"], ["heat-b", "less"]]) $(id).addEventListener("change", () => { state.set({ [key]: $(id).value }); drawHeat(); });
   const drawLegend = () => legend(labels, hidden, drawCharts);
   document.addEventListener("relocbench-theme", () => { drawLegend(); drawCharts(); });

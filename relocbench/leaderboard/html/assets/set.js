@@ -65,7 +65,7 @@
     .map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
 
   /** List pairs of a method. A limit {field, value, words} splits them into those within it, which come first, and others. */
-  function openPairs(label, pairs, where, limit = null) {
+  function openPairs(label, pairs, where, limit = null, thresholds = [metres, degrees]) {
     const within = limit ? pairs.filter((pair) => pair[limit.field] <= limit.value) : pairs;
     const parts = limit && within.length < pairs.length
       ? [[`at most ${limit.words}`, within], ["above", pairs.filter((pair) => !(pair[limit.field] <= limit.value))], ["all", pairs]] : [];
@@ -73,36 +73,65 @@
       type: "button", "aria-pressed": String(i === 0),
       onclick: (event) => {
         for (const button of $("pairs-part").children) button.setAttribute("aria-pressed", String(button === event.currentTarget));
-        listPairs(label, some);
+        listPairs(label, some, thresholds);
       },
     }, `${words}: ${some.length}`)));
-    $("pairs-title").textContent = `${label}: ${where}, worst first`;
-    listPairs(label, within);
+    const right = pairs.filter((pair) => pair.t <= thresholds[0] && pair.r <= thresholds[1]).length;
+    $("pairs-title").textContent = `${label}, ${where}: ${right} of ${pairs.length} found`;
+    $("pairs-about").textContent = `Found within ${thresholds[0]} m and ${thresholds[1]}°; worst first. A pair opens with a click on its number or picture.`;
+    listPairs(label, within, thresholds);
     if (!$("pairs").open) $("pairs").showModal();
   }
 
-  function listPairs(label, pairs) {
+  /** Which pairs of some pair sets have pictures: pair set -> {rows, keyframes and queries as parts of keys}. */
+  async function picturesOf(names) {
+    const found = await Promise.all(names.map((name) => load(set.pair_sets[name].answers).catch(() => null)));
+    return new Map(names.flatMap((name, i) => (found[i] ? [[name, {
+      rows: new Set(found[i].pictured.map((place) => (found[i].rows ? found[i].rows[place] : place))), images: found[i].images,
+    }]] : [])));
+  }
+
+  async function listPairs(label, pairs, [m, deg]) {
+    const names = [...new Set(pairs.map((pair) => pair.set))], pictures = await picturesOf(names);
     if (DataTable.isDataTable("#pair-list")) new DataTable.Api("#pair-list").destroy();
     $("pair-list").replaceChildren();
     const numeric = (unit) => (value, type) => (type === "display" ? escape(number(value, unit)) : Number.isNaN(value) ? -1 : value);
     const text = (value, type) => (type === "display" ? escape(value) : value);
+    const right = (row) => row.t <= m && row.r <= deg;
+    const image = (row, side) => {
+      const known = pictures.get(row.set);
+      return known?.rows.has(row.row) ? `<img class="thumb" alt="" data-image="${escape(`images/${set.id}/${known.images[side]}/${row[side]}`)}">` : "";
+    };
+    const link = (row, inner) => `<a href="${escape(pairLink(row, label))}">${inner}</a>`;
+    const named = (row) => (names.length > 1 ? `${set.pair_sets[row.set].title}, pair ${row.row + 1}` : `pair ${row.row + 1}`);
+    const seen = [...pictures.values()].some((known) => known.rows.size);
     relocbench.table($("pair-list"), {
+      first: seen ? 6 : 5,
       data: [...pairs].sort((a, b) => (a.both === b.both ? 0 : b.both > a.both ? 1 : -1)),
       columns: [
-        { title: "pair set", data: "set", className: "text", render: text },
-        { title: "reference, ns", data: (row) => String(row.reference), render: (value, type, row) => (type === "display" ? `<a href="${escape(pairLink(row, label))}">${value}</a>` : value) },
-        { title: "query, ns", data: (row) => String(row.query), render: text },
-        { title: "translation error, m", data: "t", render: numeric("m") },
-        { title: "rotation error, °", data: "r", render: numeric("deg") },
-        { title: "confidence", data: "confidence", render: numeric("") },
-        { title: "seconds", data: "seconds", render: numeric("s") },
+        { title: "pair", data: null, className: "text", render: (row, type) => (type === "display" ? link(row, escape(named(row))) : type === "filter" ? named(row) : row.row) },
+        ...(seen ? [{ title: "keyframe and query", data: null, className: "text pictures", orderable: false, render: (row, type) => (type === "display" ? link(row, image(row, "reference") + image(row, "query")) : "") }] : []),
+        { title: "found", data: null, className: "text", ...relocbench.bestFirst(true), render: (row, type) => (type === "display" ? relocbench.verdict(right(row)) : type === "filter" ? (right(row) ? "found" : "missed") : Number(right(row))) },
+        { title: "translation error, m", data: "t", ...relocbench.bestFirst(false), render: numeric("m") },
+        { title: "rotation error, °", data: "r", ...relocbench.bestFirst(false), render: numeric("deg") },
+        { title: "confidence", data: "confidence", ...relocbench.bestFirst(true), render: numeric("") },
+        { title: "answer", data: "status", className: "text", render: (value, type) => text(relocbench.STATUS[value] ?? value, type) },
+        { title: "seconds", data: "seconds", ...relocbench.bestFirst(false), render: numeric("s") },
         { title: "distance, m", data: "distance", render: numeric("m") },
         { title: "angle, °", data: "angle", render: numeric("deg") },
-        { title: "status", data: "status", className: "text", render: text },
+        { title: "pair set", data: "set", className: "text", render: text },
       ],
       paging: true, pageLength: 50, lengthChange: false, deferRender: true, info: true,
       layout: { topStart: "search", topEnd: null, bottomStart: "info", bottomEnd: "paging" },
+      drawCallback: () => relocbench.thumbs($("pair-list")),
     });
+  }
+
+  /** The pairs of a cell of the matrix. */
+  async function openCell(label, place) {
+    const column = set.columns[place];
+    const sets = await Promise.all(column.pair_sets.map(errorsOf));
+    openPairs(label, pairsOf(sets, { group: "all" }, label), column.title, null, [column.metres, column.degrees]);
   }
 
   function drawTable(table) {
@@ -113,10 +142,10 @@
       const marks = set.methods[label].marks.map((mark) => ` <span class="tag">${escape(mark)}</span>`).join("");
       return `<a href="${escape(site.pages[label])}">${escape(label)}</a>${marks}`;
     };
-    const rank = (value, type) => (type === "display" ? (value ?? "") : (value ?? 1e9));
+    const rank = (value, type) => (type === "display" ? value : Number.parseInt(value, 10) || 1e9);
     const value = (metric, index) => (row, type) => {
       const known = row.values[index];
-      if (type !== "display") return known === null ? -1 : Number(known);
+      if (type !== "display") return known === null ? (metric.higher ? -1 : Infinity) : Number(known);
       if (known === null) return row.missing.length ? '<span class="missing">missing</span>' : "";
       const bounds = row.intervals[metric.name];
       const below = bounds ? `<span class="bounds">[${number(bounds[0], metric.unit)}, ${number(bounds[1], metric.unit)}]</span>` : "";
@@ -126,10 +155,10 @@
     relocbench.table($("methods"), {
       data: table.rows,
       columns: [
-        { title: "rank", data: "rank", className: "rank", render: rank },
         { title: "method", data: "method", className: "text", render: name },
-        ...set.metrics.map((metric, index) => ({ title: escape(metric.heading), data: null, render: value(metric, index) })),
-        { title: "failed / broke", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) },
+        { title: "rank", data: "rank", className: "rank", ...relocbench.bestFirst(false), render: rank },
+        ...set.metrics.map((metric, index) => ({ title: escape(metric.heading), data: null, ...relocbench.bestFirst(metric.higher), render: value(metric, index) })),
+        { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) },
       ],
       createdRow: (tr, row) => {
         if (set.methods[row.method].floor) tr.classList.add("floor");
@@ -140,9 +169,10 @@
     }, "methods");
     const missing = table.rows.flatMap((row) => row.missing.map((name) => `${row.method} on ${name} (${set.methods[row.method].missing[name] ?? "no result"})`));
     $("about").textContent = `${table.pairs} pairs` + (table.rejected ? `; ${table.rejected} more have no accepted truth` : "") + (missing.length ? `. Missing: ${missing.join("; ")}` : "") + ".";
-    const level = table.level_with_floor;
-    $("level").hidden = !level.length;
-    $("level").textContent = `Not shown to be better than the floor: ${level.join(", ")}.`;
+    const ranks = `${table.ranks}.` === $("ranks")?.textContent ? "" : table.ranks; // it stands below the matrix already
+    const notes = [ranks, table.level.length ? `No significant gain over the identity baseline: ${table.level.join(", ")}` : ""].filter(Boolean);
+    $("level").hidden = !notes.length;
+    $("level").textContent = notes.map((note) => `${note}.`).join(" ");
   }
 
   const dataOf = (table) => Promise.all(
@@ -162,7 +192,7 @@
     const click = (event) => { const label = event.points[0].data.meta; openPairs(label, shown[label], table.title); };
     const what = $("choose-error").value, field = { both: "both", translation: "t", rotation: "r" }[what];
     const mark = { both: 1, translation: metres, rotation: degrees }[what], unit = { both: "", translation: "m", rotation: "deg" }[what];
-    const title = { both: `error, 1 is ${metres} m and ${degrees}°`, translation: "translation error, m", rotation: "rotation error, °" }[what];
+    const title = { both: `error / threshold (${metres} m, ${degrees}°)`, translation: "translation error, m", rotation: "rotation error, °" }[what];
     const limits = [];
     const curves = own.filter((label) => shown[label].length).map((label) => {
       const values = Float64Array.from(shown[label], (pair) => pair[field]).sort();
@@ -194,7 +224,7 @@
       });
       return line(label, { x, y, mode: x.length === 1 ? "markers" : "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % wrong of %{x:.1f} %<extra></extra>` });
     });
-    chart("risk", risks, { xaxis: { title: { text: "surest answers, % of all pairs" }, range: [0, 101] }, yaxis: { title: { text: "wrong, %" }, range: [-1, 101] } }, click);
+    chart("risk", risks, { xaxis: { title: { text: "most confident answers, % of all pairs" }, range: [0, 101] }, yaxis: { title: { text: "wrong, %" }, range: [-1, 101] } }, click);
     const cost = table.rows.filter((row) => !hidden.has(row.method) && row.values[seconds] > 0 && row.values[ranking] !== null);
     chart("cost", cost.map((row) => line(row.method, { x: [row.values[seconds]], y: [100 * row.values[ranking]], mode: "markers", type: "scatter", hovertemplate: `${escape(row.method)}<br>%{y:.1f} %, %{x:.3f} s<extra></extra>` })),
       { xaxis: { title: { text: "median seconds a pair" }, type: "log" }, yaxis: { title: { text: `${escape(set.ranking)}, %` } } }, click);
@@ -215,6 +245,8 @@
       const sets = (await Promise.all(chosen.map(dataOf))).flat();
       openPairs(label, pairsOf(sets, { group: "all" }, label), `${reference} → ${query}`);
     };
+    $("heat-section").hidden = new Set(cells.map((cell) => `${cell.row}\n${cell.column}`)).size < 2;
+    if ($("heat-section").hidden) return;
     heat("heat", cells.map((cell) => ({ ...cell, open: () => open(cell.row, cell.column) })), $("heat-a").value, $("heat-b").value, ["query", "reference"]);
   }
 
@@ -228,7 +260,7 @@
   const hidden = hiddenLabels(labels, current(), (label) => set.methods[label].floor);
   const chosen = labels.includes(state.get("method")) ? state.get("method") : labels.find((l) => !set.methods[l].floor) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
-  $("heat-b").replaceChildren(option("", "nothing", ""), ...labels.map((l) => option(l, l, state.get("less"))));
+  $("heat-b").replaceChildren(option("", "none", ""), ...labels.map((l) => option(l, l, state.get("less"))));
   $("choose-error").value = ["translation", "rotation"].includes(state.get("error")) ? state.get("error") : "both";
   $("choose-table").addEventListener("change", () => { state.set({ table: $("choose-table").value, group: null }); groups(); drawTable(current()); drawCharts(); });
   $("choose-group").addEventListener("change", () => { state.set({ group: $("choose-group").value }); drawTable(current()); drawCharts(); });
@@ -236,10 +268,20 @@
   for (const [id, key] of [["heat-a", "method"], ["heat-b", "less"]]) $(id).addEventListener("change", () => { state.set({ [key]: $(id).value }); drawHeat(); });
   addEventListener("hashchange", () => location.reload());
   $("close").addEventListener("click", () => $("pairs").close());
+  $("pairs").addEventListener("close", () => state.set({ column: null, pairs: null }));
+  document.querySelector(".matrix")?.addEventListener("click", (event) => {
+    const link = event.target.closest("td a");
+    if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
+    event.preventDefault();
+    const asked = new URLSearchParams(new URL(link.href).hash.slice(1));
+    state.set({ method: asked.get("method"), column: asked.get("column") });
+    openCell(asked.get("method"), asked.get("column"));
+  });
   document.addEventListener("relocbench-theme", () => { legend(labels, hidden, drawCharts); drawCharts(); });
   drawTable(current());
   legend(labels, hidden, drawCharts);
   await new Promise((resolve) => setTimeout(resolve, 50)); // the table can be used before the errors are decoded
   await drawCharts();
-  if (state.get("pairs") && shown[chosen]) openPairs(chosen, shown[chosen], current().title);
+  if (set.columns[state.get("column")]) openCell(chosen, state.get("column"));
+  else if (state.get("pairs") && shown[chosen]) openPairs(chosen, shown[chosen], current().title);
 })();

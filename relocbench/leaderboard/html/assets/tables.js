@@ -1,8 +1,15 @@
-/* Tables that sort and search, by DataTables; what is typed and how it is sorted stands in the address. */
+/* Tables that sort and search, by DataTables; what is typed, sorted and shown stands in the address. */
 "use strict";
 
+/** Columns of a table that are shown before the rest is asked for. */
+relocbench.FIRST_COLUMNS = 5;
+
+/** DataTables' option of a column of numbers, of which a click shows the best first. */
+relocbench.bestFirst = (higher) => ({ orderSequence: higher ? ["desc", "asc"] : ["asc", "desc"] });
+
 relocbench.table = (node, options = {}, key = "") => {
-  const { state } = relocbench;
+  const { state, element } = relocbench;
+  const { first = relocbench.FIRST_COLUMNS, ...given } = options;
   const kept = key ? state.get(`${key}-sort`) : "";
   const [column, direction] = kept.split(":");
   const table = new DataTable(node, {
@@ -13,15 +20,32 @@ relocbench.table = (node, options = {}, key = "") => {
     search: { search: key ? state.get(`${key}-find`) : "" },
     language: { search: "Search", emptyTable: "Nothing to show", zeroRecords: "Nothing fits" },
     layout: { topStart: "search", topEnd: null, bottomStart: null, bottomEnd: null },
-    ...options,
+    ...given,
   });
   const mark = () => table.table().container().querySelector(".dt-search")?.classList.toggle("used", Boolean(table.search()));
   mark();
   table.on("search", mark);
+  const count = table.columns().count();
+  if (count > first) {
+    const rest = Array.from({ length: count - first }, (_, i) => first + i);
+    const button = element("button", { type: "button", class: "columns" });
+    const show = (all) => {
+      table.columns(rest).visible(all);
+      button.textContent = all ? "First columns" : `All ${count} columns`;
+      button.setAttribute("aria-pressed", String(all));
+    };
+    button.addEventListener("click", () => {
+      const all = button.getAttribute("aria-pressed") !== "true";
+      if (key) state.set({ [`${key}-all`]: all ? "1" : null });
+      show(all);
+    });
+    table.table().container().querySelector(".dt-search")?.append(button);
+    show(Boolean(key && state.get(`${key}-all`)) || rest.includes(Number(column)));
+  }
   if (key) {
     table.on("order", () => {
-      const [first] = table.order();
-      if (first) state.set({ [`${key}-sort`]: `${first[0]}:${first[1]}` });
+      const [sorted] = table.order();
+      if (sorted) state.set({ [`${key}-sort`]: `${sorted[0]}:${sorted[1]}` });
     });
     table.on("search", () => state.set({ [`${key}-find`]: table.search() }));
   }

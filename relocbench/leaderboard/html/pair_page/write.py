@@ -69,8 +69,8 @@ def write_pair_pages(
 
     Args:
         site: the folder of the site.
-        pairs: in each pair set, pictures are made of so many worst pairs of each method that is no floor, and of as
-            many pairs drawn at random.
+        pairs: in each pair set, pictures are made of so many worst pairs of each method that is no trivial baseline,
+            of as many pairs drawn at random, and of the one in the middle.
         reporter: receives the number of pictures that are done.
 
     Raises:
@@ -100,8 +100,9 @@ def write_pair_pages(
 def chosen_pairs(methods: Sequence[Method], pair_set: str, count: int) -> list[int]:
     """The rows of the pairs that are shown with pictures, in ascending order.
 
-    They are the ``count`` worst of each method that is no floor, by the larger of both errors in units of what counts
-    as correct, and ``count`` drawn at random, the same for the same number of pairs.
+    They are the ``count`` worst of each method that is no trivial baseline, by the larger of both errors in units of
+    what counts as correct, ``count`` drawn at random, the same for the same number of pairs, and the one in the middle,
+    which stands for the set at the head of columns; none where ``count`` is 0.
     """
     chosen: set[int] = set()
     for method in methods:
@@ -111,7 +112,19 @@ def chosen_pairs(methods: Sequence[Method], pair_set: str, count: int) -> list[i
             chosen.update(np.argsort(-both, kind="stable")[:count].tolist())
     pairs = len(methods[0].errors[pair_set])
     chosen.update(np.random.default_rng(_SEED).choice(pairs, min(count, pairs), replace=False).tolist())
+    if count and pairs:
+        chosen.add(pairs // 2)
     return sorted(chosen)
+
+
+def middle_picture(dataset: DatasetBoard, pair_set: str) -> str | None:
+    """The key of the picture of the query in the middle of a pair set; None where there is none."""
+    at_hand, methods = dataset.entry.dataset, _methods(dataset, pair_set)
+    if at_hand is None or not methods or not _has_images(at_hand, pair_set):
+        return None
+    keys = methods[0].errors[pair_set].keys
+    folder = _folders(at_hand.pair_set(pair_set))["query"]
+    return f"images/{id_of(dataset)}/{folder}/{int(keys[len(keys) // 2, 1])}"
 
 
 def _methods(dataset: DatasetBoard, pair_set: str) -> list[Method]:

@@ -14,6 +14,7 @@ from relocbench.evaluation.relocalization.pipeline import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineTask
 from relocbench.evaluation.relocalization.score import FAILURES, HIT
 from relocbench.leaderboard.common.headings import SECONDS, heading
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds
@@ -57,7 +58,7 @@ def marks_of_row(row: PipelineRow) -> list[str]:
     """The words behind the name of a chain."""
     pipeline = row.pipeline
     known = {
-        "floor": is_floor_pipeline(pipeline),
+        "trivial baseline": is_floor_pipeline(pipeline),
         "knows the truth": pipeline.knows_truth,
         "uses times": pipeline.uses_times,
     }
@@ -140,7 +141,7 @@ def _table(table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
 def _row(row: PipelineRow, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
     return {
         "method": row.pipeline.label,
-        "rank": row.rank,
+        "rank": rank_text(row, table.rows),
         "values": [row.values.get(name) for name in names],
         "intervals": {n: [i.low, i.high] for n in names if (i := row.intervals.get(n)) is not None},
         "basin": basin_words(row, table),

@@ -11,6 +11,7 @@ from relocbench.arrays import Array
 from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.retrieval.records import TaskRecord
 from relocbench.leaderboard.common.headings import heading
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.retrieval_pages.distances import Distances
@@ -47,7 +48,7 @@ def is_random(method: Retriever) -> bool:
 
 def marks_of_retriever(method: Retriever) -> list[str]:
     """The words behind the name of a retriever."""
-    marks = ["floor"] if is_random(method) else []
+    marks = ["trivial baseline"] if is_random(method) else []
     return [*marks, *(["made elsewhere"] if made_elsewhere(method.run) else [])]
 
 
@@ -117,14 +118,14 @@ def _table(board: RetrievalBoard, table: RetrievalTable, names: Sequence[str]) -
         "without_positives": table.without_positives,
         "at_chance": [row.method.label for row in table.rows if not_above_chance(board, table, row)],
         "chance": [table.chance.get(name) for name in names],
-        "rows": [_row(row, names) for row in table.rows],
+        "rows": [_row(row, table, names) for row in table.rows],
     }
 
 
-def _row(row: RetrievalRow, names: Sequence[str]) -> dict[str, Any]:
+def _row(row: RetrievalRow, table: RetrievalTable, names: Sequence[str]) -> dict[str, Any]:
     return {
         "method": row.method.label,
-        "rank": row.rank,
+        "rank": rank_text(row, table.rows),
         "values": [row.values.get(name) for name in names],
         "intervals": {n: [i.low, i.high] for n in names if (i := row.intervals.get(n)) is not None},
         "seconds": row.seconds,

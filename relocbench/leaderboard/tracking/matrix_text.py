@@ -1,0 +1,85 @@
+"""The matrix of methods and conditions in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from urllib.parse import quote
+
+from relocbench.leaderboard.common.headings import METHOD, RANK
+from relocbench.leaderboard.common.ranks import NO_RANK
+from relocbench.leaderboard.common.text import number
+from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, Found, Line, by_condition
+from relocbench.leaderboard.tracking.cells import DAGGER
+from relocbench.leaderboard.tracking.doubt import doubts_of
+from relocbench.leaderboard.tracking.marks import signs
+from relocbench.leaderboard.tracking.model import DatasetBoard, short_title
+from relocbench.pages.markdown import escaped, table_text
+
+
+def matrix_text(datasets: Sequence[DatasetBoard], pages: Sequence[str] = ()) -> str:
+    """Methods as rows and conditions as columns, or the other way round where these are more; empty without results.
+
+    Args:
+        pages: link of each dataset, for a matrix that has several or stands apart from their pages.
+    """
+    results = by_condition(datasets)
+    if not results.columns:
+        return ""
+    several_maps = len({column.map_condition for column in results.columns}) > 1
+    finer = any(column.is_finer for column in results.columns)
+    named = [escaped(short_title(dataset, datasets)) for dataset in datasets]
+    linked = [f"[{name}]({quote(page)})" for name, page in zip(named, pages, strict=True)] if pages else []
+    links = dict(zip(map(id, datasets), linked, strict=False))
+    heads = [_head(column, links.get(id(column.dataset), ""), several_maps, finer) for column in results.columns]
+    names = [_name(line, datasets) for line in results.lines]
+    cells = [[_cell(c, f) for c, f in zip(results.columns, line.found, strict=True)] for line in results.lines]
+    if len(datasets) == 1:
+        return _one(results, heads, names, cells)
+    if len(heads) <= len(names):
+        return table_text([METHOD, *heads], [[a, *row] for a, row in zip(names, cells, strict=True)], left=1)
+    across = zip(heads, zip(*cells, strict=True), strict=True)
+    return table_text(["dataset", *names], [[head, *row] for head, row in across], left=1)
+
+
+def _one(results: ByCondition, heads: list[str], names: list[str], cells: list[list[str]]) -> str:
+    """The matrix of one dataset, with the ranks and the mean across its conditions."""
+    total = sum(not column.is_finer for column in results.columns) > 1
+    across = any(not column.same_drive for column in results.columns)
+    columns = [METHOD, RANK, *([f"{'across conditions' if across else 'all'}, %"] if total else []), *heads]
+    rows = [
+        [name, _rank(line), *([number(line.share, "share")] if total else []), *row]
+        for name, line, row in zip(names, results.lines, cells, strict=True)
+    ]
+    return table_text(columns, rows, left=1)
+
+
+def _rank(line: Line) -> str:
+    return "" if line.baseline else NO_RANK if line.rank is None else str(line.rank)
+
+
+def _name(line: Line, datasets: Sequence[DatasetBoard]) -> str:
+    own = [m for dataset in datasets for m in dataset.entry.methods if m.label == line.label]
+    label = f"*{escaped(line.label)}*" if line.baseline else escaped(line.label)
+    return " ".join([label, *dict.fromkeys(sign for method in own for sign in signs(method).split())])
+
+
+def _head(column: Column, link: str, several_maps: bool, finer: bool) -> str:
+    parts = [link] if link else []
+    parts.append(escaped(column.title))
+    if column.same_drive:
+        parts.append("same drive")
+    elif several_maps:
+        parts.append(f"map: {escaped(column.map_condition)}")
+    if column.split:
+        parts.append(f"split {escaped(column.split)}")
+    parts.append(f"{column.pairs} pairs")
+    if finer:
+        parts.append(f"{column.metres:g} m, {column.degrees:g}°{DAGGER if column.is_finer_than_truth else ''}")
+    if doubts_of(column.dataset.entry.truth_checks, column.pair_sets):
+        parts.append("**truth in doubt**")
+    return "<br>".join(parts)
+
+
+def _cell(column: Column, found: Found) -> str:
+    text = number(found.share, "share")
+    return f"<sub>{text}</sub>{DAGGER}" if text and column.is_finer_than_truth else text
