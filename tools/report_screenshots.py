@@ -39,9 +39,16 @@ class Shot:
     """whether it shows photographs, which a palette would spoil"""
 
 
+def _open_list(page: Page) -> None:
+    """From the matrix to the pairs of the second method in the last condition."""
+    page.locator(".matrix tbody tr").nth(1).locator("td.share a").last.click()
+    page.wait_for_selector("#pair-list .thumb")
+    page.wait_for_timeout(1500)
+
+
 def _open_worst_pair(page: Page) -> None:
-    """From a set's table to the pair that a method got most wrong."""
-    page.locator("button.cell").nth(3).click()
+    """On from there to the pair that it got most wrong."""
+    _open_list(page)
     page.locator("#pair-list a").first.click()
     page.wait_for_load_state("networkidle")
     page.wait_for_timeout(1500)
@@ -58,9 +65,10 @@ def _scroll_to_map(page: Page) -> None:
 SHOTS = (
     Shot("report-start", "index.html"),
     Shot("report-set", "set-*.html", height=1500),
-    Shot("report-pair", "set-*.html", height=1000, prepare=_open_worst_pair, photographs=True),
+    Shot("report-list", "index.html", prepare=_open_list, photographs=True),
+    Shot("report-pair", "index.html", height=1000, prepare=_open_worst_pair, photographs=True),
     Shot("report-map", "set-*.html", height=880, prepare=_scroll_to_map),
-    Shot("report-phone", "set-*.html", width=390, height=844),
+    Shot("report-phone", "index.html", width=390, height=844),
     Shot("report-dark", "set-*.html", height=1500, dark=True),
 )
 
