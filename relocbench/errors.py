@@ -56,7 +56,7 @@ class DatasetError(RelocbenchError):
 
 
 class ManyFaults(DatasetError):
-    """Several faults of an input, which are told at once. Its text has one line for each."""
+    """Several faults of an input, reported at once. Its text has one line for each."""
 
     def __init__(self, faults: Sequence[RelocbenchError]) -> None:
         self.faults = tuple(faults)

@@ -163,9 +163,9 @@ class Tracker(Protocol):
     that uses it declares so by a class attribute ``uses_prior = True``. A tracker that wants frames around the
     keyframe declares their number on each side by ``neighbours = N``.
 
-    Times say where along a drive an image was taken, so that a tracker sees none, and pairs are asked in random order.
-    A tracker of sequences declares ``uses_times = True``: it gets the times of keyframes and queries, is asked about
-    the pairs in their order in time, and is not ranked with the others.
+    Times say where along a drive an image was taken, so that a tracker sees none, and pairs come in random order.
+    A tracker of sequences declares ``uses_times = True``: it gets the times of keyframes and queries and
+    the pairs in order of time, and is not ranked with the others.
     """
 
     def track(self, reference: Any, query: Query, prior: Array | None = None) -> TrackResult: ...
@@ -182,7 +182,7 @@ class SupportsPrepare(Protocol):
 class SupportsBatch(Protocol):
     """Optional: answer several queries of one reference together.
 
-    An evaluation asks about up to :data:`MOST_QUERIES`; an attribute ``batch_size = N`` makes it at most N.
+    An evaluation gives up to :data:`MOST_QUERIES`; an attribute ``batch_size = N`` makes it at most N.
     """
 
     def track_batch(

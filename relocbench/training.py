@@ -30,7 +30,7 @@ class PairLabel:
     """Facts about a training pair that are known without reading it."""
 
     dataset: str
-    """name and short fingerprint, which tell apart traversals of different datasets"""
+    """name and short fingerprint, which distinguish traversals of different datasets"""
     traversal_ref: str
     traversal_query: str
     camera: str
@@ -96,11 +96,11 @@ class TrainingView:
     """(H, W, 3) RGB; a grey image has three equal channels"""
     camera: Camera
     points: KeyframePoints
-    """pixels with known depth; none where the image is no keyframe, or depth was not asked for"""
+    """pixels with known depth; none where the image is not a keyframe, or depth was not requested"""
 
 
 class PosedTrainingData(TrainingData, Protocol):
-    """Training data that also tells true poses and cameras, for trainers of what predicts poses.
+    """Training data with true poses and cameras, for trainers of what predicts poses.
 
     Images can be read one by one, so that what is computed of an image can be kept for all of its pairs.
     """

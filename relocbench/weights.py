@@ -29,7 +29,7 @@ class PublishedFile:
 class SupportsFetching(Protocol):
     """Optional, a class method: the published files that a method needs with the given parameters.
 
-    The result is where each file belongs, where the method finds it without being told, and which it is. Parameters are
+    The result maps the path at which the method looks for each file to the file. Parameters are
     those of the constructor; those that name files are given too, and may be ignored.
     """
 

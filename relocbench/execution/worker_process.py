@@ -23,7 +23,7 @@ from relocbench.execution.memory import resident_bytes
 from relocbench.execution.serving import Done, Raised, Ready, serve
 
 _EXIT_GRACE_S = 1.0
-"""time after which a worker that was told to end, or that has closed its pipe, is killed"""
+"""time after which a worker that was ordered to end, or that has closed its pipe, is killed"""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

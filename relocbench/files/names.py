@@ -54,7 +54,7 @@ def check_name(name: str, what: str, most_bytes: int = MAX_NAME_BYTES) -> str:
 def check_label(name: str, what: str) -> str:
     """The label of a method: a name as :func:`check_name` wants it, of ASCII letters alone.
 
-    Labels stand in tables beside marks and beside each other, where ``dso`` must be told from what only looks like it.
+    Labels stand in tables beside marks and beside each other, where ``dso`` must differ visibly from similar labels.
 
     Raises:
         ValueError: with one line of what is wrong.

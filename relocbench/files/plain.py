@@ -17,7 +17,7 @@ def plain_file(path: Path, what: str, error: type[RelocbenchError] = RelocbenchE
     """``path`` itself. Opening a pipe would wait for whoever writes to it, and a device may never come to an end.
 
     Raises:
-        RelocbenchError: (as ``error``) it is one of them. What else keeps it from being read is told by opening it.
+        RelocbenchError: (as ``error``) it is one of them. Other faults are reported when it is opened.
     """
     try:
         mode = path.stat().st_mode

@@ -1,6 +1,6 @@
 """The metric scale of what is only known up to scale, from a keyframe with depth.
 
-Two images alone do not tell how long the translation between them is. A keyframe with depth does: of two kinds of
+Two images alone do not determine how long the translation between them is. A keyframe with depth does: of two kinds of
 answers, :func:`translation_scale` finds the length of a translation from matches, and :func:`depth_scale` the size of
 a scene from depth that a model estimated itself. Both bear less than half of wrong values.
 """
@@ -70,7 +70,7 @@ def translation_scale(
 
         s = sum(w a.b / d^2) / sum(w a.a / d^2).
 
-    Points in the direction of the translation (a = 0), and points that are far away, tell nothing of s.
+    Points in the direction of the translation (a = 0), and points that are far away, do not constrain s.
 
     Args:
         points: (N, 3) metres in the keyframe's camera; matches whose point is not finite have no depth.
@@ -162,10 +162,10 @@ def depth_scale(depth: ArrayLike, model_depth: ArrayLike, relative_sigma: ArrayL
 def _ray_scale(y: Array, p: Array, t: Array, a: Array, b: Array) -> tuple[float, float, Mask]:
     """The scale along unit t (3,), its standard error, and the matches (N,) that agree."""
     ab, aa = np.sum(a * b, axis=1), np.sum(a * a, axis=1)
-    tells = aa > _ROUNDING**2
-    if not tells.any():
+    constrains = aa > _ROUNDING**2
+    if not constrains.any():
         raise ScaleError("no parallax: all matches lie in the direction of the translation")
-    s = weighted_median(ab[tells] / aa[tells], (np.sqrt(aa) / np.linalg.norm(p, axis=1))[tells])
+    s = weighted_median(ab[constrains] / aa[constrains], (np.sqrt(aa) / np.linalg.norm(p, axis=1))[constrains])
     noise = _noise(s, p, t, a, b)
     for _ in range(2):  # the noise is measured at the median, and once more at what it leads to
         for _ in range(_STEPS):

@@ -59,7 +59,7 @@ class SubprocessTracker:
         command: the program and its arguments.
         time_limit_s: time for one answer, after which the program is killed and the pair has failed.
         start_limit_s: time for the program to become ready.
-        uses_times: whether the program is told the times of images; it is then not ranked with the others.
+        uses_times: whether the program gets the times of images; it is then not ranked with the others.
 
     Raises:
         MethodError: the program does not exist.
@@ -216,7 +216,7 @@ def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
 
 
 def _time(timestamp_ns: int | None) -> dict[str, int]:
-    """The field of a time, which a message has only where the program is told times."""
+    """The field of a time, which a message has only where the program gets times."""
     return {} if timestamp_ns is None else {"timestamp_ns": timestamp_ns}
 
 

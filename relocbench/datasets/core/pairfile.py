@@ -109,7 +109,7 @@ class Pair:
 
     @property
     def is_negative(self) -> bool:
-        """Whether keyframe and query show different places: nothing in the images tells the pose."""
+        """Whether keyframe and query show different places, so that no pose is right."""
         return self.group == ELSEWHERE
 
     @cached_property

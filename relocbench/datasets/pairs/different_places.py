@@ -1,7 +1,7 @@
-"""Pairs of different places, which no image tells the pose of: two pairs far apart exchange their queries.
+"""Negative pairs, of different places, without a right pose: two pairs far apart exchange their queries.
 
-Methods see which images they are asked about repeatedly. Of two pairs that exchange queries, each keyframe and each
-query is asked about twice, once at its own place and once at the other, and nothing but pixels says which is which.
+Methods see which images come repeatedly. Of two pairs that exchange queries, each keyframe and each query comes twice,
+once at its own place and once at the other, and nothing but pixels says which is which.
 True poses are known and are written like those of the other pairs.
 """
 

@@ -349,7 +349,7 @@ def _named(asked: str) -> str:
 
 
 def dataset_record(dataset: Dataset) -> DatasetRecord:
-    """What leaderboards are told of a dataset. Raises DatasetError for a bad file of it."""
+    """What leaderboards know of a dataset. Raises DatasetError for a bad file of it."""
     return DatasetRecord(
         name=dataset.name,
         fingerprint=dataset.fingerprint,

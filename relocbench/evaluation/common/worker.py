@@ -81,7 +81,7 @@ def units_of(
 ) -> list[Unit]:
     """Units of work for the pairs of ``keys``, each with pairs of a single reference.
 
-    Their order is drawn from ``seed`` and the dataset's fingerprint, which no method is told: it says nothing about
+    Their order is drawn from ``seed`` and the dataset's fingerprint, which no method knows: it says nothing about
     the drive. A method that uses times gets the pairs in the order of their times.
     """
     by_keyframe = [list(group) for _, group in groupby(sorted(keys), key=lambda key: key[0])]

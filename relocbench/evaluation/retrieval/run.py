@@ -115,7 +115,7 @@ class RetrieverSession:
         make: returns the retriever, constructed; called again for each gallery that it is fitted to.
         tasks: all tasks that it will run on.
         seed: for ``fit``.
-        salt: of the digests that the retriever sees in place of keys; no method is told it.
+        salt: of the digests that the retriever sees in place of keys; no method knows it.
     """
 
     def __init__(

@@ -146,7 +146,7 @@ def _faults(bad: ValidationError) -> Iterator[tuple[str, tuple[str | int, ...]]]
         message, location = first_fault(one)
         if one.errors()[0]["type"] == "too_short":
             if any(len(place) > len(location) and place[: len(location)] == location for place in places):
-                continue  # what it holds is told to be wrong
+                continue  # what it holds is reported
             message = f"key '{'.'.join(map(str, location))}': is empty, expected at least one"
         if message.startswith("unknown key"):
             message += _suggestion(location)

@@ -48,7 +48,7 @@ class _Question:
     query: Query
 
     def shown(self, times: bool) -> _Question:
-        """The question as an evaluation puts it, but with images that can be written to: a method that does is told."""
+        """The views as an evaluation gives them, but writable: a method that writes to them is reported."""
         reference, query = masked_reference(self.reference, times), masked_query(self.query, times)
         writable = self.reference
         return _Question(

@@ -46,7 +46,7 @@ def export_poses(
         results: the results folder that holds the predictions.
         method: the label of the predictions; None for the ground truth.
         relocalization_files: for mlad, the challenge's files, whose names and line order the zip follows.
-        reporter: is told of the progress of files of images and depth.
+        reporter: receives the progress of files of images and depth.
 
     Raises:
         PredictionError: no such predictions, none with a pose, or ground truth that is withheld.

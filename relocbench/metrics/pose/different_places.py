@@ -1,4 +1,4 @@
-"""What a method does with pairs of different places, where nothing in the images tells the pose.
+"""What a method does with negative pairs: keyframe and query show different places, and no pose is right.
 
 Their true poses are known all the same. An answer that is right by them is not held against a method, however it came
 about; every other one is wrong.

@@ -41,10 +41,10 @@ def answered_pairs(T_pred: ArrayLike, answered: ArrayLike | None = None) -> NDAr
     finite: NDArray[np.bool_] = np.all(np.isfinite(poses), axis=(1, 2))
     if answered is None:
         return finite
-    said = np.asarray(answered, dtype=bool)
-    if said.shape != (len(poses),):
-        raise ValueError(f"answered must be ({len(poses)},), got {said.shape}")
-    out: NDArray[np.bool_] = finite & said
+    claimed = np.asarray(answered, dtype=bool)
+    if claimed.shape != (len(poses),):
+        raise ValueError(f"answered must be ({len(poses)},), got {claimed.shape}")
+    out: NDArray[np.bool_] = finite & claimed
     return out
 
 

@@ -50,7 +50,7 @@ class PairScores:
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric of a pair set: what it is called, how it is computed, and what can be said of it."""
+    """A metric of a pair set: its name, how it is computed, and its description."""
 
     name: str
     unit: str
@@ -186,7 +186,7 @@ def _confidence_area(metres: float, degrees: float) -> Metric:
         name=f"confidence_auc_pr@({metres:g}m,{degrees:g}deg)",
         unit="share",
         higher_is_better=True,
-        description="area under precision against recall as the confidence asked for falls; correct is "
+        description="area under precision against recall as the threshold on the confidence falls; correct is "
         f"translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}; recall is over all pairs",
         compute=compute,
         translation_threshold_m=metres,

@@ -1,4 +1,4 @@
-"""Differences of trained methods, whose uncertainty comes from the places that were asked and from the trainings.
+"""Differences of trained methods, whose uncertainty comes from the evaluated places and from the trainings.
 
 With P places and S seeds of both methods, the difference at place p with seed s is taken as
 

@@ -178,7 +178,7 @@ def _t_statistics(
     roads: Sequence[Hashable] | None,
     independent: bool,
 ) -> tuple[Array, float]:
-    """(M, M) t statistics of the differences, NaN where nothing can be said, and their least degrees of freedom.
+    """(M, M) t statistics of the differences, NaN where undefined, and their least degrees of freedom.
 
     Two pairs with the largest difference either way are added, as in
     :func:`relocbench.metrics.statistics.intervals.paired_difference`.
