@@ -10,10 +10,10 @@
 
   const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
 
-  /** Good to bad, as on all maps; the middle is at the threshold: what is found is blue, what is missed orange. */
+  /** Good to bad, as on all maps, with a step at the threshold: what is found is blue, what is missed orange. */
   const AT_THRESHOLD = Math.log10(1 / FAINT) / Math.log10(STRONG / FAINT);
-  const [[, BAD], [, MIDDLE], [, GOOD]] = relocbench.QUALITY;
-  const colourscale = () => [[0, GOOD], [AT_THRESHOLD, MIDDLE], [1, BAD]];
+  const [[, BAD], , [, GOOD]] = relocbench.QUALITY, JUST_GOOD = "#b7cbef", JUST_BAD = "#eec6a4";
+  const colourscale = () => [[0, GOOD], [AT_THRESHOLD, JUST_GOOD], [AT_THRESHOLD, JUST_BAD], [1, BAD]];
 
   /** The points of a world: each pair that has a place there. */
   function pointsIn(world, page, label, places) {
