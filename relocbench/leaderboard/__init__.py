@@ -1,4 +1,4 @@
-"""Leaderboards: tables, plots and pages from a results folder alone; the datasets need not be at hand."""
+"""Leaderboards: tables, plots and pages from a results folder alone; the datasets are not needed."""
 
 from relocbench.leaderboard.tracking.load import DatasetEntry, Method, load_results
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table

@@ -12,7 +12,7 @@ from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.colours import share_style
 from relocbench.leaderboard.html.pair_page.write import middle_picture
 from relocbench.leaderboard.html.payloads import id_of, marks_of
-from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, Found, Line, by_condition
+from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall, Line, by_condition
 from relocbench.leaderboard.tracking.doubt import doubts_of
 from relocbench.leaderboard.tracking.model import DatasetBoard, short_title
 
@@ -92,7 +92,7 @@ def _line(results: ByCondition, line: Line) -> dict[str, Any]:
     }
 
 
-def _placed(results: ByCondition, line: Line) -> list[tuple[Column, int, Found]]:
+def _placed(results: ByCondition, line: Line) -> list[tuple[Column, int, ConditionRecall]]:
     """Each column with its place among those of its dataset, and what is in the cell."""
     out, places = [], dict[int, int]()
     for column, found in zip(results.columns, line.found, strict=True):
@@ -102,7 +102,7 @@ def _placed(results: ByCondition, line: Line) -> list[tuple[Column, int, Found]]
     return out
 
 
-def _cell(column: Column, place: int, label: str, found: Found) -> dict[str, str]:
+def _cell(column: Column, place: int, label: str, found: ConditionRecall) -> dict[str, str]:
     if found.share is None:
         return {"text": "", "style": "", "link": "", "words": ""}
     state = {"method": label, "column": str(place)}

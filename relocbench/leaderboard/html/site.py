@@ -49,12 +49,12 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
         site: its folder, which is empty or holds an earlier site. Pages and payloads of that one that are no longer
             needed are removed, and no other file.
         pairs: in each pair set, so many worst pairs of each method, and so many drawn at random, have pictures where
-            the dataset is at hand; so have queries in each task of retrievers and of pipelines.
+            the dataset is available; so have queries in each task of retrievers and of pipelines.
         reporter: receives the number of sets and of pictures that are done.
 
     Raises:
         PredictionError: a file of predictions is bad.
-        DatasetError: a file of a dataset at hand cannot be read.
+        DatasetError: a file of an available dataset cannot be read.
         ConfigError: the folder holds files and no site, or an installed package does not ship the scripts that the
             pages need.
     """

@@ -111,7 +111,7 @@ class PipelineSetBoard:
     tables: tuple[PipelineTable, ...]
     folder: PipelineSetResults | None = None
     truth: PipelineTruth | None = None
-    """None where the dataset is not at hand"""
+    """None where the dataset is not available"""
 
     @property
     def title(self) -> str:
@@ -142,7 +142,7 @@ def load_pipelines(
         metric: the metric that ranks pipelines, a mean over queries.
         split: only the tasks of this split; sets without such a split are left out.
         seed: of the draws that decide ranks.
-        datasets: the datasets at hand; without them, those in folders beside ``RESULTS``. Where the dataset of a set is
+        datasets: with their truth; without them, those in folders beside ``RESULTS``. Where the dataset of a set is
             among them, all rows are computed anew.
 
     Raises:

@@ -34,7 +34,7 @@ def write_relocalization_leaderboard(
     """Compare chains and write both files; None where a results folder has no chains to show.
 
     Args:
-        datasets: the datasets at hand; without them, those in folders beside ``results``.
+        datasets: with their truth; without them, those in folders beside ``results``.
 
     Raises:
         PredictionError: a bad file, scores that are missing or stale, or rows that do not follow from the answers.

@@ -49,7 +49,7 @@ class Retriever:
     answers: Mapping[str, Sequence[QueryAnswer]]
     """by task; tasks without results are absent"""
     confirmed: Mapping[str, Confirmed] = field(default_factory=dict)
-    """how far the ranks follow from the images that were kept, by task; empty where the truth is not at hand"""
+    """how far the ranks follow from the images that were kept, by task; empty where the truth is not available"""
     ran_as: str = ""
     """the label in the run's record, which the name of the folder replaces"""
     card: KeptCard | None = None
@@ -128,7 +128,7 @@ class SetBoard:
     copies: tuple[str, ...] = ()
     """fingerprints of other copies of the same question, from other processors, that methods answered on"""
     truth: RetrievalTruth | None = None
-    """the tasks with their images; None where no copy of the dataset is at hand"""
+    """the tasks with their images; None where no copy of the dataset is available"""
 
     @property
     def title(self) -> str:
@@ -160,7 +160,7 @@ def load_retrieval(
         metric: the metric that ranks methods.
         split: only the tasks of this split; sets without such a split are left out.
         seed: of the draws that decide ranks. Each table has a generator of its own and depends on nothing else.
-        datasets: the datasets at hand; without them, those in folders beside ``RESULTS``. Where the dataset of a set is
+        datasets: with their truth; without them, those in folders beside ``RESULTS``. Where the dataset of a set is
             among them, ranks are computed anew from the images that were kept of each query.
 
     Raises:
@@ -292,7 +292,7 @@ def _rule_differs(record: SetRecord, other: SetRecord) -> str:
 def _methods_of(
     copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord], lookup: DatasetLookup
 ) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults], RetrievalTruth | None]:
-    """The methods by label, the folder of each, and the tasks of the first copy that is at hand."""
+    """The methods by label, the folder of each, and the tasks of the first copy that is available."""
     found: dict[str, Retriever] = {}
     folders: dict[str, RetrieverResults] = {}
     first: RetrievalTruth | None = None

@@ -33,7 +33,7 @@ def write_retrieval_leaderboard(
     """Compare retrievers and write both files; None where a results folder has no retrievers to show.
 
     Args:
-        datasets: the datasets at hand; without them, those in folders beside ``results``.
+        datasets: with their truth; without them, those in folders beside ``results``.
 
     Raises:
         PredictionError: a bad file, scores that are missing or stale, or ranks that do not follow from the answers.

@@ -65,7 +65,7 @@ class Column:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ConditionRecall:
     """What one method finds of the pairs of one column."""
 
     share: float | None
@@ -87,7 +87,7 @@ class Line:
     """whether it is a trivial baseline"""
     share: float | None
     """the mean over the pair sets across conditions, or over all where there are none; None where one is missing"""
-    found: tuple[Found, ...]
+    found: tuple[ConditionRecall, ...]
     """one a column"""
 
 
@@ -173,13 +173,13 @@ def _place(line: Line) -> tuple[bool, bool, int, float, float, str]:
     return line.baseline, not is_ranked(line.method), missing, -(line.share or 0.0), -sum(known), line.label
 
 
-def _found(label: str, column: Column) -> Found:
+def _found(label: str, column: Column) -> ConditionRecall:
     method = next((m for m in column.dataset.entry.methods if m.label == label), None)
     tables = [] if method is None else [method.errors.get(name) for name in column.pair_sets]
     known = [table for table in tables if table is not None]
     if not known or len(known) < len(column.pair_sets):
-        return Found(None, np.zeros(0, dtype=np.bool_))
+        return ConditionRecall(None, np.zeros(0, dtype=np.bool_))
     rights = [within(table.errors, column.metres, column.degrees) for table in known]
     keys = np.concatenate([table.keys for table in known])
     order = np.lexsort((keys[:, 0], keys[:, 1]))
-    return Found(float(np.mean([right.mean() for right in rights])), np.concatenate(rights)[order])
+    return ConditionRecall(float(np.mean([right.mean() for right in rights])), np.concatenate(rights)[order])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_rgb
 from relocbench.files import write_bytes
-from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, Found
+from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall
 from relocbench.leaderboard.tracking.plots import png_of
 from relocbench.metrics import CORRECT
 
@@ -108,7 +108,7 @@ def _figure(picture: ConditionPicture) -> Figure:
     return figure
 
 
-def _cell(axes: Axes, found: Found, left: float, wide: float, y: float) -> None:
+def _cell(axes: Axes, found: ConditionRecall, left: float, wide: float, y: float) -> None:
     """The marks of a method's pairs of one column, and their share at the right."""
     text = "" if found.share is None else f"{100 * found.share:.0f} %"
     axes.text(left + wide - 0.05, y, text, va="center_baseline", ha="right", size=11.5, color=_TEXT)

@@ -1,6 +1,6 @@
 """Doubt about the truth of pair sets, carried from the images to every board.
 
-Where a dataset is at hand, the images of some pairs of each set are compared at the true pose, as ``relocbench inspect
+Where a dataset is available, images of some pairs of each set are compared at the true pose, as ``relocbench inspect
 --pictures`` does. Of a set whose images are mostly apart there, boards say so and by how much: its numbers measure the
 truth rather than the methods. Rendered sets, whose truth has a sigma of zero, are exact and not compared.
 """

@@ -137,7 +137,7 @@ class DatasetEntry:
     copies: tuple[str, ...] = ()
     """fingerprints of other copies of the same question, from other processors, that methods answered on"""
     dataset: Dataset | None = None
-    """the dataset itself, or a copy of it, where it is at hand"""
+    """the dataset itself, or a copy of it, where it is available"""
     truth_checks: Mapping[str, TruthCheck] = field(default_factory=dict)
     """by pair set whose truth was compared with its images"""
 
@@ -175,13 +175,13 @@ def load_results(
 ) -> list[DatasetEntry]:
     """Read all results of trackers in a results folder.
 
-    Where a dataset is at hand, all errors on it are computed anew from predictions and truth; elsewhere the results are
-    believed as far as their digests agree.
+    Where a dataset is available, all errors on it are computed anew from predictions and truth; elsewhere the results
+    are believed as far as their digests agree.
 
     Args:
         results: ``RESULTS``, or one of its ``DATASET@FINGERPRINT`` folders.
         split: only the pair sets of this split; datasets without such a split are left out.
-        datasets: the datasets at hand; without them, those in folders beside ``RESULTS``.
+        datasets: with their truth; without them, those in folders beside ``RESULTS``.
 
     Raises:
         PredictionError: with file and line: no results, a bad file, scores that are missing or stale, or errors that
@@ -369,7 +369,7 @@ def _errors(
     scores: ScoreRecord,
     truth: Truth | None,
 ) -> ErrorTable:
-    """The errors of one pair set by reference time, computed anew where the truth is at hand.
+    """The errors of one pair set by reference time, computed anew where the truth is available.
 
     Raises:
         PredictionError: they do not fit predictions, scores and truth.

@@ -8,7 +8,7 @@ from urllib.parse import quote
 from relocbench.leaderboard.common.headings import METHOD, RANK
 from relocbench.leaderboard.common.ranks import NO_RANK
 from relocbench.leaderboard.common.text import number
-from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, Found, Line, by_condition
+from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall, Line, by_condition
 from relocbench.leaderboard.tracking.cells import DAGGER
 from relocbench.leaderboard.tracking.doubt import doubts_of
 from relocbench.leaderboard.tracking.marks import signs
@@ -80,6 +80,6 @@ def _head(column: Column, link: str, several_maps: bool, finer: bool) -> str:
     return "<br>".join(parts)
 
 
-def _cell(column: Column, found: Found) -> str:
+def _cell(column: Column, found: ConditionRecall) -> str:
     text = number(found.share, "share")
     return f"<sub>{text}</sub>{DAGGER}" if text and column.is_finer_than_truth else text

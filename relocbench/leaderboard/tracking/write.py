@@ -50,7 +50,7 @@ def write_leaderboard(
         split: only the pair sets of this split.
         seed: of the draws that decide ranks.
         plots: whether to draw the curves.
-        datasets: the datasets at hand; without them, those in folders beside ``results``.
+        datasets: with their truth; without them, those in folders beside ``results``.
         reporter: receives progress and notes on missing results.
 
     Raises:
@@ -79,7 +79,7 @@ def compare(
     for entry in entries:
         claimed = [method.label for method in entry.methods if not_rescored(method)]
         if claimed:
-            why = "not rescored, as the dataset is not at hand (--dataset)"
+            why = "not rescored, as the dataset is not available (--dataset)"
             reporter.note(f"{entry.title}: {why}: {', '.join(claimed)}")
         for method in entry.methods:
             for pair_set in (name for name in entry.used if name in method.missing):
@@ -89,7 +89,7 @@ def compare(
 
 
 def _with_checked_truth(entry: DatasetEntry, reporter: Reporter) -> DatasetEntry:
-    """The entry with what the images of its dataset say of the truth, where the dataset is at hand."""
+    """The entry with what the images of its dataset say of the truth, where the dataset is available."""
     if entry.dataset is None:
         return entry
     checks = check_truth(entry.dataset, entry.used, reporter)

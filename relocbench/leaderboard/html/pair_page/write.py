@@ -65,7 +65,7 @@ def write_pair_pages(
 ) -> set[Path]:
     """Write what the page of a pair loads; returns the paths of all files.
 
-    Truth and pictures are there only for datasets that are at hand.
+    Truth and pictures are there only for datasets that are available.
 
     Args:
         site: the folder of the site.

@@ -1,7 +1,7 @@
 """Writing the pages of pipelines and what the page of a query loads.
 
 ``data/chains/SET.js`` holds the tables of a dataset, ``data/located/SET/TASK.js`` the answers to each query, and
-``data/candidates/SET/TASK.js`` the keyframes that they were made of, where the dataset is at hand.
+``data/candidates/SET/TASK.js`` the keyframes that they were made of, where the dataset is available.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def write_pipeline_pages(
         tracking: the trackers of the same results, to whose pairs the page of a query links.
         site: the folder of the site.
         queries: in each task, so many worst queries of each pipeline that is no baseline, and so many at random, have
-            pictures where the dataset is at hand.
+            pictures where the dataset is available.
         reporter: receives the number of pictures that are done.
 
     Raises:

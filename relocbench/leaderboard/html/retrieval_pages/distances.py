@@ -1,4 +1,4 @@
-"""How far the camera of a retrieved keyframe was from that of the query, where a dataset of drives is at hand."""
+"""How far the camera of a retrieved keyframe was from that of the query, where a dataset of drives is available."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Distances:
 def distances_of(truth: RetrievalTruth | None, name: str) -> Distances | None:
     """The distances of a task along drives; None for views of places, whose positions nobody records.
 
-    They are None too where the dataset, or this task of it, is not at hand.
+    They are None too where the dataset, or this task of it, is not available.
 
     With a radius they are those of the positions by which images are right. Pairs alone need no common world, and
     their distances are those of the pairs' true poses, transferred along the drive of the keyframes.

@@ -1,4 +1,4 @@
-"""The first images that a retriever's results keep of each query, with or without the dataset at hand."""
+"""The first images that a retriever's results keep of each query, with or without the available dataset."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class KeptLists:
 
 
 def task_of(asked: SetBoard, name: str) -> RetrievalTask | None:
-    """A task with its images; None where the dataset, or this task of it, is not at hand."""
+    """A task with its images; None where the dataset, or this task of it, is not available."""
     return None if asked.truth is None else asked.truth.tasks.get(name)
 
 
 def kept_lists(asked: SetBoard, method: Retriever, name: str) -> KeptLists:
     """The beginnings of the lists of a task that a method has answered.
 
-    Which images are right follows from the dataset. Where it is not at hand, the ranks of right images say it, as long
+    Which images are right follows from the dataset. Without it, the ranks of right images say it, as long
     as no junk, which they do not count, is in the gallery.
 
     Raises:

@@ -47,7 +47,7 @@ def lists_payload(
     Args:
         lists: of each method that has answered the task, by label.
         kept: indices of queries, ascending.
-        chosen: those of them that have pictures where the dataset is at hand.
+        chosen: those of them that have pictures where the dataset is available.
         distances: between the cameras of queries and keyframes; None where they are not known.
     """
     methods = {m.label: m for m in asked.methods if m.label in lists}
@@ -104,7 +104,7 @@ def thumbnails_of(
 def right_images(task: RetrievalTask | None, query: int, distances: Distances | None) -> list[str]:
     """The keys of the first right images of a query: the nearest, or else in the order of the gallery.
 
-    There are none where the dataset is not at hand.
+    There are none where the dataset is not available.
     """
     if task is None:
         return []

@@ -39,7 +39,7 @@ def write_retrieval_pages(board: RetrievalBoard, site: Path, *, queries: int, re
     Args:
         site: the folder of the site.
         queries: in each task, so many worst queries of each method that is no floor, and so many drawn at random, have
-            pictures where the dataset is at hand.
+            pictures where the dataset is available.
         reporter: receives the number of pictures that are done.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Maps of a dataset that is at hand: its routes from above, and where the query of each pair stands.
+"""Maps of a dataset that is available: its routes from above, and where the query of each pair stands.
 
 A map has one world. Queries stand where the truth puts them beside their keyframe, in the world of the keyframe, so
 that no fault between the frames of two drives is drawn as if somebody had made it. Where the drive of the queries has

@@ -1,4 +1,4 @@
-"""How many months lie between keyframe and query, as far as results or the dataset at hand record it."""
+"""How many months lie between keyframe and query, as far as results or the available dataset record it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def months_apart(record: PairSetRecord, keys: Indices, dataset: Dataset | None) 
     Args:
         record: of the pair set.
         keys: (N, 2) times of keyframes and queries, nanoseconds.
-        dataset: the dataset where it is at hand; otherwise seasons are looked for in the names of conditions.
+        dataset: the dataset where it is available; otherwise seasons are looked for in the names of conditions.
     """
     if record.reference == record.query:
         return {"by": "drive", "months": 0}

@@ -1,6 +1,6 @@
 """Sweeps: pair sets whose queries differ in one factor of the rendering, and the value of the factor in each.
 
-Results name conditions and no factors. Where the dataset is at hand, its ``dataset.yaml`` holds the factors of all
+Results name conditions and no factors. Where the dataset is available, its ``dataset.yaml`` holds the factors of all
 conditions; elsewhere the steps of ``build-dataset synthetic --sweep`` are known by the names of their conditions, such
 as ``wetness 3``, and have a number but no value.
 """

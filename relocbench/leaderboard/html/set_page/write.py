@@ -24,7 +24,7 @@ def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
     """Write the payloads of the charts of a set; returns their paths.
 
     Raises:
-        DatasetError: a file of the dataset at hand is bad.
+        DatasetError: a file of the available dataset is bad.
         PredictionError: a table of a probe is bad.
     """
     of_set, entry = id_of(dataset), dataset.entry
