@@ -124,7 +124,7 @@ _ALL, _SAME, _NEAR, _FAR = (
     "across conditions",
     "within a condition",
     "across, keyframe within 1 m",
-    "across, keyframe farther off",
+    "across, keyframe over 1 m away",
 )
 SUMMARY = {
     "all changes": (METRICS[0], _ALL),
@@ -135,7 +135,7 @@ SUMMARY = {
 RESULTS = {
     "all changes": (METRICS[0], _ALL),
     "keyframe within 1 m": (METRICS[0], _NEAR),
-    "farther off": (METRICS[0], _FAR),
+    "keyframe over 1 m away": (METRICS[0], _FAR),
     "same condition": (METRICS[0], _SAME),
     f"{METRICS[2]}, all changes": (METRICS[2], _ALL),
     f"{METRICS[2]}, same condition": (METRICS[2], _SAME),
@@ -149,12 +149,14 @@ ELSEWHERE = 8
 _HEAD = """# Across weathers
 
 Printed by `python benchmarks/publish/cross_weather.py --only-print --errors leaderboard/weather/errors --out
-leaderboard/weather` from the errors of every pair; what is asked stands there, and how intervals are made in
-[Statistics](../../docs/statistics.md). Shares are in percent, failures count as infinite errors. A difference whose
-interval excludes zero has a star; one without an interval has fewer than ten effective pairs. Keyframes within a
-condition are 4 m away, so that an answer that stays there is 3.9 to 4.3 m off. The floors state no confidence: among
-pairs of different places that counts as confident, among sure answers it does not count. Printed by commit {commit};
-which commit asked the methods stands in the [ledger](../LEDGER.md).
+leaderboard/weather` from the errors of every pair. What was evaluated stands there, how intervals are made in
+[Statistics](../../docs/statistics.md), and what follows in [Results](../../docs/results.md). Shares are in percent,
+failures count as infinite errors. A difference whose interval excludes zero has a star; one without an interval has
+fewer than ten effective pairs. Each of the many intervals holds for itself: of twenty differences between equal
+methods, one has a star. Keyframes within a condition are 4 m away, so that an answer that stays there is 3.9 to 4.3
+m off. The trivial baselines identity and clock state no confidence: among negative pairs that counts as confident,
+among confident answers it does not count. Printed by commit {commit}; which commit evaluated the methods stands in
+the [ledger](../LEDGER.md).
 """
 
 
@@ -452,7 +454,7 @@ def _by_distance(rows: pd.DataFrame) -> list[Group]:
     near = metres.reindex(pd.MultiIndex.from_frame(across[pair])).to_numpy() <= 1.0
     return [
         Group("across, keyframe within 1 m", across[near]),
-        Group("across, keyframe farther off", across[~near]),
+        Group("across, keyframe over 1 m away", across[~near]),
     ]
 
 
@@ -541,7 +543,7 @@ def _by_district_table(within: Group, methods: Sequence[str]) -> list[str]:
 def _elsewhere_table(elsewhere: Mapping[str, DifferentPlaces]) -> list[str]:
     """How many pairs of different places each method answered, and how many wrongly and confidently."""
     lines = [
-        "\n## Pairs of different places\n",
+        "\n## Negative pairs\n",
         "| method | pairs | answered | confidently wrong | the same, % [at most, were pairs independent] |",
     ]
     lines.append("|---|---|---|---|---|")
