@@ -75,7 +75,19 @@ def _submission(data: SimpleNamespace, folder: Path) -> Path:
 Given = Callable[[SimpleNamespace, Path], list[object]]
 COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
     "build-dataset": (
-        lambda d, t: ["synthetic", "--preset", "smoke", "--conditions", "Sunny", "--out", t / "town", "-j", 1],
+        lambda d, t: [
+            "synthetic",
+            "--preset",
+            "smoke",
+            "--conditions",
+            "Sunny",
+            "--size",
+            "48x36",
+            "--out",
+            t / "town",
+            "-j",
+            1,
+        ],
         {"traversals": 1, "rejected": 0},
     ),
     "preview": (lambda d, t: ["-c", "Sunny", "--size", 64, "--out", t / "p.png"], {"pictures": 1, "files_written": 1}),

@@ -10,6 +10,7 @@ import pytest
 from command_line import relocbench
 from latex_parser import check_latex
 from pipelines_for_tests import lists
+from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -158,7 +159,7 @@ def test_options_of_pipelines_mean_nothing_elsewhere(dataset: Dataset, tmp_path:
 
 
 def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be ranked by 'R@1'"):
+    with refused(ConfigError, "", None, "R@1"):
         load_pipelines(results, metric="R@1")
     with pytest.raises(ConfigError, match="no split 'nowhere'; available: all, test"):
         load_pipelines(results, split="nowhere")
@@ -169,7 +170,7 @@ def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
     before = table.read_text()
     try:
         table.write_text(before.replace("right", "choice", 1))
-        with pytest.raises(PredictionError, match="changed since it was scored"):
+        with refused(PredictionError):
             load_pipelines(results)
     finally:
         table.write_text(before)

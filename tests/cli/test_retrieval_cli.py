@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from command_line import relocbench
+from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
 from small_views import make_small_views
 
@@ -232,14 +233,14 @@ def test_retrievers_are_configured_as_trackers_are() -> None:
     assert (spec.label, spec.parameters, spec.kind) == ("mine", {"side": 3, "log": "", "seed": 5}, RETRIEVERS)
     assert spec.create().side == 3
     assert [p.name for p in parameters_of(f"{HERE}:Reversing", RETRIEVERS)] == ["top", "fault"]
-    for text, settings, words in (
-        (f"{HERE}:Thumbnail", ["side=many"], "retriever 'Thumbnail': parameter 'side=many'"),
-        (f"{HERE}:NotARetriever", [], r"has no describe\(\) method"),
-        ("bad__label=x:Y", [], "retriever label 'bad__label'"),
+    for text, settings, name in (
+        (f"{HERE}:Thumbnail", ["side=many"], "side=many"),
+        (f"{HERE}:NotARetriever", [], "describe"),
+        ("bad__label=x:Y", [], "bad__label"),
     ):
-        with pytest.raises(MethodError, match=words):
+        with refused(MethodError, "", None, name):
             parse_method(text, settings, kind=RETRIEVERS)
-    with pytest.raises(MethodError, match="two retrievers are called 'a'"):
+    with refused(MethodError, "", None, "a"):
         parse_methods([f"a={HERE}:Thumbnail", f"a={HERE}:Constant"], kind=RETRIEVERS)
 
 

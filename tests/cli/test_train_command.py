@@ -11,6 +11,7 @@ import pytest
 from command_line import relocbench
 from killing import Fault, run_until_killed
 from made_pairs import SETTINGS
+from refusals import refused
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset, time_of
 
 from relocbench.datasets.core.dataset import Dataset
@@ -37,9 +38,9 @@ def train(dataset: Path, out: Path, *more: object) -> Any:
 
 def test_trainers_are_found_by_entry_point() -> None:
     assert {"gn-net", "gn-net-contrastive", "lm-net"} <= set(installed_trainers())
-    with pytest.raises(MethodError, match="did you mean 'gn-net'"):
+    with refused(MethodError, "", None, "gn-net"):
         trainer_named("gn-nett")
-    with pytest.raises(MethodError, match=r"has no train\(\)"):
+    with refused(MethodError, "", None, "train"):
         trainer_named("trackers_for_tests:Shift")
 
 
@@ -51,9 +52,9 @@ def test_options_come_from_defaults_then_file_then_settings(tmp_path: Path) -> N
     assert chosen == {"rate": 0.001, "steps": 7, "loss": {"weight": 3, "form": "a"}}
     assert usual["loss"] == {"weight": 1.0, "form": "a"}
     config.write_text("losss: {weight: 2}\n")
-    with pytest.raises(ConfigError, match=r"c\.yaml: unknown option 'losss' \(did you mean 'loss'\?\)"):
+    with refused(ConfigError, "c.yaml", None, "losss", "loss"):
         trainer_options(usual, config, [])
-    with pytest.raises(ConfigError, match="'loss' is a group of options: weight, form"):
+    with refused(ConfigError, "", None, "loss", "weight", "form"):
         trainer_options(usual, None, ["loss=3"])
 
 
@@ -64,7 +65,7 @@ def test_a_group_without_defaults_takes_any_names() -> None:
     assert usual == {"shares": {}}
     deeper = trainer_options(usual, None, ["shares.town.a=1", "shares.town.b=2"])
     assert deeper == {"shares": {"town": {"a": 1, "b": 2}}}  # which the options refuse, with one line
-    with pytest.raises(ConfigError, match="'shares' is a group of options: NAME=VALUE"):
+    with refused(ConfigError, "", None, "shares"):
         trainer_options(usual, None, ["shares=3"])
 
 
@@ -109,13 +110,13 @@ def test_poses_and_single_images_are_told_to_trainers_that_ask_for_them(dataset:
 
 def test_who_learns_from_poses_needs_no_correspondences(tmp_path: Path) -> None:
     bare = make_small_dataset(tmp_path / "d", splits={"train": [ACROSS]})
-    with pytest.raises(DatasetError, match="missing; expected correspondences"):
+    with refused(DatasetError, "", None, "correspondences"):
         DatasetPairs([bare.root])
     data = DatasetPairs([bare.root], correspondences=False)
     assert len(data) == len(bare.pair_set(ACROSS).pairs)
     assert data.load(0).u_ref.shape == (0, 2)
     withheld = make_small_dataset(tmp_path / "withheld", splits={"train": [ACROSS]}, truth=False)
-    with pytest.raises(ConfigError, match="split 'train' has no pair with a true pose to learn from"):
+    with refused(ConfigError, "", None, "train"):
         DatasetPairs([withheld.root], correspondences=False)
 
 
@@ -123,15 +124,15 @@ def test_withheld_poses_are_named(dataset: Dataset) -> None:
     data = DatasetPairs([dataset.root])
     number, pair = data._entries[0]
     data._entries[0] = number, replace(pair, T_query_ref=None)
-    with pytest.raises(DatasetError, match="the poses of its pairs are withheld"):
+    with refused(DatasetError):
         data.posed(0)
 
 
 def test_the_test_split_is_never_learnt_from(tmp_path: Path) -> None:
     both = make_small_dataset(tmp_path / "d", correspondences=50, splits={"train": [WITHIN], "test": [ACROSS]})
-    with pytest.raises(ConfigError, match="the test split must not be learnt from"):
+    with refused(ConfigError, "", None, "test"):
         DatasetPairs([both.root], "test")
-    with pytest.raises(ConfigError, match="split 'train' shares traversal 'summer' with the test split"):
+    with refused(ConfigError, "", None, "train", "summer"):
         DatasetPairs([both.root])
     for split in ("test", "train"):
         told = train(both.root, tmp_path / "out", "--split", split)
@@ -158,7 +159,7 @@ def test_missing_parts_of_a_dataset_are_one_line_each(tmp_path: Path, dataset: D
     assert "lies inside a dataset" in train(dataset.root, dataset.root / "out").complaint
     path = bare.layout.pair_file(ACROSS)
     path.write_text(path.read_text() + "\n")
-    with pytest.raises(DatasetError, match=r"has \d+ bytes, manifest\.csv says"):
+    with refused(DatasetError, "", None, "manifest.csv"):
         DatasetPairs([bare.root])
 
 
@@ -209,7 +210,6 @@ def test_options_are_shown_as_a_file_that_config_takes(tmp_path: Path, dataset: 
     assert again.out == shown.out
 
 
-@pytest.mark.slow
 def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: Dataset) -> None:
     out = tmp_path / "out"
     done = train(dataset.root, out, "--validation-pairs", 2)
@@ -228,20 +228,10 @@ def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: D
     assert '"gn-net"' in ran.out
 
 
-@pytest.mark.slow
 def test_a_training_killed_outright_ends_with_the_bytes_of_one_that_was_not(tmp_path: Path, dataset: Dataset) -> None:
     more = ("--validation-pairs", 2, "--set", "steps=4", "--set", "validate_every=2", "--set", "checkpoint_every=1")
     command = [
-        "train",
-        "gn-net",
-        "-d",
-        dataset.root,
-        "-o",
-        tmp_path / "cut",
-        "-j",
-        0,
-        "--device",
-        "cpu",
+        *("train", "gn-net", "-d", dataset.root, "-o", tmp_path / "cut", "-j", 0, "--device", "cpu"),
         *SETTINGS,
         *more,
     ]

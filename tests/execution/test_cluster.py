@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from command_line import relocbench
 from dask_processes import DaskProcesses, kill
+from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
 from units_of_work import die_once, square, user_error
 
@@ -79,7 +80,7 @@ def test_a_worker_that_dies_in_the_middle_of_a_unit_costs_a_retry(dask: DaskProc
     results = dict(run_units(die_once, units, Run(scheduler=where(dask))))
     assert [results[i] for i in range(6)] == ["a", "die", "b", "c", "d", "e"]
     assert dask.alive == 1
-    with pytest.raises(DatasetError, match=r"file\.txt:3: expected better"):
+    with refused(DatasetError, "file.txt", 3):
         list(run_units(user_error, [3], Run(scheduler=where(dask))))
     assert dask.alive == 1
 
@@ -125,9 +126,7 @@ def test_with_no_worker_left_the_run_ends_and_says_how_to_go_on(
     dask: DaskProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 0.2)
-    with pytest.raises(
-        RelocbenchError, match=r"no worker of .* has joined within 0.2 s; 0 of 2 units are done; the same"
-    ):
+    with refused(RelocbenchError, "", None, "0.2 s", "0 of 2"):
         list(run_units(square, [1, 2], Run(scheduler=where(dask))))
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
     dask.add_workers(1)
@@ -136,7 +135,7 @@ def test_with_no_worker_left_the_run_ends_and_says_how_to_go_on(
     assert sorted([next(results), next(results)]) == [(0, "a"), (1, "b")]
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 0.2)
     (tmp_path / "go").touch()
-    with pytest.raises(RelocbenchError, match=r"no worker of .* is left within 0.2 s; 2 of 5 units are done"):
+    with refused(RelocbenchError, "", None, "0.2 s", "2 of 5"):
         list(results)
 
 
@@ -147,9 +146,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path, monkeypatch: pyt
     try:
         processes.add_workers(1)
         units = [(index, processes.scheduler, "") for index in range(8)]
-        with pytest.raises(
-            RelocbenchError, match=r"the Dask scheduler at .* is gone; \d of 8 units are done; the same"
-        ):
+        with refused(RelocbenchError, "", None, "8"):
             list(run_units(kill_once, units, Run(scheduler=where(processes))))
     finally:
         processes.close()
@@ -161,12 +158,12 @@ def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, 
     hasty.write_text("import relocbench.execution.handshake\nrelocbench.execution.handshake._LOOKS = 1\n")
     dask.add_workers(1, cwd=tmp_path, preload=hasty)  # it does not look again for a file that may come later
     mine = Path(f"/proc/self/task/{os.getpid()}")
-    with pytest.raises(ConfigError, match=rf"{mine}: not seen by worker .*; all workers must see the folders"):
+    with refused(ConfigError, mine):
         list(run_units(square, [1, 2], Run(scheduler=where(dask).with_shared_folders(tmp_path, mine))))
     here = Path("/proc/self/cwd")
     assert here.resolve() != tmp_path
     before = sorted(here.iterdir())
-    with pytest.raises(ConfigError, match=f"{here}: not seen by worker"):
+    with refused(ConfigError, here):
         list(run_units(square, [1, 2], Run(scheduler=where(dask).with_shared_folders(here))))
     assert sorted(here.iterdir()) == before
     results = dict(run_units(square, [1, 2], Run(scheduler=where(dask).with_shared_folders(tmp_path, tmp_path))))
@@ -178,14 +175,14 @@ def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, 
         "evaluate", "-d", seen, "-m", "identity", "--scheduler", dask.address, "-o", tmp_path / "results"
     )
     assert ended.status == 2
-    assert "not seen by worker" in ended.complaint
+    assert str(seen) in ended.complaint
 
 
 def test_a_worker_with_another_version_is_refused(dask: DaskProcesses, tmp_path: Path) -> None:
     older = tmp_path / "older.py"
     older.write_text("from relocbench import version\nversion.__version__ = '0.0.1'\n")
     dask.add_workers(1, preload=older)
-    with pytest.raises(ConfigError, match=r"worker .* runs other versions: relocbench 0\.0\.1 there, .* here"):
+    with refused(ConfigError, "", None, "relocbench 0.0.1"):
         list(run_units(square, [1, 2], Run(scheduler=where(dask))))
 
 
@@ -237,7 +234,7 @@ def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
         known = Scheduler(address=processes.address, **{f"tls_{name}": path for name, path in files.items()})
         assert dict(run_units(square, [1, 2, 3], Run(scheduler=known))) == {0: 1, 1: 4, 2: 9}
         monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "0.5s")  # whoever is refused tries until then
-        with pytest.raises(ConfigError, match="needs --scheduler-tls-ca"):
+        with refused(ConfigError, "", None, "--scheduler-tls-ca"):
             list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=processes.address))))
         plain = processes.address.replace("tls://", "tcp://")
         with pytest.raises(ConfigError, match="no Dask scheduler answers at"):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from killing import is_running
+from refusals import refused
 from units_of_work import count_alive, die, die_once, end_at_once, environment, square, user_error
 
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
@@ -57,7 +58,7 @@ def test_kept_workers_serve_call_after_call_until_one_dies(tmp_path: Path) -> No
         assert sorted(run_units(die_once, units, Run(2))) == [(0, "a"), (1, "die"), (2, "b")]
         second = processes()
         assert len(first - second) <= 1, "only the one that died is replaced"
-        with pytest.raises(DatasetError, match="expected better"):
+        with refused(DatasetError, "file.txt"):
             list(run_units(user_error, range(3), Run(2)))
         assert processes() <= second
     assert not any(is_running(pid) for pid in first | second)
@@ -87,7 +88,7 @@ def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:
 
 
 def test_a_unit_that_kills_every_worker_is_named() -> None:
-    with pytest.raises(RelocbenchError, match="died 2 times on unit"):
+    with refused(RelocbenchError, "", None, 2):
         list(run_units(die, [1, 2], Run(2)))
 
 
@@ -98,8 +99,9 @@ def test_a_lost_unit_can_be_given_a_result() -> None:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_users_mistake_keeps_its_file_and_line_across_processes(workers: int) -> None:
-    with pytest.raises(DatasetError, match=r"file\.txt:3: expected better") as caught:
+    with refused(DatasetError, "file.txt", 3) as caught:
         list(run_units(user_error, [3, 3], Run(workers)))
+    assert isinstance(caught.value, DatasetError)
     assert caught.value.line == 3
 
 
@@ -111,11 +113,10 @@ def test_only_a_bounded_number_of_units_is_in_flight(tmp_path: Path) -> None:
 
 def test_no_scheduler_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "0.2s")
-    with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
+    with refused(ConfigError, "", None, "tcp://127.0.0.1:9"):
         list(run_units(square, [1, 2], Run(scheduler=Scheduler(address="tcp://127.0.0.1:9"))))
 
 
-@pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_results() -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
@@ -125,7 +126,6 @@ def test_a_dask_cluster_gives_the_same_results() -> None:
     assert results == {i: i * i for i in range(9)}
 
 
-@pytest.mark.slow
 def test_workers_with_several_threads_are_refused() -> None:
     distributed = pytest.importorskip("distributed")
     with (

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import pytest
 from pydantic import Field
+from refusals import refused
 
 from relocbench.errors import MethodError
 from relocbench.evaluation.tracking.check import check
@@ -68,47 +69,50 @@ def test_settings_are_converted_and_defaults_are_kept() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "settings", "words"),
+    ("text", "settings", "names"),
     [
-        ("orb-pmp", [], r"no method 'orb-pmp' \(did you mean 'orb-pnp'\?\)"),
-        ("no_such_module_here:Class", [], "no module 'no_such_module_here'"),
-        (f"{HERE}:Absent", [], "has no 'Absent'"),
-        (f"{HERE}:NotATracker", [], r"has no track\(\)"),
-        (f"{HERE}:Shift", ["metre=1"], r"no parameter 'metre' \(did you mean 'metres'\?\)"),
-        (f"{HERE}:Shift", ["steps=many"], "parameter 'steps=many'.*integer"),
-        (f"{HERE}:Shift", ["metres=-1"], "parameter 'metres=-1'.*greater than or equal to 0"),
-        (f"{HERE}:Shift", ["metres"], "expected key=value"),
-        (f"{HERE}:Required", [], "needs its parameter 'weights'"),
-        ("subprocess:/no/such/program", [], "no program '/no/such/program'"),
-        ("bad__label=identity", [], "method label 'bad__label'"),
+        ("orb-pmp", [], ["orb-pmp", "orb-pnp"]),
+        ("no_such_module_here:Class", [], ["no_such_module_here"]),
+        (f"{HERE}:Absent", [], ["Absent"]),
+        (f"{HERE}:NotATracker", [], ["track"]),
+        (f"{HERE}:Shift", ["metre=1"], ["metre", "metres"]),
+        (f"{HERE}:Shift", ["steps=many"], ["steps=many"]),
+        (f"{HERE}:Shift", ["metres=-1"], ["metres=-1", 0]),
+        (f"{HERE}:Shift", ["metres"], ["metres"]),
+        (f"{HERE}:Required", [], ["weights"]),
+        ("subprocess:/no/such/program", [], ["/no/such/program"]),
+        ("bad__label=identity", [], ["bad__label"]),
     ],
 )
-def test_a_mistake_is_named(text: str, settings: list[str], words: str) -> None:
-    with pytest.raises(MethodError, match=words):
+def test_a_mistake_is_named(text: str, settings: list[str], names: list[object]) -> None:
+    with refused(MethodError, "", None, *names):
         parse_method(text, settings).create()
 
 
 @pytest.mark.parametrize(
-    ("code", "words"),
+    ("code", "names"),
     [
-        ("1 / 0", r"cannot be imported: ZeroDivisionError: division by zero \(.*broken_method.py, line 1\)"),
-        ("class T(:", r"cannot be imported: SyntaxError: .*broken_method.py, line 1"),
-        ("import sys\nsys.exit(5)", "cannot be imported: SystemExit: 5"),
-        ("import no_such_module_here", "no module 'no_such_module_here'"),
+        ("1 / 0", ["ZeroDivisionError", "broken_method.py", "line 1"]),
+        ("class T(:", ["SyntaxError", "broken_method.py", "line 1"]),
+        ("import sys\nsys.exit(5)", ["SystemExit: 5"]),
+        ("import no_such_module_here", ["no_such_module_here"]),
         (
             "class T:\n  def __init__(self): raise OSError('no weights')\n  def track(self, *a): pass",
-            "OSError: no weights",
+            ["OSError: no weights"],
         ),
-        ("class T:\n  def __init__(self): import no_such_module_here\n  def track(self, *a): pass", "No module named"),
+        (
+            "class T:\n  def __init__(self): import no_such_module_here\n  def track(self, *a): pass",
+            ["no_such_module_here"],
+        ),
     ],
 )
 def test_a_method_that_cannot_be_loaded_is_one_line_that_says_where(
-    code: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    code: str, names: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "broken_method.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "broken_method", raising=False)
-    with pytest.raises(MethodError, match=words) as raised:
+    with refused(MethodError, "", None, *names) as raised:
         parse_method("broken_method:T").create()
     assert "\n" not in str(raised.value)
 
@@ -127,16 +131,22 @@ def test_a_package_baselines_of_somebody_else_is_named(tmp_path: Path) -> None:
 
 
 def test_two_methods_of_one_label_are_refused() -> None:
-    with pytest.raises(MethodError, match="two methods are called 'identity'"):
+    with refused(MethodError, "", None, "identity"):
         parse_methods(["identity", "identity"])
 
 
 def test_a_setting_for_no_method_of_the_run_is_refused() -> None:
-    with pytest.raises(MethodError, match="no method 'dsx' in this run"):
+    with refused(MethodError, "", None, "dsx"):
         parse_methods(["identity"], ["dsx.points=3"])
 
 
-@pytest.mark.parametrize("method", ["identity", "orb-pnp", "sift-pnp", "dso", f"{HERE}:Shift", f"{HERE}:Batched"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        *("identity", "orb-pnp", f"{HERE}:Shift", f"{HERE}:Batched"),
+        *(pytest.param(name, marks=pytest.mark.thorough) for name in ("sift-pnp", "dso")),
+    ],
+)
 def test_methods_that_keep_the_contract_pass_the_check(method: str) -> None:
     findings = check(parse_method(method))
     assert [f for f in findings if not f.passed] == []

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
 from trackers_for_tests import FromPrior
 
@@ -95,15 +96,15 @@ def test_a_program_that_starts_from_what_uses_times_uses_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "settings", "message"),
+    ("method", "settings", "name"),
     [
-        ("orb-pnp", ("orb-pnp.start=dso",), "has no parameter 'start'"),
-        ("dso", ("dso.start=nothing-like-it",), "no method 'nothing-like-it'"),
-        ("dso", ("dso.start=orb-pnp", "dso.start.nothing=1"), "has no parameter 'nothing'"),
-        ("dso", ("dso.start.points=1",), "no --set dso.start=METHOD names a start"),
-        ("dso", ("dso.start=lpn",), "is a retriever"),
+        ("orb-pnp", ("orb-pnp.start=dso",), "start"),
+        ("dso", ("dso.start=nothing-like-it",), "nothing-like-it"),
+        ("dso", ("dso.start=orb-pnp", "dso.start.nothing=1"), "nothing"),
+        ("dso", ("dso.start.points=1",), "dso.start"),
+        ("dso", ("dso.start=lpn",), "lpn"),
     ],
 )
-def test_a_start_that_cannot_be_is_refused(method: str, settings: tuple[str, ...], message: str) -> None:
-    with pytest.raises(MethodError, match=message):
+def test_a_start_that_cannot_be_is_refused(method: str, settings: tuple[str, ...], name: str) -> None:
+    with refused(MethodError, "", None, name):
         parse_methods((method,), settings)

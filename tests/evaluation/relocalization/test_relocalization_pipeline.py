@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pipelines_for_tests import FAR_M, lists
+from refusals import refused
 from small_dataset import ACROSS, CAMERA, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -245,7 +246,7 @@ def test_a_killed_run_goes_on(dataset: Dataset, tmp_path: Path, monkeypatch: pyt
 def test_halves_made_otherwise_are_not_mixed(dataset: Dataset, tmp_path: Path) -> None:
     args = (dataset, tmp_path / "r", "oracle", f"t={KNOWS}")
     run(*args)
-    with pytest.raises(PredictionError, match="reach: 1 there, 0 now"):
+    with refused(PredictionError, "run.yaml", None, "reach", 1, 0):
         run(*args, set=("t.reach=0",))
     report = run(*args, set=("t.reach=0",), overwrite="always")
     assert folder(report, "t").run_record().tracker_run.parameters["reach"] == 0  # type: ignore[union-attr]
@@ -264,7 +265,7 @@ def test_a_real_retriever_leaves_the_results_of_place_recognition(dataset: Datas
 
 def test_without_truth_there_is_nothing_to_judge(tmp_path: Path) -> None:
     made = make_small_dataset(tmp_path / "d", frames=3, truth=False, size=(32, 24))
-    with pytest.raises(ConfigError, match="no pair set with ground truth"):
+    with refused(ConfigError):
         run(made, tmp_path / "r", "oracle", f"t={KNOWS}")
 
 
@@ -277,15 +278,15 @@ def test_tables_are_read_as_they_were_written_and_bad_ones_are_named(tmp_path: P
     write_pipeline(path, answers)
     assert read_pipeline(path) == answers
     good = path.read_text()
-    for old, new, words in (
-        ("6,ok", "5,ok", "line 3|:3.*occurs again"),
-        ("ok,right", "fine,right", "status is 'fine'"),
-        ("ok,right", "ok,lucky", "outcome is 'lucky'"),
-        ("0.25", "nan", "expected a finite number"),
-        ("0.25", "", "translation_error_m is .., expected a number"),
-        (",2,1,2,3,", ",2,x,2,3,", "hit_rank is 'x'"),
-        ("status", "state", "expected the header"),
+    for old, new, names in (
+        ("6,ok", "5,ok", ()),
+        ("ok,right", "fine,right", ("status", "fine")),
+        ("ok,right", "ok,lucky", ("outcome", "lucky")),
+        ("0.25", "nan", ("translation_error_m", "nan")),
+        ("0.25", "", ("translation_error_m",)),
+        (",2,1,2,3,", ",2,x,2,3,", ("hit_rank", "x")),
+        ("status", "state", ()),
     ):
         path.write_text(good.replace(old, new, 1))
-        with pytest.raises(PredictionError, match=words):
+        with refused(PredictionError, path.name, None, *names):
             read_pipeline(path)

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refused
 from retrievers_for_tests import Thumbnail
 from small_views import make_small_views
 
@@ -362,11 +363,11 @@ def test_what_is_there_is_not_asked_again(views: Path, tmp_path: Path) -> None:
 
 def test_answers_made_otherwise_are_refused(views: Path, tmp_path: Path) -> None:
     run(views, tmp_path, f"t={HERE}:Thumbnail", keep=5)
-    with pytest.raises(PredictionError, match=r"made differently \(side: 8 there, 4 now\)"):
+    with refused(PredictionError, "run.yaml", None, "8", "4"):
         run(views, tmp_path, f"t={HERE}:Thumbnail", set=("side=4",), keep=5)
-    with pytest.raises(PredictionError, match="holds predictions of 'retrievers_for_tests:Thumbnail'"):
+    with refused(PredictionError, "run.yaml", None, "retrievers_for_tests:Thumbnail"):
         run(views, tmp_path, f"t={HERE}:Constant", keep=5)
-    with pytest.raises(PredictionError, match="keeps 5 images of each query, --keep is 7"):
+    with refused(PredictionError, "run.yaml", None, "5", "--keep", "7"):
         run(views, tmp_path, f"t={HERE}:Thumbnail", keep=7)
     assert run(views, tmp_path, f"t={HERE}:Thumbnail", keep=7, overwrite="always").folders[0].run_record().keep == 7
 
@@ -379,10 +380,10 @@ def test_weights_are_known_by_their_content_and_tell_of_themselves(views: Path, 
     assert report.folders[0].run_record().info == {"side": 6, "from": "a file"}
     run(views, tmp_path / "out", f"f={HERE}:FromFile", **options)
     weights.write_text("7")
-    with pytest.raises(PredictionError, match=r"weights: another content of the file there"):
+    with refused(PredictionError, "run.yaml"):
         run(views, tmp_path / "out", f"f={HERE}:FromFile", **options)
     weights.write_text("no number")
-    with pytest.raises(MethodError, match="retriever 'f' cannot be made"):
+    with refused(MethodError, "", None, "f"):
         run(views, tmp_path / "out", f"f={HERE}:FromFile", overwrite="always", **options)
     assert report.folders[0].complete(D2S)  # what cannot be made costs nothing
 
@@ -391,7 +392,7 @@ def test_a_bad_image_stops_the_run_with_its_name(tmp_path: Path) -> None:
     made = make_small_views(tmp_path / "town", places=3)
     bad = made / "test" / "query_drone" / "0001" / "0.png"
     bad.write_bytes(bad.read_bytes()[:-20])
-    with pytest.raises(DatasetError, match=r"0001/0\.png: truncated"):
+    with refused(DatasetError, "0001/0.png"):
         run(made, tmp_path / "out", f"t={HERE}:Thumbnail", pair_sets=(D2S,))
     assert not list((tmp_path / "out").rglob("*.csv"))
 
@@ -402,7 +403,7 @@ def test_a_method_that_cannot_go_on_ends_the_run(views: Path, tmp_path: Path) ->
             raise MethodError("weights are for 4 parts")
 
     task = open_cross_view(views).tasks()[0]
-    with pytest.raises(MethodError, match="4 parts"):
+    with refused(MethodError, "", None, "4"):
         RetrieverSession(Stops, [task], 0).ask(task, None)
 
 
@@ -450,22 +451,22 @@ def test_descriptors_of_changing_length_are_a_fault_of_the_later_images() -> Non
 
 
 @pytest.mark.parametrize(
-    ("queries", "gallery", "words"),
+    ("queries", "gallery", "name"),
     [
-        (["a", "a"], ["b"], "query 'a' occurs twice"),
-        (["a"], ["b c"], "gallery image 'b c' has a blank"),
-        (["#a"], ["b"], "has a blank|'#a'"),
-        (["a"], [], "has no gallery image"),
-        (["a", "b"], ["c", "d"], "relevance or groups do not fit"),
+        (["a", "a"], ["b"], "a"),
+        (["a"], ["b c"], "b c"),
+        (["#a"], ["b"], "#a"),
+        (["a"], [], "t"),
+        (["a", "b"], ["c", "d"], "t"),
     ],
 )
-def test_a_task_that_cannot_be_asked_is_refused(queries: list[str], gallery: list[str], words: str) -> None:
+def test_a_task_that_cannot_be_asked_is_refused(queries: list[str], gallery: list[str], name: str) -> None:
     def view(key: str) -> ImageView:
         return ImageView(key, "street", lambda: np.zeros((2, 2, 3), dtype=np.uint8))
 
     relevance = relevance_from_labels([0], [0])
     task = RetrievalTask("t", tuple(map(view, queries)), tuple(map(view, gallery)), relevance)
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError, "", None, name):
         check_task(task)
 
 
@@ -514,14 +515,14 @@ def test_answers_keep_their_order_and_their_digits(views: Path, tmp_path: Path) 
     assert [r.query for r in rows] == [q.key for q in report.asked.chosen[0].queries]
     assert [r.group for r in rows][:4] == ["0000", "0000", "0001", "0001"]
     text = path.read_text()
-    for old, new, words in (
-        (",ok,", ",fine,", r"csv:2: status is 'fine'"),
-        (",1,1,", ",1,1 2,", r"csv:2: 2 ranks of 1 positives"),
-        (",1,1,", ",1,0,", r"csv:2: ranks are '0'"),
-        ("query,group", "query,grp", r"csv:1: expected the header"),
+    for old, new, line, names in (
+        (",ok,", ",fine,", 2, ("status", "fine")),
+        (",1,1,", ",1,1 2,", 2, (2, 1)),
+        (",1,1,", ",1,0,", 2, ("ranks", 0)),
+        ("query,group", "query,grp", 1, ()),
     ):
         path.write_text(text.replace(old, new, 1))
-        with pytest.raises(PredictionError, match=words):
+        with refused(PredictionError, path.name, line, *names):
             read_answers(path)
 
 

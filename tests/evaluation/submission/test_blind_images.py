@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from forgery import change_yaml
+from refusals import refused
 from repository import ROOT
 from small_dataset import ACROSS, make_small_dataset
 from small_views import make_small_views
@@ -124,7 +125,7 @@ def test_keys_follow_from_the_truth_and_the_edition(root: Path, tmp_path: Path) 
     fault = make_transform(np.eye(3), [0.2, 0.0, 0.0])
     town = make_small_dataset(tmp_path / "town", frames=5, size=(24, 18), name="town", pose_fault=fault)
     assert BlindImages(opened(town.root)).name.id != BlindImages(opened(root / "town")).name.id
-    with pytest.raises(DatasetError, match="is withheld"):
+    with refused(DatasetError):
         BlindImages(opened(root / "views-blind"))
 
 
@@ -133,13 +134,13 @@ def test_an_export_has_the_same_bytes_again_and_takes_nobodys_folder(root: Path,
     again = export_blind_images(asked, root / "views", tmp_path / "b", 1, Silent())
     assert again == open_blind_set(root / "views-blind")[0]
     export_blind_images(asked, root / "views", tmp_path / "b", 1, Silent())  # begun anew over its own files
-    with pytest.raises(ConfigError, match="holds another blind export"):
+    with refused(ConfigError):
         export_blind_images(asked, root / "views", tmp_path / "b", 2, Silent())
     (tmp_path / "c").mkdir()
     (tmp_path / "c" / "thesis.tex").write_text("mine")
-    with pytest.raises(ConfigError, match=r"thesis\.tex"):
+    with refused(ConfigError, "", None, "thesis.tex"):
         export_blind_images(asked, root / "views", tmp_path / "c", 1, Silent())
-    with pytest.raises(ConfigError, match="a blind export already"):
+    with refused(ConfigError):
         export_blind_images(opened(root / "views-blind"), root / "views-blind", tmp_path / "d", 1, Silent())
 
 
@@ -148,17 +149,17 @@ def test_a_changed_export_is_refused_with_the_file(root: Path, tmp_path: Path) -
     queries = tmp_path / "b" / "tasks" / f"{D2S}.queries.txt"
     text = queries.read_text()
     queries.write_text("".join(text.splitlines(keepends=True)[:-1]))
-    with pytest.raises(DatasetError, match="the fingerprint is not that"):
+    with refused(DatasetError):
         open_blind_set(tmp_path / "b")
     queries.write_text(text + "abc\n")
-    with pytest.raises(DatasetError, match="no image 'abc'"):
+    with refused(DatasetError, "", None, "abc"):
         open_blind_set(tmp_path / "b")
     queries.write_text(text)
     image = next((tmp_path / "b" / "images").iterdir())
     cv2.imwrite(str(image), np.zeros((4, 4, 3), np.uint8))
     _, tasks = open_blind_set(tmp_path / "b")
     (view,) = {one.key: one for t in tasks for one in (*t.queries, *t.gallery) if one.key == image.stem}.values()
-    with pytest.raises(DatasetError, match="is not the image"):
+    with refused(DatasetError):
         view.read()
 
 

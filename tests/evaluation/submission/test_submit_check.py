@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from submissions import answer, change_card, guess, submit
 
@@ -266,9 +267,9 @@ def test_links_pipes_and_strange_folders_are_refused_and_not_opened(town: Datase
     shutil.rmtree(root / town.name)
     (root / town.name).symlink_to(tmp_path)
     assert len(faults(check(root, town))) == 2
-    with pytest.raises(PredictionError, match="no such folder"):
+    with refused(PredictionError):
         check(tmp_path / "none", town)
-    with pytest.raises(PredictionError, match="is a dataset or a results folder"):
+    with refused(PredictionError):
         check(town.root, town)
 
 

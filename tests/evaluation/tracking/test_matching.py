@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from board_pages import board_pages
 from forgery import reseal
+from refusals import refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -201,7 +202,7 @@ def _journal_line(rows: list[MatchingRow]) -> str:
 def test_overwriting_everything_measures_again(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path, MATCHING)
     settings = ("moves_px=2.5",)
-    with pytest.raises(PredictionError, match="holds predictions made differently"):
+    with refused(PredictionError, "run.yaml"):
         evaluate(dataset, tmp_path, MATCHING, settings=settings)
     folder = evaluate(dataset, tmp_path, MATCHING, settings=settings, overwrite="always").folders[0]
     assert folder.score_record().matching[ACROSS]["all"]["1px"]["match@1px"] == 0.0
@@ -210,9 +211,9 @@ def test_overwriting_everything_measures_again(dataset: Dataset, tmp_path: Path)
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        ("few", r"match returned shape \(\d+, 2\), expected"),
-        ("words", "match returned str"),
-        ("infinite", "infinite pixel"),
+        ("few", "match"),
+        ("words", "str"),
+        ("infinite", "infinite"),
     ],
 )
 def test_an_answer_that_breaks_the_contract_finds_nothing_and_is_told(
@@ -257,7 +258,7 @@ def test_methods_and_pair_sets_without_matching_are_told_and_left_out(dataset: D
 
 
 def test_files_of_predictions_cannot_be_asked(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="--matching runs a method"):
+    with pytest.raises(ValueError, match="--matching"):
         EvaluateOptions(dataset=tmp_path, predictions=tmp_path, matching=True)
 
 
@@ -301,33 +302,33 @@ def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Datas
     rows = read_matching(folder.matching(ACROSS))
     better = replace(rows[0], found=replace(rows[0].found, within_1px=0, within_3px=0))
     write_matching(folder.matching(ACROSS), [better, *rows[1:]])
-    with pytest.raises(PredictionError, match=r"matching\.csv: changed since it was scored; score again: .*"):
+    with refused(PredictionError, "matching.csv"):
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     reseal(folder)
-    with pytest.raises(PredictionError, match=r"matching\.csv: is not what scores\.yaml summarises; score again: .*"):
+    with refused(PredictionError, "matching.csv", None, "scores.yaml"):
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     folder.matching(ACROSS).unlink()
-    with pytest.raises(PredictionError, match=r"matching\.csv: missing, but scores\.yaml summarises it; score again"):
+    with refused(PredictionError, "matching.csv", None, "scores.yaml"):
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     write_matching(folder.matching(ACROSS), rows[1:])
-    with pytest.raises(PredictionError, match=r"matching\.csv: expected one row for each of the \d+ pairs"):
+    with refused(PredictionError, "matching.csv"):
         evaluate(dataset, tmp_path / "r", MATCHING)
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "line", "names"),
     [
-        ((",pixels,", ",count,"), r"csv:1: expected the header .*; remove the file and measure again \(--matching\)"),
-        ((",1,60,", ",1,many,"), r"csv:\d+: pixels is 'many', expected a whole number"),
-        ((",1,60,", ",1,0,"), r"csv:\d+: expected within_1px <= within_3px <= answered <= pixels"),
-        ((",1,60,", ",60,"), r"csv:\d+: expected 11 columns, found 10"),
+        ((",pixels,", ",count,"), 1, ("--matching",)),
+        ((",1,60,", ",1,many,"), None, ("pixels", "many")),
+        ((",1,60,", ",1,0,"), None, ("within_1px", "within_3px", "answered", "pixels")),
+        ((",1,60,", ",60,"), None, (11, 10)),
     ],
 )
 def test_a_bad_table_is_named_with_its_line(
-    dataset: Dataset, tmp_path: Path, change: tuple[str, str], words: str
+    dataset: Dataset, tmp_path: Path, change: tuple[str, str], line: int | None, names: tuple[object, ...]
 ) -> None:
     folder = evaluate(dataset, tmp_path / "r", MATCHING, pair_sets=(WITHIN,)).folders[0]
     path = folder.matching(WITHIN)
@@ -336,7 +337,7 @@ def test_a_bad_table_is_named_with_its_line(
     changed = text.replace(change[0].replace("60", str(first)), change[1], 1)
     assert changed != text
     path.write_text(changed)
-    with pytest.raises(PredictionError, match=words):
+    with refused(PredictionError, path.name, line, *names):
         read_matching(path)
     found = validate_results(folder.root, dataset, Silent())
     assert any(path.name in str(fault) for fault in found.faults)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from misbehaving_trackers import CASES, FRAMES, Batching, Case, Declaring, Raising, case_of
+from refusals import refused
 from retrievers_for_tests import Thumbnail
 from small_dataset import ACROSS, STEP_NS, make_small_dataset
 
@@ -334,7 +335,7 @@ def test_a_field_that_is_too_long_to_read_is_one_line_with_file_and_place(kind: 
     read, header, columns = READERS[kind]
     path = tmp_path / "table.csv"
     path.write_text(f"{header}\n" + "," * (columns - 1) + "x" * (csv.field_size_limit() + 1) + "\n")
-    with pytest.raises(PredictionError, match=r"table\.csv:2: a field has more than 131,072 characters"):
+    with refused(PredictionError, "table.csv", 2, "131", "072"):
         read(path)
 
 
