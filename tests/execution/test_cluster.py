@@ -237,12 +237,12 @@ def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
         with refused(ConfigError, "", None, "--scheduler-tls-ca"):
             list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=processes.address))))
         plain = processes.address.replace("tls://", "tcp://")
-        with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
+        with refused(ConfigError, "", None, plain):
             list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=plain))))
         command = "openssl req -x509 -newkey rsa:2048 -nodes -keyout o.key -out o.pem -subj /CN=stranger"
         subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True)
         other = {"tls_ca": files["ca"], "tls_cert": tmp_path / "o.pem", "tls_key": tmp_path / "o.key"}
-        with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
+        with refused(ConfigError, "", None, processes.address):
             list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=processes.address, **other))))
     finally:
         processes.close()
