@@ -46,7 +46,7 @@ class MethodKind:
     call: str
     """the function that it must have"""
     task: str
-    """what it is asked for, as ``relocbench methods --json`` calls it"""
+    """what it is used for, as ``relocbench methods --json`` calls it"""
     command: str
     """that evaluates it"""
     programs: bool

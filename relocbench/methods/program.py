@@ -1,4 +1,4 @@
-"""A program that is asked in JSON lines: it is started, asked within a time limit, and ended with its descendants.
+"""A program that answers requests in JSON lines: started, called within a time limit, ended with its descendants.
 
 Nothing that it writes makes memory grow: a line has a limit, only the end of its messages is kept, and what it writes
 without being asked stays in the pipe.

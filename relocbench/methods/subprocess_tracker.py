@@ -13,7 +13,7 @@ relocbench writes                                                          the p
 ========================================================================= =======================================
 
 An answer carries the ``id`` of its question, so that a late one is never taken for the answer to another question.
-Only a program that has declared a ``batch`` above 1 is asked about several queries at once. ``docs/add-a-method.md``
+Only a program that has declared a ``batch`` above 1 gets several queries at once. ``docs/add-a-method.md``
 describes the fields. Images and depth are files in a scratch folder that holds nothing else: the program sees no
 ground truth.
 """
@@ -117,7 +117,7 @@ class SubprocessTracker:
         """
         if self._given_up:
             return TrackResult.failure(
-                f"not asked: the program was given up when {IN_A_ROW} queries in a row had no answer "
+                f"not run: the program was given up when {IN_A_ROW} queries in a row had no answer "
                 f"({self._last_fault}); mend it or raise time_limit_s, and run it again with --overwrite always",
                 status="error",
             )
@@ -138,7 +138,7 @@ class SubprocessTracker:
     ) -> list[TrackResult]:
         """Ask the program about several queries of one keyframe, as many at once as it takes.
 
-        Where it breaks on several at once, it is asked about these one by one, so that only the query that breaks it is
+        Where it crashes on several at once, it gets these one by one, so that only the query that breaks it is
         lost; and it is given half as many from then on, since their number may have been what broke it.
         """
         results: list[TrackResult] = []

@@ -169,7 +169,7 @@ def test_a_program_that_answers_no_query_is_given_up(
     told = [result.message for result in results]
     assert not any(message.startswith("not asked") for message in told[:3])
     for result in results[3:]:
-        assert result.message.startswith("not asked: the program was given up when 3 queries in a row had no answer")
+        assert result.message.startswith("not run: the program was given up when 3 queries in a row had no answer")
         assert result.message.endswith("run it again with --overwrite always")
         assert result.info["status"] == "error"
 

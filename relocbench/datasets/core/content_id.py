@@ -25,7 +25,7 @@ from relocbench.geometry import Camera
 DECIMALS = 6
 """decimals of metres and of quaternion components"""
 _NOT_ASKED = frozenset({"sources", "versions", "name", "licence", "copy_images"})
-"""keys of a recipe that do not change what is asked: the sources, the software and the names"""
+"""keys of a recipe that do not change the content: the sources, the software and the names"""
 
 
 def content_id_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_sets: Mapping[str, PairSet]) -> str:

@@ -86,7 +86,7 @@ def ask(
 ) -> tuple[list[CheckedAnswer], float]:
     """Ask a tracker about some queries of one reference.
 
-    Where a call of ``track_batch`` raises, its queries are asked again one by one, so that only the query that caused
+    Where a call of ``track_batch`` raises, its queries are tried again one by one, so that only the query that caused
     it is lost.
 
     Args:

@@ -26,7 +26,7 @@ class OffsetCounts:
 
     offset_px: int
     pixels: int
-    """number of pixels that were asked from this offset; every pixel is asked from one offset only"""
+    """number of pixels that started at this offset; every pixel starts at one offset only"""
     answered: int
     within_1px: int
     within_3px: int
@@ -67,7 +67,7 @@ def read_matching(path: Path) -> list[MatchingRow]:
 
 
 def _rows(path: Path) -> Iterator[TableRow]:
-    """The rows of the table; one of earlier versions, which asked each pixel from every offset, is refused."""
+    """The rows of the table; one of earlier versions, which started each pixel at every offset, is refused."""
     try:
         yield from read_rows(path, MATCHING_COLUMNS)
     except PredictionError as bad:

@@ -149,7 +149,7 @@ class LossHandler(Generic[U]):
         before = f"after {self._answers} answered pairs" if self._answers else "without any answer before"
         way_out = {"time": "mend the method or raise --time-limit", "memory": "mend the method or raise --memory-limit"}
         return (
-            f"not asked: the method was given up when {self._in_a_row} calls in a row were lost, {before} "
+            f"not run: the method was given up when {self._in_a_row} calls in a row were lost, {before} "
             f"({loss.words}); {way_out.get(loss.kind, 'mend the method')}, and run again with --overwrite failed"
         )
 

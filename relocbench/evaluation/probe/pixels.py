@@ -40,7 +40,7 @@ def probe_pixels(
     """Probe the pixels of one pair.
 
     Args:
-        tracker: prepared for the keyframe; None if it crashed on it, in which case nothing is asked.
+        tracker: prepared for the keyframe; None if it crashed on it, in which case it is not run.
 
     Returns:
         the tallies, none with fewer visible correspondences than there are offsets; and how the method crashed, empty

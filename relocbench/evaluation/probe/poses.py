@@ -59,7 +59,7 @@ def probe_poses(
     """Probe the whole pose of one pair.
 
     Args:
-        tracker: prepared for the keyframe; None if it crashed on it, in which case nothing is asked.
+        tracker: prepared for the keyframe; None if it crashed on it, in which case it is not run.
 
     Returns:
         the tallies of translation and rotation; and how the method crashed, empty if it did not.

@@ -192,7 +192,7 @@ def _tasks(
     options: ProbeOptions,
     reporter: Reporter,
 ) -> list[tuple[MethodSpec, Task]]:
-    """Each method with what it can be asked; whatever is left out is reported."""
+    """Each method with what it supports; whatever is left out is reported."""
     without = [s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()]
     if options.pixels:
         for name in without:

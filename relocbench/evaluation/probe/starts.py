@@ -67,7 +67,7 @@ def probe_starts(
     """Probe the starts of one pair.
 
     Args:
-        tracker: prepared for the keyframe; None if it crashed on it, in which case nothing is asked.
+        tracker: prepared for the keyframe; None if it crashed on it, in which case it is not run.
 
     Returns:
         the tally, whose offsets are the indices of :data:`KINDS`; and how the method crashed, empty if it did not.

@@ -47,7 +47,7 @@ ChosenPairs = Sequence[tuple[PairSet, Sequence[PairKey]]]
 
 @dataclass(frozen=True)
 class Task:
-    """The questions that are asked about every pair. Its ``repr`` is part of the digest by which a probe resumes."""
+    """The tasks that are run on every pair. Its ``repr`` is part of the digest by which a probe resumes."""
 
     pixels: bool
     poses: bool
@@ -96,7 +96,7 @@ def ask_pairs(
     run: Run,
     reporter: Reporter,
 ) -> dict[tuple[str, PairKey], PairResult]:
-    """Results by pair set and pair. What ``folder`` holds for the same method, dataset and task is not asked again.
+    """Results by pair set and pair. What ``folder`` holds for the same method, dataset and task is not run again.
 
     Raises:
         PredictionError: another process is writing to the folder.

@@ -21,7 +21,7 @@ from relocbench.progress import Reporter
 
 
 class Candidates(PairSet):
-    """Candidate pairs of a pair set's traversals that a tracker is asked about, without ground truth."""
+    """Candidate pairs of a pair set's traversals that a tracker runs on, without ground truth."""
 
     def __init__(self, of: PairSet, keys: Iterable[PairKey]) -> None:
         super().__init__(of.layout, of.name)

@@ -207,7 +207,7 @@ def _retrieved(ranking: RankingSource, tasks: PipelineTasks, top: int) -> dict[s
 
 
 def _pairs(truth: MapTruth, found: Sequence[Sequence[Retrieved]]) -> set[PairKey]:
-    """The pairs that trackers are asked about: every retrieved keyframe with its query."""
+    """The pairs that trackers run on: every retrieved keyframe with its query."""
     return {
         (truth.keyframe_times[keyframe], time)
         for of_retriever in found

@@ -22,7 +22,7 @@ class ExportedList:
 
     path: Path
     queries: int
-    """that the retriever was asked about"""
+    """that the retriever ranked"""
     unanswered: int
     """of these: without a line, since nothing was retrieved for them"""
 

@@ -107,7 +107,7 @@ class WorkerRetriever:
             message = loss_message(result, "")
             self._losses += 1
             if self._losses >= HOPELESS and not self._answered:
-                self._gone = given_up_message(message, "calls, it was not asked again")
+                self._gone = given_up_message(message, "calls, it was not run again")
             return None, 0.0, message
         assert result is not None, "a process that was fitted a moment ago"
         self._answered |= what == "describe" and not result[2]

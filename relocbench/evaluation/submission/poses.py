@@ -44,7 +44,7 @@ class PairSetAnswers:
         return len(self.pair_set.evaluated) - len(self.poses)
 
     def complete_answers(self) -> list[Answer]:
-        """A row for each pair that is asked, in the pair set's order."""
+        """A row for each evaluated pair, in the pair set's order."""
         return [self.answers.get(key) or self._without_row(key) for key in self.pair_set.by_key]
 
     def _without_row(self, key: PairKey) -> Answer:

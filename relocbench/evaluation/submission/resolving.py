@@ -28,11 +28,11 @@ class ResolvedDataset:
     """of answers to a copy of the dataset: its fingerprint"""
 
     def keys(self, pair_set: PairSet) -> dict[PairKey, PairKey]:
-        """The pairs that are asked: as answers name them -> their times in the dataset."""
+        """The evaluated pairs: as answers name them -> their times in the dataset."""
         return self.blind.pairs(pair_set) if self.blind is not None else {key: key for key in pair_set.by_key}
 
     def why_unknown(self, pair_set: PairSet, key: PairKey) -> str:
-        """Why a pair is none that is asked, in words."""
+        """Why a pair is not an evaluated one, in words."""
         unknown = f"unknown pair {key[0]} {key[1]}"
         if self.blind is not None:
             if key in pair_set.by_key:

@@ -44,7 +44,7 @@ class BlindKeys:
         return int.from_bytes(self._secret.digest(f"image {traversal} {timestamp_ns}")[:8], "big") >> 2
 
     def pairs(self, pair_set: PairSet) -> dict[PairKey, PairKey]:
-        """The pairs that are asked: keys of keyframe and query -> their times."""
+        """The evaluated pairs: keys of keyframe and query -> their times."""
         return {
             (self.key(pair_set.reference, ref), self.key(pair_set.query, query)): (ref, query)
             for ref, query in pair_set.by_key

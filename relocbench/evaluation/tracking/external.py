@@ -27,7 +27,7 @@ def import_predictions(
     """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``), or one file, and copy it to the results.
 
     A file holds pairs with their relative poses, or names of queries with their absolute ones, as hloc writes them.
-    A file is for the pair set that it is named after, or else for the only pair set asked for.
+    A file is for the pair set that it is named after, or else for the only requested pair set.
 
     A ``run.yaml`` in the folder must name this dataset's fingerprint. Pairs of a set that its file does not answer
     have failed.
@@ -71,7 +71,7 @@ def _single(pair_sets: list[PairSet], source: Path) -> tuple[PairSet, Path]:
 
 
 def _in_folder(dataset: Dataset, pair_sets: list[PairSet], source: Path) -> list[tuple[PairSet, Path]]:
-    """The pair sets asked for that a folder answers, each with its file. Raises PredictionError for an unknown one."""
+    """The requested pair sets that a folder answers, each with its file. Raises PredictionError for an unknown one."""
     files = sorted(source.glob("*.txt"))
     if not files:
         raise PredictionError("holds no prediction file (PAIRSET.txt)", source)

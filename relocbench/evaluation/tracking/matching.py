@@ -91,7 +91,7 @@ def draw_starts(
 ) -> Starts:
     """Draw up to ``per_pair`` of a pair's visible correspondences, each with a start at one offset, in any direction.
 
-    The offsets are drawn as well, so that each of them is asked of as many pixels, give or take one. A pixel of the
+    The offsets are drawn as well, so that each of them is used for as many pixels, give or take one. A pixel of the
     reference that occurs several times is used once. A start outside the query's image is rotated about the true pixel
     in quarter turns until it lies inside, so that pixels near the border are not lost.
     """

@@ -212,7 +212,7 @@ def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
 
 
 def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) -> list[PairKey]:
-    """The pairs of a set that the method is still to be asked about."""
+    """The pairs of a set that the method has not answered yet."""
     done = {e["key"] for e in _kept_entries(folder, pair_set)} if folder.complete(pair_set.name) else set()
     if overwrite == "failed" and done:
         answers = read_answers(folder.answers(pair_set.name))

@@ -107,7 +107,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
 
 
 def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
-    """The errors of every pair that is asked, in the pair set's order. Raises PredictionError."""
+    """The errors of every evaluated pair, in the pair set's order. Raises PredictionError."""
     poses = read_predictions(folder.predictions(pair_set.name), pair_set)
     path = folder.answers(pair_set.name)
     answers = read_answers(path) if path.exists() else {}
