@@ -167,7 +167,7 @@ def test_a_program_that_answers_no_query_is_given_up(
     tracker.close()
     assert [json.loads(line)["type"] for line in log].count("query") == 3
     told = [result.message for result in results]
-    assert not any(message.startswith("not asked") for message in told[:3])
+    assert not any(message.startswith("not run") for message in told[:3])
     for result in results[3:]:
         assert result.message.startswith("not run: the program was given up when 3 queries in a row had no answer")
         assert result.message.endswith("run it again with --overwrite always")

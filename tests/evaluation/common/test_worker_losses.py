@@ -165,12 +165,12 @@ def test_a_method_that_answers_no_pair_is_given_up_and_the_way_out_is_named(
     tmp_path: Path, kind: Kind, option: str
 ) -> None:
     played = Played(tmp_path / "j", lambda name, keys: name == "", kind)
-    (given_up,) = {message for message in played.messages.values() if message.startswith("not asked")}
+    (given_up,) = {message for message in played.messages.values() if message.startswith("not run")}
     assert str(IN_A_ROW) in given_up
     assert "how it ended" in given_up
     assert option in given_up
     assert "--overwrite failed" in given_up
-    lost = [message for message in played.messages.values() if not message.startswith("not asked")]
+    lost = [message for message in played.messages.values() if not message.startswith("not run")]
     assert len(lost) == IN_A_ROW
 
 
@@ -186,7 +186,7 @@ def test_losses_with_answers_in_between_do_not_give_a_method_up(tmp_path: Path) 
     assert len(bad) > IN_A_ROW
     played = Played(tmp_path / "j", lambda name, keys: name == "" and keys[0] in bad, "time")
     assert played.messages.keys() == bad
-    assert not any(message.startswith("not asked") for message in played.messages.values())
+    assert not any(message.startswith("not run") for message in played.messages.values())
 
 
 def test_a_worker_that_ends_between_two_calls_costs_the_next_pair(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_a_method_that_answers_no_batch_is_given_up(
     methods = (f"bad={HERE}:AlwaysInBatches", "identity")
     report = evaluate(dataset, tmp_path / "out", *methods, settings=settings, time_limit=1.0)
     told = {answer.message for answer in answers(report).values()}
-    assert all(message.startswith("not asked") for message in told)
+    assert all(message.startswith("not run") for message in told)
     assert len((tmp_path / "mark").read_text().splitlines()) == 3
     assert {a.status for a in answers(report, 1).values()} == {"ok"}
 
