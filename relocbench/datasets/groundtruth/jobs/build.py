@@ -17,6 +17,7 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
+from relocbench.datasets.groundtruth.depth.stereo_partner import stereo_pair
 from relocbench.datasets.groundtruth.jobs.aligning import Aligned, align
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.readying import ready
@@ -105,8 +106,8 @@ def check_recordings(
     Where no recording has images, or none are wanted, the one camera is :data:`RIG`, whose poses are paired.
 
     Raises:
-        ConfigError: there are fewer than two drives, one of them lacks a camera, or the pose given by hand cannot be
-            read or is of a time outside the drives.
+        ConfigError: there are fewer than two drives, one of them lacks a camera or, for depth by stereo, its partner,
+            or the pose given by hand cannot be read or is of a time outside the drives.
         DatasetError: the reference has no images, and another drive has.
     """
     if len(recordings) < 2:
@@ -127,6 +128,9 @@ def check_recordings(
                 known = ", ".join(recording.cameras) or "none"
                 message = f"--cameras: {recording.name} has no images of a camera '{name}'; it has {known}"
                 raise ConfigError(message if recording.cameras else f"{message}; {_ALONE}")
+            if options.depth == "stereo" and stereo_pair(recording.cameras, name) is None:
+                message = f"--depth stereo: {recording.name} has no camera to the right of {name}, rectified with it"
+                raise ConfigError(message)
     return wanted, _first_pose(recordings, options)
 
 

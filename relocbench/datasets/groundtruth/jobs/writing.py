@@ -21,7 +21,7 @@ from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.registration.scene_scale import scaled
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, RigStream
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import DatasetError
 from relocbench.execution import chunks, run_units
 from relocbench.geometry import invert
 
@@ -58,15 +58,12 @@ def choose_frames(
         drive: in metres that are enlarged so many times.
 
     Raises:
-        ConfigError: depth by stereo is wanted and the camera has no stereo pair.
         DatasetError: no image can be selected.
     """
     apart = (options.keyframe_distance if is_reference else options.query_distance) * enlarged
     if camera not in recording.cameras:
         return _choose_poses(recording, drive, camera, apart, is_reference=is_reference)
     stream, pair = recording.cameras[camera], stereo_pair(recording.cameras, camera)
-    if options.depth == "stereo" and pair is None:
-        raise ConfigError(f"--depth stereo: {recording.name} has no camera to the right of {camera}, rectified with it")
     # A keyframe needs a pose; for a query without one the rejection is recorded.
     indices = select_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
     if options.depth == "stereo" and pair is not None:
