@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import ErrorData, refused
 
 from relocbench.datasets.core.schema import Condition, Strict
 from relocbench.errors import DatasetError, RelocbenchError
@@ -61,7 +62,7 @@ def test_a_full_disk_leaves_no_part_behind(tmp_path: Path, monkeypatch: pytest.M
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("relocbench.files.writing.os.fsync", full)
-    with pytest.raises(OSError, match="No space left") as raised:
+    with pytest.raises(OSError) as raised:  # noqa: PT011
         write_bytes(tmp_path / "image.png", b"1234")
     assert raised.value.filename == str(tmp_path / "image.png")
     assert list(tmp_path.iterdir()) == []
@@ -142,19 +143,19 @@ def test_no_nanosecond_is_lost_on_the_way_through_seconds(time: int) -> None:
 
 @pytest.mark.parametrize("text", ["", "abc", "1.2.3", "1,5", "1_0.0", "--1", "1.-5", "²", "1.x", "1e", "inf", " 1"])
 def test_what_is_no_decimal_number_of_seconds_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="is not a decimal number"):
+    with refused(ValueError, "", None, f"{text!r}"):
         seconds_to_ns(text)
 
 
 @pytest.mark.parametrize("text", ["1e400", "-1e30", "9" * 40 + ".5", "1e99999999999"])
 def test_seconds_that_no_clock_shows_are_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="out of range"):
+    with refused(ValueError):
         seconds_to_ns(text)
 
 
 def test_a_timestamp_beyond_64_bits_is_refused_with_its_line() -> None:
     for text in (str(2**63), "-" + "9" * 5000):
-        with pytest.raises(RelocbenchError, match=r"pairs.txt:3: .* out of range"):
+        with refused(RelocbenchError, "pairs.txt", 3):
             parse_timestamp(text, Path("pairs.txt"), 3)
     assert parse_timestamp(str(2**63 - 1), Path("pairs.txt"), 3) == 2**63 - 1
 
@@ -174,24 +175,24 @@ def test_rows_carry_their_line_numbers_past_comments_and_blank_lines(tmp_path: P
 def test_floats_are_counted_and_named() -> None:
     path = Path("calib.txt")
     assert parse_floats(["1", "-2e3"], path, 7, "fx fy") == [1.0, -2000.0]
-    with pytest.raises(RelocbenchError, match=r"calib.txt:7: expected 2 numbers \(fx fy\), found 1"):
+    with refused(RelocbenchError, "calib.txt", 7, "2", "1"):
         parse_floats(["1"], path, 7, "fx fy")
-    with pytest.raises(RelocbenchError, match=r"calib.txt:7: fy is 'two', expected a number"):
+    with refused(RelocbenchError, "calib.txt", 7, "two"):
         parse_floats(["1", "two"], path, 7, "fx fy")
-    with pytest.raises(RelocbenchError, match=r"calib.txt:7: fx is inf, expected a finite number"):
+    with refused(RelocbenchError, "calib.txt", 7):
         parse_floats(["inf", "2"], path, 7, "fx fy")
 
 
-@pytest.mark.parametrize(
-    ("make", "message"), [("absent", "missing"), ("folder", "is a folder"), ("binary", "not UTF-8")]
-)
-def test_text_that_cannot_be_read_says_why_and_what_was_expected(tmp_path: Path, make: str, message: str) -> None:
+@pytest.mark.parametrize(("make", "why"), [("absent", ()), ("folder", ("folder",)), ("binary", ("UTF-8",))])
+def test_text_that_cannot_be_read_says_why_and_what_was_expected(
+    tmp_path: Path, make: str, why: tuple[str, ...]
+) -> None:
     path = tmp_path / "calib.txt"
     if make == "folder":
         path.mkdir()
     elif make == "binary":
         path.write_bytes(b"ab\xff")
-    with pytest.raises(DatasetError, match=f"calib.txt: .*{message}.*expected a calibration"):
+    with refused(DatasetError, "calib.txt", None, *why, "a calibration"):
         read_text(path, "a calibration", DatasetError)
 
 
@@ -208,18 +209,18 @@ class Outer(Strict):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("name: a\nweather: rain\n", r"t.yaml:2: unknown key 'weather'"),
-        ("name: a\ncondition:\n  season: summer\n  whether: rain\n", r"t.yaml:4: unknown key 'condition.whether'"),
-        ("name: a\nparts:\n- size: 1\n- size: big\n", r"t.yaml:4: key 'parts.1.size': .*integer.*got 'big'"),
-        ("condition: {}\n", r"t.yaml:1: key 'name' is missing"),
-        ("name: [\n", r"t.yaml:\d+: not valid YAML"),
-        ("just words\n", r"t.yaml: expected a thing with keys and values"),
+        ("name: a\nweather: rain\n", ("t.yaml", 2, "weather")),
+        ("name: a\ncondition:\n  season: summer\n  whether: rain\n", ("t.yaml", 4, "condition.whether")),
+        ("name: a\nparts:\n- size: 1\n- size: big\n", ("t.yaml", 4, "parts.1.size", "big")),
+        ("condition: {}\n", ("t.yaml", 1, "name")),
+        ("name: [\n", ("t.yaml",)),
+        ("just words\n", ("t.yaml",)),
     ],
 )
-def test_yaml_faults_are_named_with_line_and_key(tmp_path: Path, text: str, message: str) -> None:
+def test_yaml_faults_are_named_with_line_and_key(tmp_path: Path, text: str, message: ErrorData) -> None:
     path = tmp_path / "t.yaml"
     path.write_text(text)
-    with pytest.raises(DatasetError, match=message):
+    with refused(DatasetError, *message):
         load_yaml(path, Outer, "a thing", DatasetError)
 
 

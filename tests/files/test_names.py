@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from refusals import refused
 
 from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
 from relocbench.datasets.core.schema import Condition, DatasetFile, Strict, TraversalFile
@@ -67,7 +68,7 @@ GOOD = ("a", "cam0", "2014-12-16-09-14-09", "resnet50+pnp", "v1.2", "Straße", "
 
 @pytest.mark.parametrize("name", BAD.values(), ids=BAD.keys())
 def test_a_name_that_is_no_part_of_a_path_is_refused_in_one_line(name: str) -> None:
-    with pytest.raises(ValueError, match="camera name") as raised:
+    with refused(ValueError, "", None, "camera name") as raised:
         check_name(name, "camera name")
     assert str(raised.value).isprintable()
     assert len(str(raised.value)) < 400
@@ -75,9 +76,9 @@ def test_a_name_that_is_no_part_of_a_path_is_refused_in_one_line(name: str) -> N
 
 @pytest.mark.parametrize("label", ["dsо", "größe", "dso²", "a b", "a|b", "*a*", "a\nb"])  # the first has a Cyrillic o
 def test_a_label_has_ascii_letters_alone(label: str) -> None:
-    with pytest.raises(ValueError, match="method label"):
+    with refused(ValueError, "", None, "method label"):
         check_label(label, "method label")
-    with pytest.raises(MethodError, match=r"method label .*; give one: LABEL="):
+    with refused(MethodError, "", None, "LABEL"):
         parse_method(f"{label}=identity")
     assert check_label("ORB-pnp_v1.2+x", "method label") == "ORB-pnp_v1.2+x"
 
@@ -96,7 +97,7 @@ def test_a_condition_is_one_printable_line(text: str) -> None:
     if text.isprintable():
         assert str(Condition(weather=text)).isprintable()
     else:
-        with pytest.raises(ValidationError, match="is not one line"):
+        with refused(ValidationError, "", None, "weather"):
             Condition(weather=text)
 
 
@@ -120,15 +121,15 @@ def test_whatever_is_taken_stays_in_its_folder(name: str) -> None:
 def test_a_pair_set_has_three_parts_of_which_each_is_a_name() -> None:
     assert check_joined_name("a__b__cam0", "pair set", parts=3) == "a__b__cam0"
     for name in ("a__b", "a__b__c__d", "a__..__c", "a__b__", "a____c", "__".join(["x" * 90] * 3)):
-        with pytest.raises(ValueError, match="pair set"):
+        with refused(ValueError):
             check_joined_name(name, "pair set", parts=3)
 
 
 def test_names_that_differ_in_capital_letters_only_are_refused() -> None:
     check_distinct(["a", "b"], "labels")
-    with pytest.raises(ValueError, match="two labels differ in capital letters only: 'ICP' and 'icp'"):
+    with refused(ValueError, "", None, "ICP", "icp"):
         check_distinct(["ICP", "icp"], "labels")
-    with pytest.raises(MethodError, match="differ in capital letters only"):
+    with refused(MethodError, "", None, "A", "a"):
         parse_methods(["A=identity", "a=identity"])
 
 
@@ -145,7 +146,7 @@ def test_a_folder_gives_a_plain_name_or_none(tmp_path: Path) -> None:
     assert plain_name("..hidden__x.", "name") == "hidden_x"
     for name in ("dataset.yaml", "nul", "..."):
         (tmp_path / name).mkdir()
-        with pytest.raises(DatasetError, match="cannot name a traversal; rename or link it"):
+        with refused(DatasetError, tmp_path / name):
             traversal_names([tmp_path / name])
 
 
@@ -185,7 +186,7 @@ def test_a_name_in_a_foreign_file_is_checked_with_its_line(model: type[Strict], 
     load_yaml(path, model, "a record", DatasetError)
     for name in ("../../escaped", "/etc/passwd", "a\\0b", "dataset.yaml"):
         path.write_text(text.replace("NAME", f'"{name}"'))
-        with pytest.raises(DatasetError, match=r"foreign\.yaml:[0-9]+: ") as raised:
+        with refused(DatasetError, "foreign.yaml") as raised:
             load_yaml(path, model, "a record", DatasetError)
         assert str(raised.value).isprintable()
 
@@ -193,13 +194,13 @@ def test_a_name_in_a_foreign_file_is_checked_with_its_line(model: type[Strict], 
 @pytest.mark.parametrize("fingerprint", ["../../x", "", "a/b", "x" * 129])
 def test_a_fingerprint_that_is_no_part_of_a_path_is_refused(fingerprint: str, tmp_path: Path) -> None:
     (tmp_path / "dataset.yaml").write_text(RESULTS.replace("NAME", "a").replace("abc", f"'{fingerprint}'"))
-    with pytest.raises(PredictionError, match=r"dataset.yaml:2: key 'fingerprint'"):
+    with refused(PredictionError, "dataset.yaml", 2, "fingerprint"):
         _ = DatasetResults(tmp_path).record
 
 
 def test_a_dataset_is_not_written_under_a_name_that_leads_out_of_it(tmp_path: Path) -> None:
     for name in ("../../escaped", "/escaped", "a\0b", "dataset.yaml", "x" * 201):
-        with pytest.raises(ConfigError, match=r"dataset name .* choose another with --name"):
+        with refused(ConfigError, "", None, "--name"):
             DatasetWriter(tmp_path / "out", name, {"kind": "test"})
     assert list(tmp_path.iterdir()) == []
 
@@ -216,20 +217,20 @@ def test_a_folder_of_results_whose_name_is_no_label_is_told(tmp_path: Path) -> N
     folder = tmp_path / "\x1b[31mred"
     folder.mkdir()
     (folder / "run.yaml").touch()
-    with pytest.raises(PredictionError, match="is not a valid label") as raised:
+    with refused(PredictionError, "\\x1b[31mred") as raised:
         DatasetResults(tmp_path).methods()
     assert str(raised.value).isprintable()
 
 
 @pytest.mark.parametrize("label", ["dataset.yaml", "..", "con", "x" * 101])
 def test_a_label_that_the_project_needs_itself_is_refused(label: str) -> None:
-    with pytest.raises(MethodError, match=r"label .* give one: LABEL="):
+    with refused(MethodError, "", None, "LABEL"):
         parse_method(f"{label}=identity")
 
 
 def test_a_condition_that_names_a_task_is_checked_with_its_line(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text("image,condition\na.jpg,rain\nb.jpg,../../x\n")
-    with pytest.raises(DatasetError, match=r"poses.csv:3: condition '../../x'"):
+    with refused(DatasetError, "poses.csv", 3, "../../x"):
         read_conditions(tmp_path)
 
 
@@ -241,5 +242,5 @@ def test_only_ascii_digits_of_64_bits_are_the_time_of_an_image(stem: str, tmp_pa
     (folder / "7.png").touch()
     assert TraversalLayout(tmp_path).timestamps("images", "cam0") == [7]
     if stem != "1e3":
-        with pytest.raises(DatasetError, match="the file's name"):
+        with refused(DatasetError, folder / f"{stem}.png"):
             timed_files(folder)

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 
 from relocbench.datasets.core import fingerprint
 from relocbench.datasets.core.images import read_points
@@ -98,18 +99,12 @@ def test_foreign_text_in_any_table_is_one_short_printable_line(read: Callable[[P
 
 
 @pytest.mark.parametrize(
-    ("row", "fault"),
-    [
-        (LONG, "a field has more than 131,072 characters"),
-        ('"open', "a quotation mark is out of place or not closed"),
-        ('"a"b', "a quotation mark is out of place or not closed"),
-        ("\0", "holds a NUL character"),
-    ],
+    ("row", "names"), [(LONG, ("131,072",)), ('"open', ("quotation",)), ('"a"b', ("quotation",)), ("\0", ("NUL",))]
 )
-def test_what_is_no_csv_is_told_with_the_line_it_begins_on(row: str, fault: str, tmp_path: Path) -> None:
+def test_what_is_no_csv_is_told_with_the_line_it_begins_on(row: str, names: tuple[str, ...], tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text(f'a\n"two\nlines"\n{row}\n')
-    with pytest.raises(DatasetError, match=rf"t\.csv:4: {fault}"):
+    with refused(DatasetError, "t.csv", 4, *names):
         list(read_csv(path, "a table", DatasetError))
 
 
@@ -122,7 +117,7 @@ def test_rows_are_counted_by_the_lines_of_the_file_and_keep_their_characters(tmp
         (4, []),
         (5, ["2", "3"]),
     ]
-    with pytest.raises(RelocbenchError, match=r"t\.csv:4: expected 2 columns, found 0"):
+    with refused(RelocbenchError, "t.csv", 4, "2", "0"):
         list(read_table(path, ("a", "b")))
 
 
@@ -143,13 +138,13 @@ def test_a_text_over_the_limit_is_not_read_on(tmp_path: Path, monkeypatch: pytes
     with (tmp_path / "big").open("wb") as stream:
         stream.truncate(2**20 + 1)
     assert MAX_BYTES == 512 * 2**20
-    with pytest.raises(RelocbenchError, match="holds 1048577 bytes; of poses at most 1048576 are read"):
+    with refused(RelocbenchError, "", None, "1048577", "1048576"):
         read_text(tmp_path / "big", "poses", most_bytes=2**20)
 
 
 @pytest.mark.parametrize("word", ["1_0", "infinity", "nan", "-inf", "0x10", "1e400", "٣", "²", "", "1" * 5000])
 def test_only_finite_ascii_numbers_are_floats(word: str) -> None:
-    with pytest.raises(DatasetError, match=r"t\.txt:3: x is .*, expected a (finite )?number") as raised:
+    with refused(DatasetError, "t.txt", 3) as raised:
         parse_floats([word], Path("t.txt"), 3, "x", DatasetError)
     assert len(str(raised.value)) < 260
 
@@ -157,7 +152,7 @@ def test_only_finite_ascii_numbers_are_floats(word: str) -> None:
 @pytest.mark.parametrize("word", ["", "²", "٣", "-1", "+1", "1.0", "1_0", str(2**63), "1" * 5000])
 def test_only_ascii_digits_of_64_bits_are_counts(word: str) -> None:
     assert whole_number(word) is None
-    with pytest.raises(DatasetError, match=r"t\.txt:3: rank is .*, expected a whole number") as raised:
+    with refused(DatasetError, "t.txt", 3) as raised:
         parse_count(word, "rank", Path("t.txt"), 3, DatasetError)
     assert len(str(raised.value)) < 260
     assert whole_number(str(2**63 - 1)) == 2**63 - 1
@@ -165,7 +160,7 @@ def test_only_ascii_digits_of_64_bits_are_counts(word: str) -> None:
 
 @pytest.mark.parametrize("word", ["1e400", "1e-99999999999999999999", "9" * 5000, "1e99999999999999999999"])
 def test_seconds_beyond_all_clocks_are_a_value_error(word: str) -> None:
-    with pytest.raises(ValueError, match="out of range") as raised:
+    with refused(ValueError) as raised:
         seconds_to_ns(word)
     assert len(str(raised.value)) < 260
 
@@ -174,7 +169,7 @@ def test_times_of_4seasons_out_of_range_are_told_with_their_line(tmp_path: Path)
     path = tmp_path / "times.txt"
     for seconds in ("1e400", "9" * 30, "1e12", "²²", "x"):
         path.write_text(f"1602074877390449152 1602074877.390449152 1\n1602074877390449153 {seconds} 1\n")
-        with pytest.raises(DatasetError, match=r"times\.txt:2: "):
+        with refused(DatasetError, "times.txt", 2):
             four_seasons_files.read_times(path)
 
 
@@ -186,7 +181,7 @@ def test_a_sentence_of_a_receiver_with_wrong_fields_is_told_with_its_line(tmp_pa
         for byte in body.encode():
             checksum ^= byte
         path.write_text(f"$GPRMC\n${body}*{checksum:02X}\n")
-        with pytest.raises(DatasetError, match=r"track\.nmea:2: a GGA sentence has a correct checksum"):
+        with refused(DatasetError, "track.nmea", 2):
             read_gga(path)
 
 
@@ -201,9 +196,9 @@ def test_frames_of_kitti_are_named_by_ascii_digits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "fault"),
     [
-        ("[" * 100_000, "nested too deep"),
+        ("[" * 100_000, "nested"),
         ("1" * 5000, "digits"),
-        ('{"a": 1, "a": 2}', "the key 'a' occurs twice"),
+        ('{"a": 1, "a": 2}', "'a'"),
         ('{"a": "\\ud800"}', "surrogate"),
         (b'{"a": "\xff"}', "utf-8"),
         ("{", "Expecting"),
@@ -232,7 +227,7 @@ def test_a_key_that_is_none_ends_a_journal(tmp_path: Path) -> None:
 
 
 def test_a_published_table_with_an_endless_cell_is_one_line() -> None:
-    with pytest.raises(RelocbenchError, match=r"page\.csv: .* has more than 131,072 characters"):
+    with refused(RelocbenchError, "page.csv", None, "131,072"):
         check_single_positive_tables(f"R@1,AP\n1,{LONG}\n", Path("page.csv"))
 
 
@@ -271,24 +266,24 @@ def test_an_endless_path_in_a_manifest_is_cut(tmp_path: Path) -> None:
     (tmp_path / "manifest.csv").write_text(f"path,bytes,sha256\n{'a/' * 2000},1,{'0' * 64}\n")
     (fault,) = fingerprint.faults(DatasetLayout(tmp_path))
     assert str(fault).startswith(f"{tmp_path}/a/a/")
-    assert "missing; it is listed in manifest.csv" in str(fault)
+    assert "manifest.csv" in str(fault)
     assert len(str(fault)) < len(str(tmp_path)) + 300
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "names"),
     [
-        (os.mkfifo, "is a pipe, a socket or a device"),
-        (lambda path: path.symlink_to("/dev/zero"), "is a pipe, a socket or a device"),
-        (lambda path: path.symlink_to("nowhere"), "missing"),
-        (Path.mkdir, "is a folder"),
+        (os.mkfifo, ("pipe",)),
+        (lambda path: path.symlink_to("/dev/zero"), ("device",)),
+        (lambda path: path.symlink_to("nowhere"), ()),
+        (Path.mkdir, ("folder",)),
     ],
     ids=["pipe", "endless", "dangling", "folder"],
 )
 @pytest.mark.parametrize("read", [read_journal, read_gga, lambda path: read_text(path, "a text")])
 def test_what_is_no_plain_file_is_one_line_and_not_waited_for(
-    read: Callable[[Path], Any], make: Callable[[Path], None], words: str, tmp_path: Path
+    read: Callable[[Path], Any], make: Callable[[Path], None], names: tuple[str, ...], tmp_path: Path
 ) -> None:
     make(tmp_path / "1.jsonl")
-    with pytest.raises(RelocbenchError, match=rf"1\.jsonl: {words}"):
+    with refused(RelocbenchError, "1.jsonl", None, *names):
         read(tmp_path / "1.jsonl")

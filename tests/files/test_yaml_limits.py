@@ -9,6 +9,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from relocbench.datasets.core.schema import TraversalFile
 from relocbench.datasets.importers.robotcar.files import read_tags
@@ -32,63 +33,62 @@ MERGES = "\n".join(
     f"k{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}" if n else "k0: &a0 {x: 1}" for n in range(12)
 )
 LONG_CHAIN = "\n".join(f"k{n}: &a{n} [{f'*a{n - 1}' if n else ''}]" for n in range(200))
-REFUSED = {
-    "an alias bomb": (BOMB, "aliases expand to more than 100,000 values", 6),
-    "a bomb of merges": (MERGES, "aliases expand to more than 100,000 values", 6),
-    "a chain of aliases": (LONG_CHAIN, "nested more than 64 deep", None),
-    "an alias to what it stands in": ("a: 1\nb: &b [*b]", "'b' is used inside its own definition", 2),
-    "an alias of nothing": ("a: 1\nb: *nothing", "found undefined alias", 2),
-    "an anchor twice": ("a: &x 1\nb: &x 2", "the anchor 'x' occurs again", 2),
-    "nested lists": ("a: 1\nb: " + "[" * 5000 + "]" * 5000, "nested more than 64 deep", 2),
-    "nested lists that are not closed": ("[" * 200_000, "nested more than 64 deep", 1),
-    "nested blocks": ("\n".join(" " * n + "a:" for n in range(2000)), "nested more than 64 deep", 65),
-    "no such day": ("a: 1\nb: 2001-99-99", "'2001-99-99' is not a date", 2),
-    "a binary number without digits": ("b: 0b_", "'0b_' is not a whole number", 1),
-    "a number of 5,000 digits": ("b: " + "1" * 5000, "has 5000 characters, too many for a whole number", 1),
-    "a hexadecimal number of 5,000 digits": ("b: 0x" + "1" * 5000, "too many for a whole number", 1),
-    "a number over 64 bits": ("b: " + "9" * 20, "does not fit 64 bits", 1),
-    "a word called a number": ("b: !!int x", "'x' is not a whole number", 1),
-    "nothing called a number": ("b: !!int ''", "'' is not a whole number", 1),
-    "a word called a float": ("b: !!float x", "'x' is not a number", 1),
-    "a word called a truth value": ("b: !!bool x", "'x' is not true or false", 1),
-    "a word called a date": ("b: !!timestamp x", "'x' is not a date", 1),
-    "binary data": ("a: 1\nb: !!binary aGk=", "the tag '!!binary' is not taken here", 2),
-    "a set": ("b: !!set {a, b}", "the tag '!!set' is not taken here", 1),
-    "a Python object": ("b: !!python/object/apply:os.system [true]", "the tag '!!python/", 1),
-    "a tag of nobody": ("b: !mine 1", "the tag '!mine' is not taken here", 1),
-    "a merge of a word": ("a: 1\n<<: word", "merges something else than mappings", 2),
-    "a merge of a list of words": ("<<: [a, b]", "merges something else than mappings", 1),
-    "a key twice": ("a: 1\nb: 2\na: 3", "the key 'a' occurs again", 3),
-    "a list as a key": ("? [a]\n: 1", "a key is a list or a mapping", 1),
-    "a mapping as a key": ("{}: 1", "a key is a list or a mapping", 1),
-    "a tab as indentation": ("a:\n\tb: 1", "not valid YAML", 2),
-    "two documents": ("a: 1\n---\nb: 2", "more than one document", 2),
-    "a NUL character": ("a: 1\nb: \0", "NUL character", 2),
-    "an escaped NUL character": ('a: 1\nb: "x\\0y"', "NUL character", 2),
-    "half of a surrogate pair": ('b: "\\ud800"', "surrogate|Unicode", 1),
-    "an escape character": ("a: 1\nb: \x1b[31m", r"U\+001B is not allowed", 2),
-    "an open quotation mark": ("a: 1\nb: 'x", "not valid YAML", None),
-    "a list": ("- 1", "expected a thing with keys and values", None),
+REFUSED: dict[str, tuple[str, tuple[str, ...], int | None]] = {
+    "an alias bomb": (BOMB, ("100,000",), 6),
+    "a bomb of merges": (MERGES, ("100,000",), 6),
+    "a chain of aliases": (LONG_CHAIN, ("64",), None),
+    "an alias to what it stands in": ("a: 1\nb: &b [*b]", ("b",), 2),
+    "an alias of nothing": ("a: 1\nb: *nothing", (), 2),
+    "an anchor twice": ("a: &x 1\nb: &x 2", ("x",), 2),
+    "nested lists": ("a: 1\nb: " + "[" * 5000 + "]" * 5000, ("64",), 2),
+    "nested lists that are not closed": ("[" * 200_000, ("64",), 1),
+    "nested blocks": ("\n".join(" " * n + "a:" for n in range(2000)), ("64",), 65),
+    "no such day": ("a: 1\nb: 2001-99-99", ("2001-99-99",), 2),
+    "a binary number without digits": ("b: 0b_", ("0b_",), 1),
+    "a number of 5,000 digits": ("b: " + "1" * 5000, ("5000",), 1),
+    "a hexadecimal number of 5,000 digits": ("b: 0x" + "1" * 5000, (), 1),
+    "a number over 64 bits": ("b: " + "9" * 20, ("64",), 1),
+    "a word called a number": ("b: !!int x", ("x",), 1),
+    "nothing called a number": ("b: !!int ''", (), 1),
+    "a word called a float": ("b: !!float x", ("x",), 1),
+    "a word called a truth value": ("b: !!bool x", ("x",), 1),
+    "a word called a date": ("b: !!timestamp x", ("x",), 1),
+    "binary data": ("a: 1\nb: !!binary aGk=", ("!!binary",), 2),
+    "a set": ("b: !!set {a, b}", ("!!set",), 1),
+    "a Python object": ("b: !!python/object/apply:os.system [true]", (), 1),
+    "a tag of nobody": ("b: !mine 1", ("!mine",), 1),
+    "a merge of a word": ("a: 1\n<<: word", (), 2),
+    "a merge of a list of words": ("<<: [a, b]", (), 1),
+    "a key twice": ("a: 1\nb: 2\na: 3", ("a",), 3),
+    "a list as a key": ("? [a]\n: 1", (), 1),
+    "a mapping as a key": ("{}: 1", (), 1),
+    "a tab as indentation": ("a:\n\tb: 1", (), 2),
+    "two documents": ("a: 1\n---\nb: 2", (), 2),
+    "a NUL character": ("a: 1\nb: \0", ("NUL",), 2),
+    "an escaped NUL character": ('a: 1\nb: "x\\0y"', ("NUL",), 2),
+    "half of a surrogate pair": ('b: "\\ud800"', (), 1),
+    "an escape character": ("a: 1\nb: \x1b[31m", ("U+001B",), 2),
+    "an open quotation mark": ("a: 1\nb: 'x", (), None),
+    "a list": ("- 1", (), None),
 }
 
 
-@pytest.mark.parametrize(("text", "message", "line"), REFUSED.values(), ids=REFUSED.keys())
+@pytest.mark.parametrize(("text", "names", "line"), REFUSED.values(), ids=REFUSED.keys())
 def test_yaml_that_cannot_be_taken_is_one_line_with_its_place(
-    text: str, message: str, line: int | None, tmp_path: Path
+    text: str, names: tuple[str, ...], line: int | None, tmp_path: Path
 ) -> None:
     path = tmp_path / "thing.yaml"
     path.write_text(text)
-    with pytest.raises(DatasetError, match=message) as raised:
+    with refused(DatasetError, "thing.yaml", line, *names) as raised:
         load_yaml_values(path, "a thing", DatasetError)
     assert str(raised.value).isprintable()
     assert len(raised.value.expected) < 400
-    assert line is None or raised.value.line == line
 
 
 @pytest.mark.parametrize("data", ["a: 1".encode("utf-16"), b"a: \xff"], ids=["UTF-16", "Latin-1"])
 def test_text_that_is_not_utf_8_is_refused(data: bytes, tmp_path: Path) -> None:
     (tmp_path / "thing.yaml").write_bytes(data)
-    with pytest.raises(RelocbenchError, match="is not UTF-8"):
+    with refused(RelocbenchError, "", None, "UTF-8"):
         load_yaml_values(tmp_path / "thing.yaml", "a thing")
 
 
@@ -96,14 +96,14 @@ def test_a_file_over_the_limit_is_not_read_on(tmp_path: Path) -> None:
     path = tmp_path / "thing.yaml"
     with path.open("wb") as stream:
         stream.truncate(MAX_YAML_BYTES + 1)
-    with pytest.raises(RelocbenchError, match="holds 16777217 bytes; of a thing at most 16777216 are read"):
+    with refused(RelocbenchError, "", None, "16777217", "16777216"):
         load_yaml_values(path, "a thing")
 
 
 def test_more_values_than_the_limit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(yaml_text, "MAX_NODES", 100)
     assert len(parse_yaml("[" + "1," * 99 + "]")) == 99
-    with pytest.raises(YamlFault, match="more than 100 values"):
+    with refused(YamlFault, "", None, "100"):
         parse_yaml("[" + "1," * 100 + "]")
 
 
@@ -185,7 +185,7 @@ def test_a_line_is_known_or_not_of_whatever_could_be_read() -> None:
 def test_a_fault_of_the_model_has_the_line_of_its_key(tmp_path: Path) -> None:
     path = tmp_path / "traversal.yaml"
     path.write_text("name: a\ncondition:\n  weather: rain\n  colour: red\ncameras: {}\n")
-    with pytest.raises(DatasetError, match=r"traversal.yaml:4: unknown key 'condition.colour'"):
+    with refused(DatasetError, "traversal.yaml", 4, "condition.colour"):
         load_yaml(path, TraversalFile, "a traversal", DatasetError)
     values, places = load_yaml_values(path, "a traversal")
     assert yaml_line(places, ("condition", "weather")) == 3
@@ -195,7 +195,7 @@ def test_a_fault_of_the_model_has_the_line_of_its_key(tmp_path: Path) -> None:
 def test_a_fault_of_the_model_does_not_quote_the_whole_file(tmp_path: Path) -> None:
     path = tmp_path / "traversal.yaml"
     path.write_text(f"name: {['x' * 50] * 1000}\ncameras: {{}}\n")
-    with pytest.raises(DatasetError, match="key 'name'") as raised:
+    with refused(DatasetError, "", None, "name") as raised:
         load_yaml(path, TraversalFile, "a traversal", DatasetError)
     assert len(raised.value.expected) < 500
 
@@ -217,5 +217,5 @@ def test_a_setting_that_cannot_be_is_one_line(text: str) -> None:
 def test_tags_of_a_drive_are_read_by_the_same_loader(tmp_path: Path) -> None:
     path = tmp_path / "tags.yaml"
     path.write_text("- sun\n- &a [*a]\n")
-    with pytest.raises(DatasetError, match=r"tags.yaml:2: .*is used inside its own definition"):
+    with refused(DatasetError, "tags.yaml", 2):
         read_tags(path)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from board_pages import board_pages
+from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core import fingerprint, images
@@ -175,9 +176,9 @@ def test_results_that_claim_a_question_and_hold_other_pairs_are_refused(original
         evaluate_methods(EvaluateOptions(dataset=dataset.root, methods=("identity",), out=results, workers=0), Silent())
     for path in results.glob("*/dataset.yaml"):
         write_text(path, path.read_text().replace(other.content_id, original.content_id))
-    with pytest.raises(PredictionError, match="answered other pairs of 'summer__winter__cam0'"):
+    with refused(PredictionError, "", None, "summer__winter__cam0"):
         load_results(results)
-    with pytest.raises(PredictionError, match="the entry 'question' is not that of the dataset"):
+    with refused(PredictionError, "", None, "question"):
         load_results(results, datasets=DatasetLookup(results, [other.root]))
 
 
@@ -185,7 +186,7 @@ def test_predictions_of_another_question_are_refused(original: Dataset, tmp_path
     other = changed(original, tmp_path / "there", lambda d: nudge_numbers(d.layout.pair_file(ACROSS), 1e-4))
     there = dataset_results(tmp_path / "theirs", other)
     answered = run_method(other, other.pair_sets(), parse_method("identity"), there, run=Run(0), reporter=Silent())
-    with pytest.raises(PredictionError, match="predictions are for small@"):
+    with refused(PredictionError, "run.yaml"):
         import_predictions(
             original, original.pair_sets(), answered.root, "theirs", dataset_results(tmp_path / "ours", original)
         )
@@ -225,7 +226,7 @@ def test_lists_of_another_copy_of_the_question_are_scored_and_lists_of_another_q
     assert taken == here.method("theirs").root
     assert (run.fingerprint, run.answered_on) == (here.record.fingerprint, there.record.fingerprint)
     third = changed(original, tmp_path / "third", less_pairs)
-    with pytest.raises(PredictionError, match="predictions are for small"):
+    with refused(PredictionError, "run.yaml"):
         retrieved(third, tmp_path / "ours", "again", predictions=answered)
 
 
@@ -243,7 +244,7 @@ def test_retrieval_results_that_claim_a_question_and_hold_other_tasks_are_refuse
     assert mine != theirs
     for path in results.glob("*/retrieval.yaml"):
         write_text(path, path.read_text().replace(theirs, mine))
-    with pytest.raises(PredictionError, match="has other queries or another gallery than in"):
+    with refused(PredictionError, "retrieval.yaml", None, "summer__winter__cam0"):
         write_retrieval_leaderboard(results, tmp_path / "board", reporter=Silent())
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from refusals import refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.image_header import (
@@ -75,48 +76,48 @@ EXIF_TURNED = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\
 REFUSED: dict[str, tuple[bytes, str]] = {
     "20000x20000": (png(20000, 20000, 1, pixels=bytes(1 << 20)), f"20000x20000, more than the {MOST_PIXELS} pixels"),
     "a million squared": (png(10**6, 10**6, pixels=b"\0"), "1000000x1000000, more than"),
-    "2^31 wide": (png(2**31, 1, pixels=b"\0"), "its PNG header is damaged"),
-    "16 bits of four channels": (png(8192, 8192, 16, 6, pixels=b"\0"), f"more than {MOST_DECODED_BYTES}"),
-    "no width": (png(0, 5, pixels=b"\0"), "its PNG header is damaged"),
-    "no height": (png(5, 0, pixels=b"\0"), "its PNG header is damaged"),
-    "no such depth": (png(5, 4, 3), "its PNG header is damaged"),
-    "no such colour": (png(5, 4, 8, 5), "its PNG header is damaged"),
-    "no such interlacing": (png(5, 4, interlace=2), "its PNG header is damaged"),
-    "wrong sum of the header": (flipped(png(5, 4), 29), "its PNG header is damaged"),
-    "wrong sum of the pixels": (flipped(png(50, 40), 45), "its IDAT at byte 33 is damaged"),
-    "no header": (b"\x89PNG\r\n\x1a\n" + chunk(b"IDAT", b"") + chunk(b"IEND", b""), "its PNG header is damaged"),
+    "2^31 wide": (png(2**31, 1, pixels=b"\0"), "PNG header"),
+    "16 bits of four channels": (png(8192, 8192, 16, 6, pixels=b"\0"), f"{MOST_DECODED_BYTES}"),
+    "no width": (png(0, 5, pixels=b"\0"), "PNG header"),
+    "no height": (png(5, 0, pixels=b"\0"), "PNG header"),
+    "no such depth": (png(5, 4, 3), "PNG header"),
+    "no such colour": (png(5, 4, 8, 5), "PNG header"),
+    "no such interlacing": (png(5, 4, interlace=2), "PNG header"),
+    "wrong sum of the header": (flipped(png(5, 4), 29), "PNG header"),
+    "wrong sum of the pixels": (flipped(png(50, 40), 45), "IDAT at byte 33"),
+    "no header": (b"\x89PNG\r\n\x1a\n" + chunk(b"IDAT", b"") + chunk(b"IEND", b""), "PNG header"),
     "a part longer than the file": (
-        png(5, 4)[:33] + struct.pack(">I", 2**31) + b"tEXt" + chunk(b"IEND", b""), "its PNG header is damaged"
+        png(5, 4)[:33] + struct.pack(">I", 2**31) + b"tEXt" + chunk(b"IEND", b""), "PNG header"
     ),
-    "too few pixels for its size": (png(8000, 8000, pixels=bytes(100)), "are too few for 8000x8000"),
+    "too few pixels for its size": (png(8000, 8000, pixels=bytes(100)), "8000x8000"),
     "some pixels missing": (png(50, 40, pixels=bytes(100)), "cannot be decoded"),
     "no palette": (png(5, 4, 8, 3), "cannot be decoded"),
     "animated": (png(5, 4, extra=chunk(b"acTL", struct.pack(">II", 2, 0))), "animated PNG"),
     "cut PNG": (png(50, 40)[:-20], "truncated"),
     "cut JPEG": (JPEG[: len(JPEG) // 2], "truncated"),
-    "cut JPEG header": (JPEG[:100], "its JPEG header is damaged"),
-    "no height, JPEG": (with_frame(JPEG, height=0), "its JPEG header is damaged"),
-    "65535x65535": (with_frame(JPEG, height=65535, width=65535), "65535x65535, more than"),
-    "too few pixels, JPEG": (with_frame(JPEG, height=8000, width=8000), "are too few for 8000x8000"),
-    "progressive, all kept": (with_frame(PROGRESSIVE, height=8192, width=8192), f"more than {MOST_DECODED_BYTES}"),
-    "lossless JPEG": (with_frame(JPEG, marker=0xC3), "lossless, hierarchical or arithmetic-coded"),
-    "arithmetic JPEG": (with_frame(JPEG, marker=0xC9), "lossless, hierarchical or arithmetic-coded"),
-    "a JPEG of 1000 scans": (PROGRESSIVE[:-2] + LAST_SCAN * 1000 + b"\xff\xd9", "scans, which would take too long"),
+    "cut JPEG header": (JPEG[:100], "JPEG header"),
+    "no height, JPEG": (with_frame(JPEG, height=0), "JPEG header"),
+    "65535x65535": (with_frame(JPEG, height=65535, width=65535), "65535x65535"),
+    "too few pixels, JPEG": (with_frame(JPEG, height=8000, width=8000), "8000x8000"),
+    "progressive, all kept": (with_frame(PROGRESSIVE, height=8192, width=8192), f"{MOST_DECODED_BYTES}"),
+    "lossless JPEG": (with_frame(JPEG, marker=0xC3), "lossless"),
+    "arithmetic JPEG": (with_frame(JPEG, marker=0xC9), "lossless"),
+    "a JPEG of 1000 scans": (PROGRESSIVE[:-2] + LAST_SCAN * 1000 + b"\xff\xd9", "scans"),
     "43 million pixels in 10 scans": (
         with_frame(PROGRESSIVE, height=5376, width=8000)[:-2] + bytes(90_000) + b"\xff\xd9",
-        "10 scans, which would take too long",
+        "10 scans",
     ),
-    "empty": (b"", "truncated or not an image"),
-    "four bytes": (b"\xff\xd8\xff\xe0", "its JPEG header is damaged"),
-    "text": (b"not an image at all", "cannot be decoded; expected a PNG or JPEG"),
-    "TIFF": (b"II*\0" + bytes(100), "its content is TIFF"),
-    "OpenEXR": (b"v/1\x01" + bytes(100), "its content is OpenEXR"),
-    "Radiance HDR": (b"#?RADIANCE\n" + bytes(100), "its content is Radiance HDR"),
-    "GIF": (b"GIF89a" + bytes(100), "its content is GIF"),
-    "WebP": (b"RIFF\x10\0\0\0WEBPVP8 " + bytes(100), "its content is WebP"),
-    "BMP": (b"BM" + bytes(100), "its content is BMP"),
-    "PGM": (b"P5\n5 4\n255\n" + bytes(20), "its content is PNM"),
-    "JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n" + bytes(100), "its content is JPEG 2000"),
+    "empty": (b"", ""),
+    "four bytes": (b"\xff\xd8\xff\xe0", "JPEG header"),
+    "text": (b"not an image at all", "PNG or JPEG"),
+    "TIFF": (b"II*\0" + bytes(100), "TIFF"),
+    "OpenEXR": (b"v/1\x01" + bytes(100), "OpenEXR"),
+    "Radiance HDR": (b"#?RADIANCE\n" + bytes(100), "Radiance HDR"),
+    "GIF": (b"GIF89a" + bytes(100), "GIF"),
+    "WebP": (b"RIFF\x10\0\0\0WEBPVP8 " + bytes(100), "WebP"),
+    "BMP": (b"BM" + bytes(100), "BMP"),
+    "PGM": (b"P5\n5 4\n255\n" + bytes(20), "PNM"),
+    "JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n" + bytes(100), "JPEG 2000"),
 }  # fmt: skip
 UP_TO_THE_DECODER = {"some pixels missing", "no palette"}
 
@@ -160,7 +161,7 @@ def test_an_error_of_the_decoder_is_one_line(tmp_path: Path, monkeypatch: pytest
     path = tmp_path / "0.png"
     path.write_bytes(png(5, 4))
     monkeypatch.setattr(cv2, "imdecode", broken)
-    with pytest.raises(DatasetError, match=r"0\.png: cannot be decoded; expected a PNG or JPEG$"):
+    with refused(DatasetError, "0.png"):
         images.read_image(path)
 
 
@@ -169,7 +170,7 @@ def test_the_size_is_checked_before_anything_is_decoded(tmp_path: Path, no_decod
     for data, size in ((png(30000, 30000, pixels=b"\0"), (30000, 30000)), (JPEG, (60, 40))):
         path.write_bytes(data)
         for read in (images.read_image, images.read_depth):
-            with pytest.raises(DatasetError, match=f"image is {size[0]}x{size[1]}, expected 1x1"):
+            with refused(DatasetError, "0.png", None, f"{size[0]}x{size[1]}", "1x1"):
                 read(path, images.ExpectedSize((1, 1), "a test"))
 
 
@@ -199,25 +200,24 @@ def a_sparse_file(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "names"),
     [
-        (a_folder, "is a folder; expected an image"),
-        (a_pipe, "is a pipe, a socket or a device; expected an image"),
-        (a_device, "is a pipe, a socket or a device; expected an image"),
-        (a_loop, "cannot be read"),
-        (a_dead_link, "missing (a link to a file that is gone); expected an image"),
-        (a_sparse_file, "holds 1099511627776 bytes; of an image at most"),
+        (a_folder, ("folder",)),
+        (a_pipe, ("pipe",)),
+        (a_device, ("device",)),
+        (a_loop, ()),
+        (a_dead_link, ("link",)),
+        (a_sparse_file, ("1099511627776",)),
     ],
 )
 def test_what_is_no_plain_file_is_refused_without_waiting(
-    tmp_path: Path, make: Callable[[Path], None], words: str
+    tmp_path: Path, make: Callable[[Path], None], names: tuple[str, ...]
 ) -> None:
     path = tmp_path / "0.png"
     make(path)
     assert not images.is_whole(path)
-    with pytest.raises(DatasetError) as caught:
+    with refused(DatasetError, "0.png", None, *names):
         images.read_image(path)
-    assert words in str(caught.value)
 
 
 PALETTE = chunk(b"PLTE", bytes([10, 20, 30, 40, 50, 60]))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import relocbench
+from refusals import ErrorData, assert_names, refused
 
 from relocbench.datasets.core.images import read_image
 from relocbench.datasets.cross_view import CrossViewSet, open_cross_view
@@ -176,7 +177,7 @@ def test_a_killed_build_goes_on_and_ends_with_the_same_bytes(made: CrossViewSet,
     torn = out / "test/gallery_satellite/5002/5002.png"
     torn.write_bytes(torn.read_bytes()[:500])
     (out / "test/gallery_drone/5001/.image-01.0123abcd.part.png").write_bytes(b"half")
-    with pytest.raises(DatasetError, match="unfinished build"):
+    with refused(DatasetError):
         open_cross_view(out)
     assert build(out).fingerprint == made.fingerprint
     assert content(out) == content(made.root)
@@ -189,7 +190,7 @@ def test_a_finished_set_is_not_made_again_but_mended(made: CrossViewSet, tmp_pat
     assert build(out).fingerprint == made.fingerprint
     assert times == {p: p.stat().st_mtime_ns for p in out.rglob("*.png")}
     (out / "test/gallery_satellite/5000/5000.png").unlink()
-    with pytest.raises(DatasetError, match=r"5000\.png: missing; it is listed in manifest\.csv"):
+    with refused(DatasetError, "5000.png", None, "manifest.csv"):
         open_cross_view(out)
     assert build(out).fingerprint == made.fingerprint
     assert content(out) == content(made.root)
@@ -199,16 +200,16 @@ def test_what_was_added_or_changed_is_noticed(made: CrossViewSet, tmp_path: Path
     out = tmp_path / "out"
     shutil.copytree(made.root, out)
     shutil.copy(out / "test/gallery_street/5000/1.png", out / "test/gallery_street/5000/2.png")
-    with pytest.raises(DatasetError, match=r"2\.png: is not listed in manifest\.csv"):
+    with refused(DatasetError, "2.png", None, "manifest.csv"):
         open_cross_view(out)
-    with pytest.raises(DatasetError, match=r"2\.png: is not an image of this build"):
+    with refused(DatasetError, "2.png"):
         build(out)
     (out / "test/gallery_street/5000/2.png").unlink()
     manifest = out / "manifest.csv"
     manifest.write_text(manifest.read_text().replace("gallery_street/5000", "gallery_street/5001", 1))
-    with pytest.raises(DatasetError, match="the fingerprint does not match"):
+    with refused(DatasetError):
         open_cross_view(out)
-    with pytest.raises(DatasetError, match="holds a dataset made with other options"):
+    with refused(DatasetError):
         build(out, seed=1)
 
 
@@ -229,22 +230,22 @@ def test_an_image_depends_on_nothing_that_was_rendered_before(made: CrossViewSet
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--conditions", "Hail"), "no condition 'Hail'"),
-        (("--conditions", "Sunny,Rain,Rain"), "--conditions: conditions are the satellite's, then"),
-        (("--split", "train", "--distractors", "3"), "--distractors applies to the test split"),
-        (("--places", "6000"), "a split has at most 5000"),
-        (("--size", "8"), "--size: Input should be greater than or equal to 32"),
-        (("--drone-views", "0"), "--drone-views"),
+        (("--conditions", "Hail"), ("", None, "Hail")),
+        (("--conditions", "Sunny,Rain,Rain"), ("", None, "--conditions")),
+        (("--split", "train", "--distractors", "3"), ("", None, "--distractors")),
+        (("--places", "6000"), ("", None, "5000")),
+        (("--size", "8"), ("", None, "--size", "32")),
+        (("--drone-views", "0"), ("", None, "--drone-views")),
     ],
 )
-def test_bad_options_are_one_line(tmp_path: Path, options: tuple[str, ...], words: str) -> None:
+def test_bad_options_are_one_line(tmp_path: Path, options: tuple[str, ...], words: ErrorData) -> None:
     outcome = relocbench("build-dataset", "cross-view", "--out", tmp_path / "o", *options)
     assert outcome.status == 2
-    assert words in outcome.complaint
+    assert_names(outcome.complaint, *words)
 
 
 def test_more_places_than_the_towns_have_room_for_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"1 towns of 190 m have room for \d+ places 25 m apart, not for 90"):
+    with refused(ConfigError, "", None, "1", "190", "25", "90"):
         build(tmp_path / "o", places=90, distractors=0, towns=1)
 
 

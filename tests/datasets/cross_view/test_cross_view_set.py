@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from refusals import ErrorData, refused
 
 from relocbench.datasets.core.images import write_image
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
@@ -156,47 +157,47 @@ def test_an_image_that_cannot_be_read_is_named(official: Path) -> None:
     path = official / "test/query_drone/0003/image-02.jpeg"
     path.write_bytes(b"not an image at all")
     task = next(t for t in open_cross_view(official).tasks() if t.name == "drone-satellite")
-    with pytest.raises(DatasetError, match=r"image-02\.jpeg: cannot be decoded"):
+    with refused(DatasetError, "image-02.jpeg"):
         _ = task.queries[2].image
 
 
 @pytest.mark.parametrize(
     ("made", "words"),
     [
-        ("other/file.txt", "expected University-1652's layout"),
-        ("drone/0001/a.jpg", "available from its authors by e-mail"),
-        ("test/query_drone/a.jpg", "holds images such as a.jpg but no class folders"),
-        ("test/query_drone/00 01/a.jpg", "has white space"),
-        pytest.param("test/query_drone/0001/\udcff.jpg", "is not UTF-8, but rankings", id="image of other bytes"),
-        pytest.param("test/query_drone/00\udcff/a.jpg", "is not UTF-8", id="class of other bytes"),
+        ("other/file.txt", ("", None, "University-1652's")),
+        ("drone/0001/a.jpg", ()),
+        ("test/query_drone/a.jpg", ("a.jpg",)),
+        ("test/query_drone/00 01/a.jpg", ()),
+        pytest.param("test/query_drone/0001/\udcff.jpg", ("", None, "UTF-8"), id="image of other bytes"),
+        pytest.param("test/query_drone/00\udcff/a.jpg", ("", None, "UTF-8"), id="class of other bytes"),
     ],
 )
-def test_a_folder_without_the_layout_is_refused(tmp_path: Path, made: str, words: str) -> None:
+def test_a_folder_without_the_layout_is_refused(tmp_path: Path, made: str, words: ErrorData) -> None:
     put(tmp_path, made if made.endswith("jpg") else "x/y.jpg")
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError, *words):
         open_cross_view(tmp_path)
 
 
 def test_what_is_wrong_with_a_folder_is_said(official: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    with pytest.raises(DatasetError, match="no such folder"):
+    with refused(DatasetError):
         open_cross_view(official / "absent")
-    with pytest.raises(DatasetError, match="is the 'test' folder of a cross-view set"):
+    with refused(DatasetError, "", None, "test"):
         open_cross_view(official / "test")
     assert is_cross_view(official)
     assert not is_cross_view(official / "test")
     empty = tmp_path_factory.mktemp("empty")
     (empty / "train" / "drone" / "0001").mkdir(parents=True)
-    with pytest.raises(DatasetError, match="none of its 1 class folders holds an image"):
+    with refused(DatasetError, "", None, "1"):
         open_cross_view(empty)
 
 
 def test_a_set_to_train_on_alone_has_nothing_to_ask_and_the_other_way_about(tmp_path: Path) -> None:
     put(tmp_path, "train/drone/0001/a.jpg", "train/satellite/0001/a.jpg")
-    with pytest.raises(DatasetError, match="it is for training only"):
+    with refused(DatasetError):
         open_cross_view(tmp_path).tasks()
     other = tmp_path / "other"
     put(other, "test/query_drone/0001/a.jpg", "test/gallery_satellite/0001/a.jpg")
-    with pytest.raises(DatasetError, match="nothing to learn from"):
+    with refused(DatasetError):
         open_cross_view(other).training()
 
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import refused
 
 from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences, spread_sample
@@ -175,5 +176,5 @@ def test_half_a_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
     write_correspondences(path, [((1, 2), some_rows(50, 0))])
     path.write_bytes(path.read_bytes()[:-20])
-    with pytest.raises(DatasetError, match=r"a\.parquet: not a whole Parquet file"):
+    with refused(DatasetError, "a.parquet"):
         read_correspondences(path)

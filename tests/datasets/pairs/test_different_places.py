@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
+from refusals import refused
 
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.pairfile import Pair
@@ -84,19 +85,17 @@ def test_they_follow_from_the_seed_and_more_of_them_begin_with_the_same() -> Non
 def test_a_road_too_short_is_one_line_with_its_numbers(tmp_path: Path) -> None:
     frames = drive(np.arange(10.0), 0), drive(np.arange(10.0), 100)
     pairs = make_pairs(*frames, RuleOptions(), same_traversal=False, source="test")
-    with pytest.raises(
-        DatasetError, match=r"--elsewhere 8 .* only 0 .*-distance 20 m, the farthest are 9 m apart"
-    ) as bad:
+    with refused(DatasetError, "", None, "--elsewhere", "8", "0", "20", "9") as bad:
         with_different_places(pairs, *frames, options(8), tmp_path)
     assert "\n" not in str(bad.value)
 
 
 def test_options_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ValidationError, match="elsewhere_distance is 4 m, expected more than max_distance, 5 m"):
+    with refused(ValidationError, "", None, "elsewhere_distance", "4", "max_distance", "5"):
         RuleOptions(elsewhere=3, elsewhere_distance=4.0)
-    with pytest.raises(ValidationError, match="no effect without elsewhere"):
+    with refused(ValidationError):
         RuleOptions(elsewhere_distance=40.0)
-    with pytest.raises(ValidationError, match="relocalization_files, which name all pairs"):
+    with refused(ValidationError, "", None, "relocalization_files"):
         FourSeasons(elsewhere=3, relocalization_files=(Path("x"),))
 
 

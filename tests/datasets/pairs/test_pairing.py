@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import refused
 
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.pairs.pairing import make_pairs, nearest_matches, step_matches
@@ -75,30 +76,30 @@ def test_frames_of_two_traversals_may_have_the_same_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("query", "said", "widen"),
+    ("query", "nearest"),
     [
-        (row_of_cameras([7.0], 3.0, 100), r"6 m and 3 deg", r"increase --max-distance$"),
-        (row_of_cameras([7.0], 90.0, 100), r"6 m and 90 deg", r"--max-distance and --max-angle$"),
-        (row_of_cameras([1.5], 75.0, 100), r"0\.5 m and 75 deg", r"increase --max-angle$"),
+        (row_of_cameras([7.0], 3.0, 100), ("6 m", "3 deg", "--max-distance")),
+        (row_of_cameras([7.0], 90.0, 100), ("6 m", "90 deg", "--max-distance and --max-angle")),
+        (row_of_cameras([1.5], 75.0, 100), ("0.5 m", "75 deg", "--max-angle")),
     ],
 )
-def test_an_empty_result_says_how_near_the_nearest_were(query: PosedFrames, said: str, widen: str) -> None:
+def test_an_empty_result_says_how_near_the_nearest_were(query: PosedFrames, nearest: tuple[str, ...]) -> None:
     reference = row_of_cameras([0.0, 1.0])
-    with pytest.raises(DatasetError, match=f"{said}.*{widen}"):
+    with refused(DatasetError, "", None, *nearest):
         make_pairs(reference, query, RuleOptions(), same_traversal=False, source="test")
 
 
 def test_an_empty_step_says_which_step_there_is() -> None:
     frames = row_of_cameras([0.0, 2.5])
     gapped = PosedFrames(frames.timestamps, frames.T_world_cam, frozenset({0}), numbers=(0, 5))
-    with pytest.raises(DatasetError, match=r"\+5 frames away \(2\.5 m, 0 deg\): try --pair-step 5"):
+    with refused(DatasetError, "", None, "+5", "2.5", "0", "--pair-step", "5"):
         make_pairs(gapped, gapped, RuleOptions(), same_traversal=True, source="test")
 
 
 def test_no_keyframe_is_said_as_such() -> None:
     frames = row_of_cameras([0.0, 1.0])
     bare = PosedFrames(frames.timestamps, frames.T_world_cam, frozenset())
-    with pytest.raises(DatasetError, match="no keyframe"):
+    with refused(DatasetError):
         make_pairs(bare, bare, RuleOptions(), same_traversal=True, source="test")
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import noted, refused
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -75,7 +76,7 @@ def test_only_queries_of_pairs_are_asked_by_pairs(tmp_path: Path) -> None:
     notes = Notes()
     opened = open_set(few.root, tmp_path / "out", SetOptions(positives="pairs"), notes)
     assert [len(t.queries) for t in opened.chosen] == [3]
-    assert any("2 of 5 query images are in no pair" in note for note in notes.notes)
+    assert noted(notes.notes, "2 of 5")
 
 
 def test_every_choice_of_what_is_right_is_a_set_of_its_own(dataset: Dataset) -> None:
@@ -101,7 +102,7 @@ def test_a_traversal_is_not_asked_about_itself(dataset: Dataset, tmp_path: Path)
     opened = open_set(dataset.root, tmp_path, SetOptions(split="all"), notes)
     assert [t.name for t in opened.chosen] == [ACROSS]
     assert any(WITHIN in note for note in notes.notes)
-    with pytest.raises(ConfigError, match="is of one traversal"):
+    with refused(ConfigError):
         open_set(dataset.root, tmp_path, SetOptions(tasks=(WITHIN,)), notes)
 
 
@@ -113,7 +114,7 @@ def test_queries_without_a_pose_are_told_and_not_asked(tmp_path: Path) -> None:
     places = StreetPlaces(Dataset(made.root))
     assert len(places.tasks()[0].queries) == 3
     poses.write_text(lines[0])
-    with pytest.raises(DatasetError, match="winter has no image of camera 'cam0' with a pose"):
+    with refused(DatasetError, "", None, "cam0"):
         StreetPlaces(Dataset(made.root)).tasks()
 
 
@@ -121,18 +122,18 @@ def test_drives_in_different_worlds_are_refused_by_radius_alone(tmp_path: Path) 
     fault = np.eye(4)
     fault[0, 3] = 30.0
     made = make_small_dataset(tmp_path / "d", frames=4, pose_fault=fault)
-    with pytest.raises(DatasetError, match=r"by 30\.\d m.*--positives pairs"):
+    with refused(DatasetError, "", None, "30", "--positives"):
         StreetPlaces(made).tasks()
     assert len(StreetPlaces(made, rule="pairs").tasks()[0].queries) == 4
 
 
 def test_options_that_contradict_each_other_are_refused(dataset: Dataset, tmp_path: Path) -> None:
-    for options, words in (
-        (SetOptions(positives="pairs", radius_m=3.0), "--radius does not apply"),
-        (SetOptions(positives="pairs", heading_deg=3.0), "--heading applies to --positives radius only"),
-        (SetOptions(by_condition=True), "--by-condition"),
-        (SetOptions(split="absent"), "no split 'absent'"),
-        (SetOptions(tasks=("absent",)), "no pair set 'absent'"),
+    for options, names in (
+        (SetOptions(positives="pairs", radius_m=3.0), ("--radius",)),
+        (SetOptions(positives="pairs", heading_deg=3.0), ("--heading", "--positives")),
+        (SetOptions(by_condition=True), ("--by-condition",)),
+        (SetOptions(split="absent"), ("absent",)),
+        (SetOptions(tasks=("absent",)), ("absent",)),
     ):
-        with pytest.raises((ConfigError, DatasetError), match=words):
+        with refused((ConfigError, DatasetError), "", None, *names):
             open_set(dataset.root, tmp_path, options, Silent())

@@ -12,6 +12,7 @@ import pye57
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from relocbench.datasets.sensors.binary_layout import BinaryLayout, detect_layout
 from relocbench.datasets.sensors.cloud_files import CloudFormat, read_cloud
@@ -85,7 +86,7 @@ def test_setups_of_an_e57_file_are_merged_by_their_poses_or_selected(tmp_path: P
     np.testing.assert_allclose(merged.sensors[[0, -1]], [[0.0, 2.0, 0.1], [1.0, 2.0, 0.1]], atol=1e-9)
     one = read_cloud(tmp_path / "setups.e57", CloudFormat(setups=(1,)))
     assert len(one.points) == len(points)
-    with pytest.raises(DatasetError, match="has no setup 5; it holds 2"):
+    with refused(DatasetError, "", None, "5", "2"):
         read_cloud(tmp_path / "setups.e57", CloudFormat(setups=(5,)))
 
 
@@ -102,7 +103,7 @@ def test_a_missing_package_is_named_with_its_extra(
         return real(module, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(ConfigError, match=rf"need the package {package}.*relocbench\[clouds\]"):
+    with refused(ConfigError, "", None, package, "relocbench[clouds]"):
         read_cloud(tmp_path / name)
 
 
@@ -110,7 +111,7 @@ def test_a_missing_package_is_named_with_its_extra(
 @pytest.mark.parametrize("content", [b"", b"rubbish\nthat is no cloud", b"\xff" * 1000])
 def test_a_damaged_file_is_one_line_that_names_it(tmp_path: Path, name: str, content: bytes) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(DatasetError, match=name) as raised:
+    with refused(DatasetError, name) as raised:
         read_cloud(tmp_path / name)
     assert "\n" not in str(raised.value)
 
@@ -135,9 +136,9 @@ def test_the_layout_of_a_bin_file_is_found(columns: int, kind: str, seed: int, s
 def test_a_layout_given_by_hand_is_not_second_guessed_but_must_fit() -> None:
     data = wavy().astype("<f4").tobytes()
     assert detect_layout(data, Path("a.bin"), "float32", 4) == BinaryLayout("float32", 4)
-    with pytest.raises(DatasetError, match="only zeros"):
+    with refused(DatasetError, "a.bin"):
         detect_layout(bytes(4800), Path("a.bin"))
-    with pytest.raises(DatasetError, match="not a whole number of points"):
+    with refused(DatasetError, "a.bin", None, "4788", "float64"):
         detect_layout(data[:-12], Path("a.bin"), "float64", 5)
 
 
@@ -156,10 +157,10 @@ def test_poses_are_read_in_every_format(tmp_path: Path) -> None:
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
         np.testing.assert_allclose(read_cloud_poses(tmp_path / name, 3), T, atol=1e-9, err_msg=name)
-    with pytest.raises(DatasetError, match="holds 3 poses, but there are 4 clouds"):
+    with refused(DatasetError, "", None, "3", "4"):
         read_cloud_poses(tmp_path / "tum", 4)
     (tmp_path / "bad").write_text("1 2 3\n")
-    with pytest.raises(DatasetError, match=r"bad:1: expected TUM"):
+    with refused(DatasetError, "", None, "bad:1"):
         read_cloud_poses(tmp_path / "bad", 1)
 
 

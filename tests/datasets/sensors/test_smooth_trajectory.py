@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refused
 
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import invert, is_rotation, make_transform, rotation_angle, se3_exp
@@ -87,7 +88,7 @@ def test_noise_is_not_enlarged_beside_a_pause(spacing: float, pause: float, plac
 def test_breaks_are_between_poses() -> None:
     times = START + TENTH * np.arange(6)
     for wrong in (0, 6, -1):
-        with pytest.raises(ValueError, match="breaks must be indices of poses after the first"):
+        with refused(ValueError, "", None, wrong):
             Trajectory(times, swaying(times), breaks=(wrong,))
     assert not Trajectory(times[:0], np.zeros((0, 4, 4))).covers(times).any()
 
