@@ -30,7 +30,7 @@ Axes = Literal["ros", "velodyne"]
 TURN_NS = 100_000_000
 PACKETS = 180
 """of a turn in 0.1 s"""
-EVERY = 4
+EVERY = 8
 """one block of so many has returns"""
 DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 T_CAR_BODY = make_transform(np.diag([1.0, -1.0, -1.0]), [-1.3, 0.0, 0.35])

@@ -31,8 +31,8 @@ from relocbench.progress import Reporter, Silent
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 SMALL = (
-    *("--submap", 20, "--depth-submap", 12, "--keyframe-distance", 2, "--query-distance", 3, "--correspondences", 50),
-    *("--matcher", "fgr"),
+    *("--submap", 20, "--depth-submap", 10, "--keyframe-distance", 5, "--query-distance", 4, "--correspondences", 50),
+    *("--matcher", "fgr", "--calibration", "given"),
 )
 """options of a build from drives that are this short"""
 
@@ -115,13 +115,20 @@ def from_poses(drive: DriveFiles) -> FieldRecording:
     return drive.recording(_no_lidar, Silent())
 
 
-def assert_pairs_are_right(root: Path, pair_set: str, reference: StreetDrive, query: StreetDrive) -> None:
-    """Fail unless the dataset has at least four pairs, none of which is off by 10 cm or 0.15 degrees."""
+def assert_pairs_are_right(
+    root: Path, pair_set: str, reference: StreetDrive, query: StreetDrive, *, T_rig_cam: Array | None = None
+) -> None:
+    """Fail unless the dataset has at least four pairs, none of which is off by 10 cm or 0.15 degrees.
+
+    Args:
+        T_rig_cam: (4, 4) where the camera is on the rig, if the pairs are of the rig.
+    """
     dataset = Dataset(root)
+    T_cam_rig = np.eye(4) if T_rig_cam is None else invert(T_rig_cam)
     errors = []
     for pair in dataset.pair_set(pair_set).pairs:
-        T_world_ref = reference.T_world_car(np.array([pair.ref_timestamp_ns]))[0] @ reference.T_car_cam
-        T_world_query = query.T_world_car(np.array([pair.query_timestamp_ns]))[0] @ query.T_car_cam
+        T_world_ref = reference.T_world_car(np.array([pair.ref_timestamp_ns]))[0] @ reference.T_car_cam @ T_cam_rig
+        T_world_query = query.T_world_car(np.array([pair.query_timestamp_ns]))[0] @ query.T_car_cam @ T_cam_rig
         assert pair.T_query_ref is not None
         wrong = pair.T_query_ref @ invert(T_world_ref) @ T_world_query
         errors.append((np.linalg.norm(wrong[:3, 3]), np.degrees(rotation_angle(wrong[:3, :3]))))

@@ -1,4 +1,4 @@
-"""Two recordings of one small street in the RobotCar layout, without a camera, and the dataset built from them."""
+"""Two recordings of one small street in the RobotCar layout, and the dataset built from them without their images."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from command_line import Outcome
-from fenced_street import fenced_street_mesh
 from recording_reading import Truth
-from small_street import SolidTexture, StraightRoad, Street
+from robotcar_street import RobotCarStreet
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
-from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
-from relocbench.datasets.synthetic.jobs.recording import record
 from relocbench.geometry import invert
 from relocbench.progress import Silent
 
@@ -51,18 +48,10 @@ class RigDrives:
         return np.asarray(invert(T_world_query) @ T_world_ref)
 
 
-def drive_twice(root: Path, out: Path, build: Callable[..., Outcome]) -> RigDrives:
-    """Record two drives below ``root`` and build a dataset: ``build(out, *folders)``."""
-    recorded = [
-        record(
-            Street(), StraightRoad(), CONDITIONS[condition].factors, root, "robotcar", frames=64, scale=0.06,
-            number=number, cameras=(), renderer_factory=SolidTexture, compose=fenced_street_mesh,
-        )
-        for number, condition in enumerate(("Sunny", "Overcast"))
-    ]  # fmt: skip
-    folders = tuple(one.folder for one in recorded)
-    truths = tuple(Truth(one.truth) for one in recorded)
+def rig_drives(street: RobotCarStreet, out: Path, build: Callable[..., Outcome]) -> RigDrives:
+    """Build a dataset of poses of the rig: ``build(out, *folders)``."""
+    truths = street.truth(street.reference), street.truth(street.query)
     # The recording states where sensors are on its car, the importer where they are on its rig.
-    lidar = read_robotcar_drives(list(folders), cameras=(), reporter=Silent())[0].lidars[0]
+    lidar = read_robotcar_drives(list(street.folders), cameras=(), reporter=Silent())[0].lidars[0]
     T_car_rig = truths[0].T_rig[lidar.name] @ invert(lidar.T_rig_lidar)
-    return RigDrives(folders, truths, T_car_rig, out, build(out, *folders))
+    return RigDrives(street.folders, truths, T_car_rig, out, build(out, *street.folders))

@@ -12,7 +12,8 @@ import street_clouds as clouds
 from command_line import Outcome, relocbench
 from numpy.typing import NDArray
 from recording_reading import hashes
-from rig_drives import RigDrives, drive_twice
+from rig_drives import RigDrives, rig_drives
+from robotcar_street import RobotCarStreet
 
 from relocbench.datasets.groundtruth.recipe.answers import SOURCE
 from relocbench.datasets.groundtruth.recipe.open3d_pair import Cloud, Open3dFit, Open3dOptions, refine, search
@@ -75,7 +76,10 @@ def test_fitness_and_rmse_alone_decide(fitness: float, rmse_m: float, reason: st
     assert Open3dFit(np.eye(4), fitness, rmse_m, np.eye(6)).refusal(OPTIONS) == reason
 
 
-SMALL = ("--submap", 30, "--keyframe-distance", 3, "--query-distance", 4, "--max-distance", 3, "--recipe", "open3d")
+SMALL = (
+    *("--submap", 30, "--keyframe-distance", 3, "--query-distance", 4, "--max-distance", 3),
+    *("--recipe", "open3d", "--cameras", "none"),
+)
 
 
 def build(out: Path, *arguments: object) -> Outcome:
@@ -83,9 +87,8 @@ def build(out: Path, *arguments: object) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> RigDrives:
-    out = tmp_path_factory.mktemp("built") / "dataset"
-    return drive_twice(tmp_path_factory.mktemp("recordings"), out, build)
+def drives(robotcar_street: RobotCarStreet, tmp_path_factory: pytest.TempPathFactory) -> RigDrives:
+    return rig_drives(robotcar_street, tmp_path_factory.mktemp("built") / "dataset", build)
 
 
 def test_raw_submaps_hold_the_points_of_the_road_around_a_time(drives: RigDrives) -> None:

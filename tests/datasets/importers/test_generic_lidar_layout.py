@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from relocbench.datasets.importers.generic.scans import USUAL_COLUMNS, read_lidars
 from relocbench.errors import DatasetError
@@ -65,7 +66,7 @@ def test_what_cannot_be_told_names_the_setting(tmp_path: Path, data: bytes) -> N
     root = folder(tmp_path, scan(4), "<f4")
     for path in (root / "lidar" / "top").iterdir():
         path.write_bytes(data)
-    with pytest.raises(DatasetError, match=r"\(columns and dtype in lidar\.yaml\)") as caught:
+    with refused(DatasetError, "", None, "lidar.yaml") as caught:
         read_lidars(root, np.eye(4))
     assert caught.value.path is not None
     assert "\n" not in str(caught.value)

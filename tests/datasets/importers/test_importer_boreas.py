@@ -16,9 +16,8 @@ from recorded_street import (
     assert_pairs_are_right,
     errors_of,
     from_poses,
-    record_street,
-    street_scene,
 )
+from refusals import ErrorData, assert_names, refused
 
 from relocbench.datasets.importers.boreas.recording import T_enu_sensor, read_boreas
 from relocbench.datasets.importers.lidar_drives.drives import on_one_map
@@ -27,18 +26,6 @@ from relocbench.errors import DatasetError
 from relocbench.geometry import invert
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> list[StreetDrive]:
-    """Two drives of 2.6 s along one street."""
-    out = tmp_path_factory.mktemp("boreas drives")
-    return [record_street(out, number) for number in range(2)]
-
-
-@pytest.fixture(scope="module")
-def scene() -> LidarScene:
-    return street_scene()
 
 
 def test_lidar_points_are_where_the_camera_sees_their_surfaces(drives: list[StreetDrive], scene: LidarScene) -> None:
@@ -135,7 +122,7 @@ def test_odometry_is_the_best_there_is_and_lidar_without_poses(drives: list[Stre
     bare = read_boreas(folder, "a")
     assert bare.poses is None
     assert bare.prior is None
-    with pytest.raises(DatasetError, match=r"gps_post_process\.csv: "):
+    with refused(DatasetError, "gps_post_process.csv"):
         read_boreas(folder, "a", "applanix")
 
 
@@ -202,27 +189,27 @@ def renamed_scan(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (without("lidar"), r"lidar: holds no lidar scan; expected TIME\.bin"),
-        (renamed_scan, r"scan_3\.bin: 'scan_3' is not a time in whole microseconds"),
-        (cut_scan, r"\.bin: \d+ bytes are not a whole number of points of 24 bytes \(x y z intensity laser time\)"),
-        (absurd_times, r"\.bin: has points more than a second away from the scan's time"),
-        (emptied("lidar"), r"\.bin: is empty"),
-        (without("calib/T_applanix_lidar.txt"), r"T_applanix_lidar\.txt: "),
-        (rewritten("calib/T_applanix_lidar.txt", "6.86", "9.86"), r"T_applanix_lidar\.txt: .* is not a rotation"),
-        (emptied("calib/T_camera_lidar.txt"), r"T_camera_lidar\.txt: "),
-        (rewritten("calib/P_camera.txt", "e+02", "x"), r"P_camera\.txt:1: m0 is"),
-        (rewritten("applanix/gps_post_process.csv", "heading", "yaw"), r"csv:1: the header has no column heading"),
-        (emptied("applanix/gps_post_process.csv"), r"gps_post_process\.csv:1: the header has no column"),
-        (emptied("camera"), r"\.png: is empty"),
+        (without("lidar"), ("lidar", None, "TIME.bin")),
+        (renamed_scan, ("scan_3.bin", None, "scan_3")),
+        (cut_scan, (".bin", None, "24 bytes")),
+        (absurd_times, (".bin",)),
+        (emptied("lidar"), (".bin",)),
+        (without("calib/T_applanix_lidar.txt"), ("T_applanix_lidar.txt",)),
+        (rewritten("calib/T_applanix_lidar.txt", "6.86", "9.86"), ("T_applanix_lidar.txt",)),
+        (emptied("calib/T_camera_lidar.txt"), ("T_camera_lidar.txt",)),
+        (rewritten("calib/P_camera.txt", "e+02", "x"), ("P_camera.txt", 1, "m0")),
+        (rewritten("applanix/gps_post_process.csv", "heading", "yaw"), ("gps_post_process.csv", 1, "heading")),
+        (emptied("applanix/gps_post_process.csv"), ("gps_post_process.csv", 1)),
+        (emptied("camera"), (".png",)),
     ],
 )
 def test_a_fault_is_told_with_its_file(
-    drives: list[StreetDrive], tmp_path: Path, spoil: Callable[[Path], None], words: str
+    drives: list[StreetDrive], tmp_path: Path, spoil: Callable[[Path], None], words: ErrorData
 ) -> None:
     folder = tmp_path / "spoilt"
     shutil.copytree(drives[0].folder, folder)
     spoil(folder)
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError, *words):
         read_all_scans(folder)
 
 
@@ -236,7 +223,7 @@ def test_drives_are_brought_together_by_one_command(drives: list[StreetDrive], t
     out = tmp_path / "data set"
     outcome = relocbench("build-dataset", "boreas", *(d.folder for d in drives), "--out", out, "-j", 1, *SMALL)
     assert outcome.status == 0, outcome.err
-    assert "odometry is applanix/gps_post_process.csv" in outcome.err
+    assert "applanix/gps_post_process.csv" in outcome.err
     names = [drive.folder.name for drive in drives]
     assert_pairs_are_right(out, f"{names[0]}__{names[1]}__camera", *drives)
     assert relocbench("validate", out).status == 0
@@ -245,17 +232,17 @@ def test_drives_are_brought_together_by_one_command(drives: list[StreetDrive], t
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["{0}"], "needs a reference and at least one query"),
-        (["{0}", "{0}"], "is given twice"),
-        (["{0}", "{1}", "--cameras", "radar"], "has no images of a camera 'radar'; it has camera"),
-        (["{0}/..", "{1}"], "holds no applanix or lidar of a boreas recording"),
-        (["{0}", "{1}", "--odometry", "imu"], "odometry"),
+        (["{0}"], ("", None, 1)),
+        (["{0}", "{0}"], ("boreas-2024-03-01-10-00",)),
+        (["{0}", "{1}", "--cameras", "radar"], ("", None, "radar")),
+        (["{0}/..", "{1}"], ("", None, "applanix", "lidar")),
+        (["{0}", "{1}", "--odometry", "imu"], ("", None, "odometry")),
     ],
 )
 def test_wrong_use_is_told_in_one_line(
-    drives: list[StreetDrive], tmp_path: Path, arguments: list[str], words: str
+    drives: list[StreetDrive], tmp_path: Path, arguments: list[str], words: ErrorData
 ) -> None:
     places = [drive.folder for drive in drives]
     outcome = relocbench("build-dataset", "boreas", *(a.format(*places) for a in arguments), "--out", tmp_path / "d")
     assert outcome.status == 2
-    assert words in outcome.err
+    assert_names(outcome.err, *words)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
+from refusals import ErrorData, assert_names, refused
 from retrievers_for_tests import Thumbnail
 from small_dataset import photograph, render, small_pose
 
@@ -270,20 +271,20 @@ def test_results_of_hloc_are_scored(model: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("dusk.png 1 0 0 0 0 0 0\n", "'dusk.png' names no queries of 'map__query__photo'"),
-        ("4.png 1 0 0 0 0 0 0\nnight/4.png 1 0 0 0 0 0 0\n", "'night/4.png' names a query for the second time"),
-        ("4.png 2 0 0 0 0 0 0\n", ":1: the quaternion has norm 2, expected 1"),
-        ("4.png 1 0 0 0 0 0 0\n4.png 1 0 0 0 0 0\n", ":2: expected 7 numbers"),
+        ("dusk.png 1 0 0 0 0 0 0\n", ("", None, "dusk.png", "map__query__photo")),
+        ("4.png 1 0 0 0 0 0 0\nnight/4.png 1 0 0 0 0 0 0\n", ("", None, "night/4.png")),
+        ("4.png 2 0 0 0 0 0 0\n", ("", None, "1", "2")),
+        ("4.png 1 0 0 0 0 0 0\n4.png 1 0 0 0 0 0\n", ("", None, "2", "7")),
     ],
 )
-def test_bad_results_of_hloc_are_refused(model: Path, tmp_path: Path, text: str, message: str) -> None:
+def test_bad_results_of_hloc_are_refused(model: Path, tmp_path: Path, text: str, message: ErrorData) -> None:
     dataset = build(model / "text", tmp_path / "d", queries=["night/*"])
     (tmp_path / "p.txt").write_text(text)
     bad = relocbench(
         "evaluate", "-d", dataset.root, "-m", "x", "--predictions", tmp_path / "p.txt", "-o", tmp_path / "r"
     )
     assert bad.status == 2
-    assert message in bad.complaint
+    assert_names(bad.complaint, *message)
 
 
 def test_exports_for_hloc_are_read_back(model: Path, tmp_path: Path) -> None:
@@ -344,7 +345,7 @@ def test_a_binary_file_that_is_cut_off_is_refused(model: Path, tmp_path: Path, n
         read_model(tmp_path / "m")
     assert bad.value.path == path
     path.write_bytes(data + b"\0")
-    with pytest.raises(DatasetError, match="1 bytes are left"):
+    with refused(DatasetError, "", None, "1"):
         read_model(tmp_path / "m")
 
 
@@ -353,50 +354,50 @@ def damaged(text: str, old: str, new: str) -> str:
     return text.replace(old, new, 1)
 
 
-FAULTS: list[tuple[str, Callable[[list[str]], None], str]] = [
-    ("cameras", lambda rows: rows.append("9 PINHOLE 4 4 1 1 1"), "PINHOLE has 4 parameters, found 3"),
-    ("cameras", lambda rows: rows.append("9 FOV 4 4 1 1 1 1 1"), "camera model 'FOV' cannot be read"),
-    ("cameras", lambda rows: rows.append("9 PINHOLE 4 4"), "expected CAMERA_ID MODEL"),
-    ("cameras", lambda rows: rows.append("9 PINHOLE 4 x 1 1 1 1"), "the size is 'x'"),
-    ("images", lambda rows: rows.append("9 2 0 0 0 0 0 0 1 a.png"), "norm 2, expected 1"),
-    ("images", lambda rows: rows.append("9 1 0 0 0 0 0 1 a.png"), "expected IMAGE_ID QW"),
-    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 7 a.png", ""]), "has camera 7, which is not there"),
-    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 a.png", "1 1 777777"]), "observes point 777777"),
-    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 a.png", "1 1"]), "expected POINTS2D"),
-    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 day/1.png", ""]), "a second image 'day/1.png'"),
-    ("points3D", lambda rows: rows.append("1 2 3"), "expected POINT3D_ID X Y Z"),
-    ("points3D", lambda rows: rows.append("900000 2 3 nan 0 0 0 1"), "Z is"),
+FAULTS: list[tuple[str, Callable[[list[str]], None], ErrorData]] = [
+    ("cameras", lambda rows: rows.append("9 PINHOLE 4 4 1 1 1"), ("", None, "4", "3")),
+    ("cameras", lambda rows: rows.append("9 FOV 4 4 1 1 1 1 1"), ("", None, "FOV")),
+    ("cameras", lambda rows: rows.append("9 PINHOLE 4 4"), ("", None, "CAMERA_ID")),
+    ("cameras", lambda rows: rows.append("9 PINHOLE 4 x 1 1 1 1"), ("", None, "x")),
+    ("images", lambda rows: rows.append("9 2 0 0 0 0 0 0 1 a.png"), ("", None, "2", "1")),
+    ("images", lambda rows: rows.append("9 1 0 0 0 0 0 1 a.png"), ("", None, "IMAGE_ID")),
+    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 7 a.png", ""]), ("", None, "7")),
+    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 a.png", "1 1 777777"]), ("", None, "777777")),
+    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 a.png", "1 1"]), ("", None, "POINTS2D")),
+    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 day/1.png", ""]), ("", None, "day/1.png")),
+    ("points3D", lambda rows: rows.append("1 2 3"), ("", None, "POINT3D_ID")),
+    ("points3D", lambda rows: rows.append("900000 2 3 nan 0 0 0 1"), ("", None, "Z")),
 ]
 
 
 @pytest.mark.parametrize(("name", "change", "message"), FAULTS)
 def test_a_bad_line_is_refused(
-    model: Path, tmp_path: Path, name: str, change: Callable[[list[str]], None], message: str
+    model: Path, tmp_path: Path, name: str, change: Callable[[list[str]], None], message: ErrorData
 ) -> None:
     shutil.copytree(model / "text", tmp_path / "m")
     path = tmp_path / "m" / f"{name}.txt"
     rows = path.read_text().rstrip("\n").split("\n")
     change(rows)
     path.write_text("\n".join(rows) + "\n")
-    with pytest.raises(DatasetError, match=message) as bad:
+    with refused(DatasetError, *message) as bad:
         read_model(tmp_path / "m")
     assert bad.value.path == path
 
 
 def test_options_that_do_not_fit_are_refused(model: Path, tmp_path: Path) -> None:
-    for options, message in (
-        ({"queries": ["dusk/*"]}, "no image is named like 'dusk/\\*'"),
-        ({"queries": ["*"]}, "none is left for the map"),
-        ({"query_poses": tmp_path}, "--query-poses has"),
-        ({"query_list": tmp_path, "queries": ["a"]}, "give one of them"),
-        ({"query_list": tmp_path}, "name their keyframes by --pairs"),
-        ({"pairs": tmp_path, "elsewhere": 3}, "--pairs names the pairs"),
-        ({"images": tmp_path / "none"}, "no such folder"),
+    for options, told in (
+        ({"queries": ["dusk/*"]}, ("", None, "dusk/*")),
+        ({"queries": ["*"]}, ()),
+        ({"query_poses": tmp_path}, ("", None, "--query-poses")),
+        ({"query_list": tmp_path, "queries": ["a"]}, ()),
+        ({"query_list": tmp_path}, ("", None, "--pairs")),
+        ({"pairs": tmp_path, "elsewhere": 3}, ("", None, "--pairs")),
+        ({"images": tmp_path / "none"}, ("none",)),
     ):
-        with pytest.raises((DatasetError, ConfigError), match=message):
+        with refused((DatasetError, ConfigError), *told):
             build(model / "text", tmp_path / "d", **options)
     (tmp_path / "pairs.txt").write_text("day/0.png day/9.png\n")
-    with pytest.raises(DatasetError, match=r"'day/9\.png' is no keyframe of this dataset"):
+    with refused(DatasetError, "", None, "day/9.png"):
         build(model / "text", tmp_path / "p", pairs=tmp_path / "pairs.txt")
 
 
@@ -405,7 +406,7 @@ def test_the_command_builds_and_names_what_is_missing(model: Path, tmp_path: Pat
     assert done.status == 0, done.err
     bad = relocbench("build-dataset", "colmap", tmp_path / "d", "--out", tmp_path / "e")
     assert bad.status == 2
-    assert "holds no model of COLMAP; expected cameras.bin or cameras.txt" in bad.complaint
+    assert_names(bad.complaint, tmp_path / "d", None, "cameras.bin", "cameras.txt")
 
 
 @pytest.mark.parametrize(

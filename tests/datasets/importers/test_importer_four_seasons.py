@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import noted, refused
 from small_dataset import render, small_camera, small_pose
 
 from relocbench.datasets.core import images
@@ -199,7 +200,7 @@ def test_real_recording_without_images_is_imported_for_inspection_and_says_so(sa
     dataset = importer.build([sample], importer.Options(point_filter="none"), tmp_path / "out", reporter, Run())
     assert dataset.pair_set_names == []
     assert any("none of its pairs can be evaluated" in note for note in reporter.notes)
-    assert any("path length ratio 1.0008" in note for note in reporter.notes)
+    assert noted(reporter.notes, "1.0008")
     traversal = dataset.traversal(RECORDING)
     assert len(traversal.poses) == 2874
     for time, count in POINT_COUNTS.items():
@@ -386,7 +387,7 @@ def test_recordings_without_transformations_are_refused_by_rule_before_any_work(
     tmp_path: Path, two_drives: tuple[Drive, Drive]
 ) -> None:
     sources = [two_drives[0].write(tmp_path), two_drives[1].write(tmp_path, transformations=False)]
-    with pytest.raises(DatasetError, match="relocalization-files"):
+    with refused(DatasetError, "", None, "relocalization-files"):
         build(sources, tmp_path / "out")
 
 
@@ -428,7 +429,7 @@ def test_withheld_truth_stays_withheld_unless_it_is_asked_from_the_poses(
     dataset, notes = build(sources, tmp_path / "out", **options)
     (pair_set,) = dataset.pair_sets()
     assert pair_set.has_truth == known
-    assert any("withheld" in n for n in notes) != known
+    assert noted(notes, "withheld") != known
     for pair in pair_set.pairs:
         if known:
             truth = invert(two_drives[1].T_true_cam[pair.query_timestamp_ns])
@@ -485,21 +486,21 @@ def test_faults_of_recordings_are_named_with_file_and_line(tmp_path: Path, two_d
     whole = keyframe.read_text()
 
     keyframe.write_text("\n".join(whole.splitlines()[:-1]) + "\n")
-    with pytest.raises(DatasetError, match=rf"KeyFrame_{time}.txt:3: holds 299.5 points"):
+    with refused(DatasetError, f"KeyFrame_{time}.txt", 3, "299.5"):
         read_keyframe(keyframe)
     keyframe.write_text(whole.replace("4e6", "-1", 1))
-    with pytest.raises(DatasetError, match=r"txt:\d+: idepth_hessian is negative"):
+    with refused(DatasetError, f"KeyFrame_{time}.txt", None, "idepth_hessian"):
         read_keyframe(keyframe)
     keyframe.write_text(whole.replace(str(CAMERA.fx), str(CAMERA.fx + 1), 1))
-    with pytest.raises(DatasetError, match="other intrinsics"):
+    with refused(DatasetError, f"KeyFrame_{time}.txt"):
         build([folder], tmp_path / "out1")
     keyframe.write_text(whole)
 
     spoil(folder / "Transformations.txt", "transform_w_gpsw", "transform_gps_imu")
-    with pytest.raises(DatasetError, match=r"Transformations.txt:8: expected w_gpsw here"):
+    with refused(DatasetError, "Transformations.txt", 8, "w_gpsw"):
         read_transformations(folder / "Transformations.txt")
     spoil(folder / "GNSSPoses.txt", ",2\n", "x,2\n")
-    with pytest.raises(DatasetError, match=r"GNSSPoses.txt:2: scale is"):
+    with refused(DatasetError, "GNSSPoses.txt", 2):
         read_gnss_poses(folder / "GNSSPoses.txt")
 
 
@@ -509,7 +510,7 @@ def test_relocalization_file_that_names_an_unknown_frame_is_refused(
     sources = [drive.write(tmp_path) for drive in two_drives]
     file = tmp_path / "pairs.txt"
     file.write_text(f"{two_drives[0].start_ns} {two_drives[1].start_ns}\n{two_drives[0].start_ns} 12345\n")
-    with pytest.raises(DatasetError, match=r"pairs.txt:2: query 12345 is not a frame of any"):
+    with refused(DatasetError, "pairs.txt", 2, "12345"):
         build(sources, tmp_path / "out", relocalization_files=(str(file),))
 
 

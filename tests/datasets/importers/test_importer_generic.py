@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import ErrorData, refused
 from repository import DOCS
 from small_dataset import render, small_camera, small_pose
 
@@ -259,27 +260,27 @@ def test_an_unfinished_build_is_resumed_to_the_same_bytes(tmp_path: Path) -> Non
 
 def test_unknown_key_of_the_camera_is_named_with_its_line(tmp_path: Path) -> None:
     folder = write_folder(tmp_path, extra="focal: 3\n")
-    with pytest.raises(DatasetError, match=r"camera.yaml:\d+: unknown key 'focal'"):
+    with refused(DatasetError, "camera.yaml", None, "focal"):
         build([folder], tmp_path / "out")
 
 
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("no_poses", r"poses.txt: missing"),
-        ("bad_pose", r"poses.txt:3: expected 8 columns"),
-        ("backwards", r"poses.txt:3: time .* is not later than"),
-        ("other_clock", r"poses.txt: no image has a pose"),
-        ("no_images", r"images: holds no image"),
-        ("bad_name", r"first.png: the file's name 'first' is not a time"),
-        ("wrong_size", r"\.png: image is 48x36, expected 96x72"),
-        ("truncated", r"\.png: truncated"),
-        ("no_scale", r"camera.yaml: key 'depth_scale' is missing"),
-        ("orphan_depth", r"5\.png: there is no image at the time of this depth file"),
-        ("no_depth", r"no frame has both depth and a pose"),
+        ("no_poses", ("poses.txt",)),
+        ("bad_pose", ("poses.txt", 3, "8")),
+        ("backwards", ("poses.txt", 3)),
+        ("other_clock", ("poses.txt",)),
+        ("no_images", ("images",)),
+        ("bad_name", ("first.png", None, "first")),
+        ("wrong_size", ("", None, "48x36", "96x72")),
+        ("truncated", (".png",)),
+        ("no_scale", ("camera.yaml", None, "depth_scale")),
+        ("orphan_depth", ("5.png",)),
+        ("no_depth", ("", None, "depth")),
     ],
 )
-def test_faults_of_a_folder_are_named_with_file_and_line(tmp_path: Path, fault: str, message: str) -> None:
+def test_faults_of_a_folder_are_named_with_file_and_line(tmp_path: Path, fault: str, message: ErrorData) -> None:
     folder = write_folder(tmp_path)
     poses, image = folder / "poses.txt", folder / "images" / f"{frame_time(1)}.png"
     lines = poses.read_text().splitlines()
@@ -309,7 +310,7 @@ def test_faults_of_a_folder_are_named_with_file_and_line(tmp_path: Path, fault: 
     else:
         for path in (folder / "depth").iterdir():
             path.unlink()
-    with pytest.raises(DatasetError, match=message):
+    with refused(DatasetError, *message):
         build([folder], tmp_path / "out")
 
 
@@ -331,14 +332,14 @@ def test_integers_are_nanoseconds_and_decimals_seconds(text: str, time: int) -> 
 
 @pytest.mark.parametrize("text", ["", "first", "1.2.3", "nan", "0x10", "1_000"])
 def test_what_is_no_time_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="is not a time"):
+    with refused(ValueError, "", None, f"{text!r}"):
         parse_time(text)
 
 
 def test_two_files_of_one_time_are_refused(tmp_path: Path) -> None:
     (tmp_path / "1000000000.png").touch()
     (tmp_path / "1.0.png").touch()
-    with pytest.raises(DatasetError, match="has the same time as"):
+    with refused(DatasetError, ".png", None, "1000000000.png"):
         timed_files(tmp_path)
 
 
@@ -346,9 +347,9 @@ def test_traversals_are_named_after_their_folders(tmp_path: Path) -> None:
     for name in ("my drive", "a__b", "x/run", "y/run"):
         (tmp_path / name).mkdir(parents=True)
     assert traversal_names([tmp_path / "my drive", tmp_path / "a__b"]) == ["my-drive", "a_b"]
-    with pytest.raises(DatasetError, match="second recording called 'run'"):
+    with refused(DatasetError, "", None, "run"):
         traversal_names([tmp_path / "x" / "run", tmp_path / "y" / "run"])
-    with pytest.raises(DatasetError, match="no such folder"):
+    with refused(DatasetError, "absent"):
         traversal_names([tmp_path / "absent"])
 
 
@@ -366,7 +367,8 @@ def code_blocks(document: str, language: str) -> list[str]:
 
 
 def test_camera_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
-    traversal, frames, single, rig, lidars = code_blocks("file-formats.md", "yaml")
+    traversal, frames = code_blocks("file-formats.md", "yaml")
+    single, rig, lidars = code_blocks("recording-formats.md", "yaml")
     (tmp_path / "lidar.yaml").write_text(lidars)
     assert list(read_lidar_file(tmp_path).lidars) == ["top"]
     path = tmp_path / "camera.yaml"

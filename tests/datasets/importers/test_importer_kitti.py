@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from kitti_wall import BASELINE, CALIBRATION, FOCAL, write_kitti_recording
+from refusals import ErrorData, noted, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -57,8 +58,8 @@ def test_frames_keep_their_numbers_times_and_poses(recording: Path, tmp_path: Pa
     for pair, step in zip(pairs, (1, 2, 1, 2), strict=True):
         assert pair.T_query_ref is not None
         np.testing.assert_allclose(pair.T_query_ref[:3, 3], [-0.2 * step, 0, 0], atol=2e-9)
-    assert any("1 images without a pose or time are left out" in note for note in notes.notes)
-    assert any("1 of 4 frames are not keyframes" in note for note in notes.notes)
+    assert noted(notes.notes, "1 images")
+    assert noted(notes.notes, "1 of 4")
 
 
 def test_stereo_depth_of_a_wall_is_its_distance(recording: Path, tmp_path: Path) -> None:
@@ -115,7 +116,7 @@ def test_a_folder_with_something_else_is_left_alone(recording: Path, tmp_path: P
     out = tmp_path / "thesis"
     out.mkdir()
     (out / "chapter.tex").write_text("years of work")
-    with pytest.raises(DatasetError, match="holds something else"):
+    with refused(DatasetError, out):
         build(recording, out)
     assert [p.name for p in out.iterdir()] == ["chapter.tex"]
 
@@ -138,7 +139,7 @@ def replace_line(path: Path, number: int, line: str | None) -> None:
 
 def test_a_missing_calibration_line_is_named(recording: Path, tmp_path: Path) -> None:
     replace_line(recording / "sequences/03/calib.txt", 2, None)
-    with pytest.raises(DatasetError, match=r"calib\.txt: line 'P1:' is missing, which stereo depth needs"):
+    with refused(DatasetError, "calib.txt", None, "P1:"):
         build(recording, tmp_path / "out")
 
 
@@ -147,7 +148,7 @@ def test_a_missing_lidar_calibration_is_named(recording: Path, tmp_path: Path) -
     scans = recording / "sequences/03/velodyne"
     scans.mkdir()
     (scans / "000002.bin").write_bytes(np.array([[5, 0, 0, 0]], dtype="<f4").tobytes())
-    with pytest.raises(DatasetError, match=r"calib\.txt: line 'Tr:' is missing, which velodyne depth needs"):
+    with refused(DatasetError, "calib.txt", None, "Tr:"):
         build(recording, tmp_path / "out", depth="velodyne")
 
 
@@ -161,15 +162,15 @@ def test_a_calibration_without_names_is_read_in_order(recording: Path, tmp_path:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("1 0 0 nan 0 1 0 0 0 0 1 0", r"03\.txt:3: m03 is nan, expected a finite number"),
-        ("1 0 0 0 0 1 0 0 0 0 1", r"03\.txt:3: expected 12 numbers .* found 11"),
-        ("1 0 0 0 0 1 0 0 0 0 2 0", r"03\.txt:3: the left 3x3 of the pose is not a rotation"),
-        ("1 0 0 0 0 one 0 0 0 0 1 0", r"03\.txt:3: m11 is 'one', expected a number"),
+        ("1 0 0 nan 0 1 0 0 0 0 1 0", ("03.txt", 3, "m03")),
+        ("1 0 0 0 0 1 0 0 0 0 1", ("03.txt", 3, "12", "11")),
+        ("1 0 0 0 0 1 0 0 0 0 2 0", ("03.txt", 3, "3x3")),
+        ("1 0 0 0 0 one 0 0 0 0 1 0", ("03.txt", 3, "one", "m11")),
     ],
 )
-def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line: str, said: str) -> None:
+def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line: str, said: ErrorData) -> None:
     replace_line(recording / "poses/03.txt", 3, line)
-    with pytest.raises(DatasetError, match=said):
+    with refused(DatasetError, *said):
         build(recording, tmp_path / "out")
 
 
@@ -177,13 +178,13 @@ def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line
 def test_a_truncated_image_is_named(recording: Path, tmp_path: Path, folder: str) -> None:
     path = recording / "sequences/03" / folder / "000003.png"
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(DatasetError, match=rf"{folder}/000003\.png: truncated"):
+    with refused(DatasetError, f"{folder}/000003.png"):
         build(recording, tmp_path / "out")
 
 
 def test_missing_poses_are_named(recording: Path, tmp_path: Path) -> None:
     (recording / "poses/03.txt").unlink()
-    with pytest.raises(DatasetError, match=r"poses/03\.txt: missing; expected poses of sequence 03"):
+    with refused(DatasetError, "poses/03.txt", None, "03"):
         build(recording, tmp_path / "out")
 
 
@@ -192,23 +193,23 @@ def test_missing_times_are_said_and_replaced_by_the_rate(recording: Path, tmp_pa
     notes = Notes()
     dataset = build(recording, tmp_path / "out", notes, rate_hz=5.0)
     assert dataset.traversal("kitti_03").timestamps("image_0")[0] == 400_000_000
-    assert any("no times.txt" in note and "5 frames per second" in note for note in notes.notes)
+    assert noted(notes.notes, "times.txt", "5")
 
 
 def test_times_that_go_back_are_named(recording: Path, tmp_path: Path) -> None:
     replace_line(recording / "sequences/03/times.txt", 4, "1.0e-01")
-    with pytest.raises(DatasetError, match=r"times\.txt:4: time 1\.0e-01 is not later than"):
+    with refused(DatasetError, "times.txt", 4, "1.0e-01"):
         build(recording, tmp_path / "out")
 
 
 def test_options_that_give_no_pair_leave_no_folder_behind(recording: Path, tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"the nearest frame to a keyframe is [+-]1 frames away .*try --pair-step"):
+    with refused(DatasetError, "", None, "1", "--pair-step"):
         build(recording, tmp_path / "out", pair_step=(7,))
     assert not (tmp_path / "out").exists()
 
 
 def test_stereo_depth_of_a_right_camera_is_refused(recording: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="left camera"):
+    with refused(ConfigError, "", None, "left"):
         build(recording, tmp_path / "out", camera="image_1", depth="stereo")
 
 
@@ -223,7 +224,7 @@ def test_two_sequences_are_paired_across(recording: Path, tmp_path: Path) -> Non
     notes = Notes()
     dataset = build(recording, tmp_path / "out", notes, sequence=("03", "04"))
     assert dataset.pair_set_names == ["kitti_03__kitti_04__image_0"]
-    assert any("both begin at the identity" in note for note in notes.notes)
+    assert noted(notes.notes, "03", "04")
     pairs = dataset.pair_set("kitti_03__kitti_04__image_0").pairs
     assert [p.distance_m for p in pairs] == pytest.approx([0, 0, 0, 0.4], abs=1e-9)
 
@@ -245,7 +246,7 @@ def test_a_road_does_not_hide_itself() -> None:
 def test_half_a_scan_is_named(tmp_path: Path) -> None:
     path = tmp_path / "000000.bin"
     path.write_bytes(b"\0" * 30)
-    with pytest.raises(DatasetError, match=r"000000\.bin: 30 bytes are not a whole number of points"):
+    with refused(DatasetError, "000000.bin", None, "30"):
         read_scan(path)
 
 
@@ -267,12 +268,13 @@ def test_real_lidar_and_stereo_agree(real_data: Callable[[str], Path]) -> None:
     assert np.mean(error < 2) > 0.90
 
 
+@pytest.mark.thorough
 def test_real_stereo_depth_carries_pose_estimation_to_centimetres(
     real_data: Callable[[str], Path], tmp_path: Path
 ) -> None:
     notes = Notes()
     dataset = build(real_data("kitti_odometry"), tmp_path / "out", notes, sequence=("06",), max_disparity=128)
-    assert any("20 of 25 frames are not keyframes" in note for note in notes.notes)
+    assert noted(notes.notes, "20 of 25")
     pair_set = dataset.pair_sets()[0]
     assert len(pair_set.pairs) == 5
     sift = cv2.SIFT.create(3000)
@@ -305,5 +307,5 @@ def test_real_stereo_depth_carries_pose_estimation_to_centimetres(
 
 
 def test_a_real_sequence_without_poses_names_the_file(real_data: Callable[[str], Path], tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"poses/00\.txt: missing"):
+    with refused(DatasetError, "poses/00.txt"):
         build(real_data("kitti_odometry"), tmp_path / "out", sequence=("00",))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from lidar_layouts import write_helipr, write_mulran
 from projected_depth import agrees
-from recorded_street import StreetDrive, errors_of, from_poses, record_street, street_scene, with_camera
+from recorded_street import StreetDrive, errors_of, from_poses, record_street, with_camera
+from refusals import refused
 
 from relocbench.datasets.importers.helipr.recording import AEVA_WITHOUT_INTENSITY, RECORDS, T_INS_LIDAR, read_helipr
 from relocbench.datasets.importers.lidar_drives.drives import on_one_map
@@ -26,11 +27,6 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> StreetDrive:
     return record_street(tmp_path_factory.mktemp("drives"), 0, frames=12)
-
-
-@pytest.fixture(scope="module")
-def scene() -> LidarScene:
-    return street_scene()
 
 
 @pytest.fixture(scope="module")
@@ -69,25 +65,22 @@ def test_mulran_needs_no_poses_and_takes_the_flat_layout(mulran: Path, tmp_path:
     (tmp_path / "sample" / "Ouster").symlink_to(mulran / "sensor_data" / "Ouster")
     bare = read_mulran(tmp_path / "sample", "a")
     assert (bare.poses, bare.prior, len(bare.lidars[0].times_ns)) == (None, None, 12)
-    with pytest.raises(DatasetError, match=r"global_pose\.csv: "):
+    with refused(DatasetError, "global_pose.csv"):
         read_mulran(tmp_path / "sample", "a", "poses")
-    with pytest.raises(DatasetError, match=r"sensor_data/Ouster: holds no lidar scan; expected TIME\.bin"):
+    with refused(DatasetError, "TIME.bin", None, "sensor_data/Ouster"):
         read_mulran(tmp_path, "a")
 
 
 def test_a_wrong_row_of_global_poses_is_told_with_its_line(mulran: Path, tmp_path: Path) -> None:
     (tmp_path / "Ouster").symlink_to(mulran / "sensor_data" / "Ouster")
     rows = (mulran / "global_pose.csv").read_text().splitlines()
-    for spoilt, words in (
-        (rows[3].rsplit(",", 1)[0], r"csv:4: expected 12 numbers"),
-        (
-            rows[3].replace(",", ",9.5,", 1).rsplit(",", 1)[0],
-            r"csv:4: the upper left 3x3 of the matrix is not a rotation",
-        ),
-        (f"1.5e18,{rows[3].split(',', 1)[1]}", r"csv:4: '1\.5e18' is not a time in whole nanoseconds"),
+    for spoilt, names in (
+        (rows[3].rsplit(",", 1)[0], (12,)),
+        (rows[3].replace(",", ",9.5,", 1).rsplit(",", 1)[0], ("3x3",)),
+        (f"1.5e18,{rows[3].split(',', 1)[1]}", ("1.5e18",)),
     ):
         (tmp_path / "global_pose.csv").write_text("\n".join([*rows[:3], spoilt, *rows[4:]]) + "\n")
-        with pytest.raises(DatasetError, match=words):
+        with refused(DatasetError, "global_pose.csv", 4, *names):
             read_mulran(tmp_path, "a")
 
 
@@ -122,15 +115,15 @@ def test_early_scans_of_the_aeva_have_no_intensity(drive: StreetDrive, tmp_path:
     late = folder / f"{1_709_287_200_000_000_000}.bin"
     late.write_bytes(b"\0" * AEVA_WITHOUT_INTENSITY.itemsize)
     stream = read_helipr(tmp_path / "a", "a", ["Aeva"]).lidars[0]
-    with pytest.raises(DatasetError, match="25 bytes are not a whole number of points of 29 bytes"):
+    with refused(DatasetError, ".bin", None, "25 bytes", "29 bytes"):
         stream.read(len(stream.times_ns) - 1)
 
 
 def test_lidars_of_helipr_are_chosen(helipr: Path, tmp_path: Path) -> None:
     assert [lidar.name for lidar in read_helipr(helipr, "a").lidars] == ["Ouster", "Velodyne"]
-    with pytest.raises(ConfigError, match="HeLiPR has no lidar 'VLP'; available: Ouster, Velodyne, Aeva, Avia"):
+    with refused(ConfigError, "", None, "VLP"):
         read_helipr(helipr, "a", ["VLP"])
-    with pytest.raises(DatasetError, match="LiDAR: holds no scan of Ouster or Velodyne"):
+    with refused(DatasetError, "LiDAR", None, "Ouster", "Velodyne"):
         read_helipr(tmp_path, "a")
-    with pytest.raises(DatasetError, match="LiDAR/Avia: holds no lidar scan"):
+    with refused(DatasetError, "", None, "LiDAR/Avia"):
         read_helipr(tmp_path, "a", ["Avia"])

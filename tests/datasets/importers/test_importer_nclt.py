@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from lidar_layouts import write, write_nclt
 from projected_depth import agrees
-from recorded_street import StreetDrive, errors_of, from_poses, record_street, street_scene
+from recorded_street import StreetDrive, errors_of, from_poses, record_street
+from refusals import ErrorData, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.importers.nclt.recording import T_BODY_LB3, decode, read_nclt
@@ -30,11 +31,6 @@ DATE = "2012-08-20"
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> StreetDrive:
     return record_street(tmp_path_factory.mktemp("drives"), 0, frames=8)
-
-
-@pytest.fixture(scope="module")
-def scene() -> LidarScene:
-    return street_scene()
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +62,7 @@ def test_a_scan_described_by_hand_is_decoded() -> None:
     """By ``read_vel_sync.py``: two bytes each for x, y and z, one for intensity and one for the laser."""
     data = struct.pack("<HHHBB", 20_000, 20_200, 19_800, 17, 31) + struct.pack("<HHHBB", 0, 65_535, 20_001, 0, 0)
     np.testing.assert_allclose(decode(data, Path()).points, [[0.0, 1.0, -1.0], [-100.0, 227.675, 0.005]], atol=1e-9)
-    with pytest.raises(DatasetError, match="17 bytes are not a whole number of points of 8 bytes"):
+    with refused(DatasetError, "", None, "17", "8"):
         decode(data + b"\0", Path("scan.bin"))
 
 
@@ -125,26 +121,29 @@ def test_scans_give_the_motion_by_default_and_the_truth_is_a_prior(folder: Path)
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda d, p: shutil.rmtree(d / "velodyne_sync"), r"velodyne_sync: holds no lidar scan"),
-        (lambda d, p: shutil.rmtree(p), r"has images, but there is no folder cam_params"),
-        (lambda d, p: (p / "U2D_Cam5_1616X1232.txt").unlink(), r"cam_params: holds no U2D_Cam5_\*\.txt"),
-        (lambda d, p: (p / "K_cam5.csv").write_text("1,2\n"), r"K_cam5\.csv:1: expected 3 numbers"),
-        (lambda d, p: (p / "x_lb3_c5.csv").write_text("1,2,3\n"), r"x_lb3_c5\.csv:1: expected 6 numbers"),
+        (lambda d, p: shutil.rmtree(d / "velodyne_sync"), ("", None, "velodyne_sync")),
+        (lambda d, p: shutil.rmtree(p), ("", None, "cam_params")),
+        (lambda d, p: (p / "U2D_Cam5_1616X1232.txt").unlink(), ("", None, "cam_params", "U2D_Cam5_*.txt")),
+        (lambda d, p: (p / "K_cam5.csv").write_text("1,2\n"), ("K_cam5.csv", 1, "3")),
+        (lambda d, p: (p / "x_lb3_c5.csv").write_text("1,2,3\n"), ("x_lb3_c5.csv", 1, "6")),
         (
             lambda d, p: sorted((d / "lb3" / "Cam5").iterdir())[0].write_bytes(b"II*\0junk"),
-            r"tiff: is damaged or no TIFF",
+            (".tiff",),
         ),
         (
             lambda d, p: (d / f"groundtruth_{DATE}.csv").write_text("1,2,3,x,0,0,0\n"),
-            r"groundtruth_2012-08-20\.csv:1: z is 'x'",
+            (f"groundtruth_{DATE}.csv", 1, "z", "x"),
         ),
-        (lambda d, p: (d / f"groundtruth_{DATE}.csv").write_text("1,nan,nan,nan,0,0,0\n"), r"holds no pose"),
+        (
+            lambda d, p: (d / f"groundtruth_{DATE}.csv").write_text("1,nan,nan,nan,0,0,0\n"),
+            (f"groundtruth_{DATE}.csv",),
+        ),
     ],
 )
 def test_a_fault_is_told_with_its_file(
-    folder: Path, tmp_path: Path, spoil: Callable[[Path, Path], object], words: str
+    folder: Path, tmp_path: Path, spoil: Callable[[Path, Path], object], words: ErrorData
 ) -> None:
     shutil.copytree(folder.parent, tmp_path / "copy")
     spoil(tmp_path / "copy" / DATE, tmp_path / "copy" / "cam_params")
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError, *words):
         read_nclt(tmp_path / "copy" / DATE, "a")

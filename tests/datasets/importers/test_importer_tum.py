@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from refusals import ErrorData, noted, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -71,9 +72,9 @@ def test_images_depth_and_truth_are_put_together_by_time(recording: Path, tmp_pa
     depth = traversal.depth("rgb", times[0])
     assert depth is not None
     np.testing.assert_allclose(depth, 2.0, atol=1 / 512)
-    assert any("1 of 5 images in rgb.txt do not exist" in n for n in notes.notes)
-    assert any("1 of 4 images without a true pose are left out" in n for n in notes.notes)
-    assert any("1 of 3 images are not keyframes" in n for n in notes.notes)
+    assert noted(notes.notes, "rgb.txt", "1 of 5")
+    assert noted(notes.notes, "1 of 4")
+    assert noted(notes.notes, "1 of 3")
 
 
 def test_the_truth_is_that_of_the_images_time_plus_the_offset(recording: Path, tmp_path: Path) -> None:
@@ -142,19 +143,19 @@ def test_workers_and_interruptions_do_not_change_the_bytes(recording: Path, tmp_
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (f"{SECONDS}.1000 0.1 0 nan 0 0 0 1", r"groundtruth\.txt:6: tz is nan, expected a finite number"),
-        (f"{SECONDS}.1000 0.1 0 0 0 0 0 1.1", r"groundtruth\.txt:6: quaternion .* has norm 1\.1, expected 1"),
-        (f"{SECONDS}.1000 0.1 0 0 0 0 1", r"groundtruth\.txt:6: expected 8 columns"),
-        (f"{SECONDS}.0010 0.1 0 0 0 0 0 1", r"groundtruth\.txt:6: time .* is not later than"),
-        ("noon 0.1 0 0 0 0 0 1", r"groundtruth\.txt:6: 'noon' is not a time"),
+        (f"{SECONDS}.1000 0.1 0 nan 0 0 0 1", ("groundtruth.txt", 6)),
+        (f"{SECONDS}.1000 0.1 0 0 0 0 0 1.1", ("groundtruth.txt", 6, "1.1", "1")),
+        (f"{SECONDS}.1000 0.1 0 0 0 0 1", ("groundtruth.txt", 6, "8")),
+        (f"{SECONDS}.0010 0.1 0 0 0 0 0 1", ("groundtruth.txt", 6)),
+        ("noon 0.1 0 0 0 0 0 1", ("groundtruth.txt", 6, "noon")),
     ],
 )
-def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line: str, said: str) -> None:
+def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line: str, said: ErrorData) -> None:
     path = recording / "groundtruth.txt"
     lines = path.read_text().splitlines()
     lines[5] = line
     path.write_text("\n".join(lines) + "\n")
-    with pytest.raises(DatasetError, match=said):
+    with refused(DatasetError, *said):
         build([recording], tmp_path / "out")
 
 
@@ -162,19 +163,19 @@ def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line
 def test_a_truncated_image_is_named(recording: Path, tmp_path: Path, folder: str, name: str) -> None:
     path = recording / folder / f"{SECONDS}.{name}.png"
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(DatasetError, match=rf"{folder}/{SECONDS}\.{name}\.png: truncated"):
+    with refused(DatasetError, f"{folder}/{SECONDS}.{name}.png"):
         build([recording], tmp_path / "out")
 
 
 def test_an_image_of_another_size_is_named(recording: Path, tmp_path: Path) -> None:
     images.write_image(recording / f"rgb/{SECONDS}.200000.png", np.zeros((48, 64), dtype=np.uint8))
-    with pytest.raises(DatasetError, match=rf"{SECONDS}\.200000\.png: image is 64x48, expected 640x480"):
+    with refused(DatasetError, f"{SECONDS}.200000.png", None, "64x48", "640x480"):
         build([recording], tmp_path / "out", intrinsics=("fr1",))
 
 
 def test_a_folder_that_does_not_tell_its_camera_needs_the_option(recording: Path, tmp_path: Path) -> None:
     renamed = recording.rename(recording.with_name("office"))
-    with pytest.raises(ConfigError, match="give --intrinsics"):
+    with refused(ConfigError, "", None, "--intrinsics"):
         build([renamed], tmp_path / "out")
     assert build([renamed], tmp_path / "out", intrinsics=("ros-default",)).traversal("office").camera("rgb").fx == 525
 
@@ -182,7 +183,7 @@ def test_a_folder_that_does_not_tell_its_camera_needs_the_option(recording: Path
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "groundtruth.txt"])
 def test_a_missing_list_is_named(recording: Path, tmp_path: Path, name: str) -> None:
     (recording / name).unlink()
-    with pytest.raises(DatasetError, match=rf"{name}: missing"):
+    with refused(DatasetError, name):
         build([recording], tmp_path / "out")
 
 
@@ -210,6 +211,7 @@ def mean_rotation_error_of_pnp_deg(dataset: Dataset) -> float:
     return float(np.mean(errors))
 
 
+@pytest.mark.thorough
 def test_the_clock_of_a_real_recording_is_mended_by_the_offset(
     real_data: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -218,7 +220,7 @@ def test_the_clock_of_a_real_recording_is_mended_by_the_offset(
     plain = build([desk], tmp_path / "a", notes, pair_step=(3,))
     mended = build([desk], tmp_path / "b", notes, pair_step=(3,), time_offset=(-0.02,))
     # rgb.txt of the whole sequence stands beside nine of its images.
-    assert any("604 of 613 images in rgb.txt do not exist" in n for n in notes.notes)
+    assert noted(notes.notes, "rgb.txt", "604 of 613")
     assert mean_rotation_error_of_pnp_deg(mended) < 0.5 * mean_rotation_error_of_pnp_deg(plain)
 
 
@@ -246,10 +248,11 @@ def test_real_correspondences_lie_on_the_same_surface(real_data: Callable[[str],
     assert np.median(np.abs(a - b)[rows.visible]) < 0.2 * np.median(np.abs(a - np.roll(b, 100)))
 
 
+@pytest.mark.thorough
 def test_two_real_sessions_are_paired_across(real_data: Callable[[str], Path], tmp_path: Path) -> None:
     folder = real_data("tum_rgbd")
     sources = [folder / "rgbd_dataset_freiburg1_xyz", folder / "rgbd_dataset_freiburg1_desk"]
-    with pytest.raises(DatasetError, match=r"no pair: .*increase --max-angle"):
+    with refused(DatasetError, "", None, "--max-angle"):
         build(sources, tmp_path / "a", max_angle=30)
     dataset = build(sources, tmp_path / "b", max_angle=70, time_offset=(0.0, -0.02))
     pairs = dataset.pair_sets()[0].pairs

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import ErrorData, refused
 
 from relocbench.datasets.importers.robotcar import files
 from relocbench.datasets.importers.robotcar.sensors import present_times
@@ -155,18 +156,20 @@ def test_solutions_that_are_not_good_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "line", "message"),
     [
-        ([VO_HEADER, "2,1,0,0,0,0,0,0", "3,1,0,0,0,0,0,0"], 3, "begins before the previous one ends"),
-        ([VO_HEADER, "2,1,0,0,0,0,0,0", "2,1,0,0,0,0,0,0"], 3, "begins before the previous one ends"),
-        ([VO_HEADER, "1,2,0,0,0,0,0,0"], 2, "is not later than destination_timestamp"),
-        ([VO_HEADER, "2,1,0,0,0,0,0"], 2, "expected 8 columns, found 7"),
-        ([VO_HEADER, "2,1,0,nan,0,0,0,0"], 2, "y is nan"),
-        ([VO_HEADER, "2.5,1,0,0,0,0,0,0"], 2, "'2.5' is not a time"),
-        (["a,b"], 1, "the header has no column source_timestamp"),
-        ([VO_HEADER], None, "holds no step"),
+        ([VO_HEADER, "2,1,0,0,0,0,0,0", "3,1,0,0,0,0,0,0"], 3, ()),
+        ([VO_HEADER, "2,1,0,0,0,0,0,0", "2,1,0,0,0,0,0,0"], 3, ()),
+        ([VO_HEADER, "1,2,0,0,0,0,0,0"], 2, ("", None, "destination_timestamp")),
+        ([VO_HEADER, "2,1,0,0,0,0,0"], 2, ("", None, "8", "7")),
+        ([VO_HEADER, "2,1,0,nan,0,0,0,0"], 2, ()),
+        ([VO_HEADER, "2.5,1,0,0,0,0,0,0"], 2, ("", None, "2.5")),
+        (["a,b"], 1, ("", None, "source_timestamp")),
+        ([VO_HEADER], None, ()),
     ],
 )
-def test_damaged_odometry_is_named_by_line(tmp_path: Path, lines: list[str], line: int | None, message: str) -> None:
-    with pytest.raises(DatasetError, match=message) as caught:
+def test_damaged_odometry_is_named_by_line(
+    tmp_path: Path, lines: list[str], line: int | None, message: ErrorData
+) -> None:
+    with refused(DatasetError, *message) as caught:
         files.read_visual_odometry(written(tmp_path / "vo.csv", *lines))
     assert (caught.value.path, caught.value.line) == (tmp_path / "vo.csv", line)
 
@@ -174,14 +177,16 @@ def test_damaged_odometry_is_named_by_line(tmp_path: Path, lines: list[str], lin
 @pytest.mark.parametrize(
     ("rows", "line", "message"),
     [
-        ([ins_row(2, 0, 0, 0), ins_row(2, 0, 0, 0)], 3, "is not later than the previous one"),
-        ([ins_row(2, 0, 0, 0), ins_row(1, 0, 0, 0)], 3, "is not later than the previous one"),
-        ([ins_row(1, 0, 0, 0), ins_row(2, 0, 0, 0, zone="31U")], 3, "utm_zone changes from 30U to 31U"),
-        ([ins_row(1, 0, 0, 0, status="INS_INACTIVE")], None, "holds no good solution"),
+        ([ins_row(2, 0, 0, 0), ins_row(2, 0, 0, 0)], 3, ()),
+        ([ins_row(2, 0, 0, 0), ins_row(1, 0, 0, 0)], 3, ()),
+        ([ins_row(1, 0, 0, 0), ins_row(2, 0, 0, 0, zone="31U")], 3, ("", None, "utm_zone", "30U", "31U")),
+        ([ins_row(1, 0, 0, 0, status="INS_INACTIVE")], None, ()),
     ],
 )
-def test_damaged_solutions_are_named_by_line(tmp_path: Path, rows: list[str], line: int | None, message: str) -> None:
-    with pytest.raises(DatasetError, match=message) as caught:
+def test_damaged_solutions_are_named_by_line(
+    tmp_path: Path, rows: list[str], line: int | None, message: ErrorData
+) -> None:
+    with refused(DatasetError, *message) as caught:
         files.read_inertial(written(tmp_path / "ins.csv", INS_HEADER, *rows))
     assert caught.value.line == line
 
@@ -189,16 +194,16 @@ def test_damaged_solutions_are_named_by_line(tmp_path: Path, rows: list[str], li
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
-        ("10 1\n20 1\n20 1\n", 3, "is not later than"),
-        ("10 1\n5 1\n", 2, "is not later than"),
-        ("ten 1\n", 1, "not a time"),
-        ("10 1 1\n", 1, "found 3 columns"),
+        ("10 1\n20 1\n20 1\n", 3, ()),
+        ("10 1\n5 1\n", 2, ()),
+        ("ten 1\n", 1, ()),
+        ("10 1 1\n", 1, ("", None, "3")),
     ],
 )
-def test_damaged_timestamps_are_named_by_line(tmp_path: Path, text: str, line: int, message: str) -> None:
+def test_damaged_timestamps_are_named_by_line(tmp_path: Path, text: str, line: int, message: ErrorData) -> None:
     path = tmp_path / "lms_front.timestamps"
     path.write_text(text)
-    with pytest.raises(DatasetError, match=message) as caught:
+    with refused(DatasetError, *message) as caught:
         files.read_timestamps(path)
     assert caught.value.line == line
 
@@ -220,5 +225,5 @@ def test_interpolation_agrees_with_the_chain_at_every_step(tmp_path: Path) -> No
 def test_a_scan_that_is_a_link_to_nowhere_is_named(tmp_path: Path) -> None:
     (tmp_path / "lms").mkdir()
     (tmp_path / "lms" / "1416316800100000.bin").symlink_to("nowhere")
-    with pytest.raises(DatasetError, match=r"1416316800100000\.bin: is a link to a file that does not exist"):
+    with refused(DatasetError, "1416316800100000.bin"):
         present_times(tmp_path / "lms", tmp_path / "lms.timestamps", ".bin", "scans", Silent())

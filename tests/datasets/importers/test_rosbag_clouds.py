@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from refusals import ErrorData, refused
 
 from relocbench.datasets.importers.rosbag.clouds import cloud_fields, laser_points
 from relocbench.datasets.importers.rosbag.point_times import PointTimes, detect, parse_point_times
@@ -95,7 +96,7 @@ def test_the_error_names_the_field_that_is_missing_and_those_that_are_there() ->
     message = SimpleNamespace(
         height=1, width=1, point_step=12, row_step=12, fields=fields, data=np.zeros(12, np.uint8), is_bigendian=False
     )
-    with pytest.raises(ValueError, match="has no field time; it has x, y, z"):
+    with refused(ValueError, "", None, "time", "x, y, z"):
         cloud_fields(message, ("x", "y", "z", "time"))
 
 
@@ -118,9 +119,9 @@ def test_without_a_time_between_beams_it_follows_from_the_time_of_a_turn() -> No
 
 
 def test_a_laser_scan_with_impossible_numbers_is_refused() -> None:
-    with pytest.raises(ValueError, match="not finite"):
+    with refused(ValueError, "", None, "finite"):
         laser_points(laser(angle_increment=np.nan))
-    with pytest.raises(ValueError, match="scan of 700 s"):
+    with refused(ValueError, "", None, "700"):
         laser_points(laser(time_increment=100.0))
 
 
@@ -164,13 +165,13 @@ def test_unit_and_base_of_times_are_told_from_their_values(
 @pytest.mark.parametrize(
     ("values", "dtype", "epoch", "complaint"),
     [
-        (FRACTIONS * 1e-3, "f4", 0.0, "fits no unit"),
-        (FRACTIONS + 1234.0, "f8", 0.0, "neither near the stamp"),
-        (FRACTIONS, "f4", 1e-9, "as float32, which cannot tell"),
+        (FRACTIONS * 1e-3, "f4", 0.0, ()),
+        (FRACTIONS + 1234.0, "f8", 0.0, ()),
+        (FRACTIONS, "f4", 1e-9, ("", None, "float32")),
     ],
 )
-def test_times_that_make_no_sense_are_refused(values: Any, dtype: str, epoch: float, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
+def test_times_that_make_no_sense_are_refused(values: Any, dtype: str, epoch: float, complaint: ErrorData) -> None:
+    with refused(ValueError, *complaint):
         detect("t", scans(values, dtype, epoch), PERIOD)
 
 
@@ -199,7 +200,7 @@ def test_times_from_the_first_point_on_need_no_common_clock() -> None:
 
 def test_times_far_from_their_scan_are_refused_even_where_they_would_wrap_around() -> None:
     for value in (2**63, 2**64 - 1, 3 * 10**9):
-        with pytest.raises(ValueError, match="more than two seconds away"):
+        with refused(ValueError, "", None, "t"):
             PointTimes("t", "ns", "scan").at(np.array([value], np.uint64), np.zeros((1, 3)), STAMP)
 
 
@@ -214,5 +215,5 @@ def test_settings_of_times_are_parsed() -> None:
     assert parse_point_times("none") == PointTimes()
     assert parse_point_times("ts:us:epoch") == PointTimes("ts", "us", "epoch")
     for wrong in ("", "t", "t:s", "t:hours:scan", ":s:scan", "t:s:now"):
-        with pytest.raises(ValueError, match="neither auto, none nor"):
+        with refused(ValueError, "", None, "FIELD:UNIT:BASE"):
             parse_point_times(wrong)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from made_bags import SECOND, Bag
 from numpy.typing import NDArray
+from refusals import ErrorData, refused
 from velodyne_packets import BLOCK_US, DUAL, ELEVATION_DEG, FIRING_US, packet, turn_of
 
 from relocbench.datasets.importers.rosbag.packets import PacketReading, check_calibration, packet_points
@@ -110,27 +111,27 @@ def test_old_packets_that_name_no_model_are_read_if_it_is_known() -> None:
     old = message([(time, raw[:-2] + b"\0\0") for time, raw in packets])
     found = packet_points(old, PacketReading(hdl_32e=True))
     np.testing.assert_array_equal(found[0], packet_points(message(packets), PacketReading())[0])
-    with pytest.raises(ValueError, match=r"unknown model \(0x00\); known are HDL-32E, VLP-16"):
+    with refused(ValueError, "", None, "0x00", "HDL-32E", "VLP-16"):
         packet_points(old, PacketReading())
 
 
 @pytest.mark.parametrize(
     ("scan", "words"),
     [
-        (lambda p: message([(p[0][0], p[0][1][:-7])]), "has 1199 bytes, expected 1206"),
-        (lambda p: message(p, START + 5 * SECOND), r"begin -5\.0 s from the scan's stamp"),
-        (lambda p: message([p[0], (p[1][0] + 9 * SECOND, p[1][1])], p[0][0]), r"packets are 9\.0 s apart"),
-        (lambda p: message([(p[0][0], p[0][1][:-1] + b"\x22"), p[1]]), "cannot be decoded"),
+        (lambda p: message([(p[0][0], p[0][1][:-7])]), ("", None, "1199", "1206")),
+        (lambda p: message(p, START + 5 * SECOND), ("", None, "-5.0")),
+        (lambda p: message([p[0], (p[1][0] + 9 * SECOND, p[1][1])], p[0][0]), ("", None, "9.0")),
+        (lambda p: message([(p[0][0], p[0][1][:-1] + b"\x22"), p[1]]), ()),
     ],
 )
-def test_damaged_packets_are_told(scan: Callable[[Any], Any], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
+def test_damaged_packets_are_told(scan: Callable[[Any], Any], words: ErrorData) -> None:
+    with refused(ValueError, *words):
         packet_points(scan(stamped(turn_of(wall_ahead, 10.0, 0))), PacketReading())
 
 
 def test_another_model_than_the_known_one_is_told() -> None:
     raw = packet(np.arange(12), np.full((12, 32), 9.0), 0, product=0x22)
-    with pytest.raises(ValueError, match="is of a VLP-16, expected HDL-32E"):
+    with refused(ValueError, "", None, "VLP-16", "HDL-32E"):
         packet_points(message([(START, raw)]), PacketReading(hdl_32e=True))
 
 
@@ -202,7 +203,7 @@ def test_a_damaged_packet_names_topic_and_time_and_an_option_that_does_not_fit_i
     scan.packets[7].data[-1] = 0x77
     path = bag.write(tmp_path / "drive.bag")
     opened = open_bag(path, Wanted())
-    with pytest.raises(DatasetError, match=r"drive\.bag: /velodyne_packets, message received at \d+ ns: .*0x77"):
+    with refused(DatasetError, "drive.bag", None, "velodyne_packets", "0x77"):
         read_bag(opened, "drive", BagSettings())[0].lidars[0].read(4)
-    with pytest.raises(ConfigError, match="--point-time: /velodyne_packets holds packets, which have no fields"):
+    with refused(ConfigError, "", None, "--point-time", "velodyne_packets"):
         read_bag(opened, "drive", BagSettings(point_times=PointTimes("time", "s", "scan")))

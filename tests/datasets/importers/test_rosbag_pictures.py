@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import ErrorData, refused
 
 from relocbench.datasets.importers.rosbag import kinds
 from relocbench.datasets.importers.rosbag.pictures import ENCODINGS, calibration_of, image_of
@@ -81,15 +82,15 @@ def test_compressed_images_are_rgb_whatever_they_were_before() -> None:
 @pytest.mark.parametrize(
     ("message", "complaint"),
     [
-        (plain(RGB, "32FC1"), "encoding '32FC1' is not read; available: mono8"),
-        (plain(RGB, "rgb8", height=7), "are no image of 8x7 in rgb8"),
-        (plain(RGB, "rgb8", step=3), "are no image of 8x6"),
-        (plain(RGB, "rgb8", width=0), "0x6 pixels cannot be read"),
-        (plain(RGB, "rgb8", width=2**31, height=2**31), "cannot be read"),
+        (plain(RGB, "32FC1"), ("", None, "32FC1", "mono8")),
+        (plain(RGB, "rgb8", height=7), ("", None, "8x7", "rgb8")),
+        (plain(RGB, "rgb8", step=3), ("", None, "8x6")),
+        (plain(RGB, "rgb8", width=0), ("", None, "0x6")),
+        (plain(RGB, "rgb8", width=2**31, height=2**31), ()),
     ],
 )
-def test_images_that_cannot_be_read_are_told(message: SimpleNamespace, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
+def test_images_that_cannot_be_read_are_told(message: SimpleNamespace, complaint: ErrorData) -> None:
+    with refused(ValueError, *complaint):
         image_of(kinds.IMAGE, message, HERE)
 
 
@@ -151,15 +152,15 @@ def test_models_are_those_of_opencv(model: str, coefficients: tuple[float, ...],
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"distortion_model": "thin_prism"}, "'thin_prism' with 5 coefficients is not read; expected plumb_bob"),
-        ({"distortion_model": "rational_polynomial", "d": [0.1] * 12}, "with 12 coefficients is not read"),
-        ({"distortion_model": "ds", "d": [0, 0]}, "'ds' with 2 coefficients"),
-        ({"k": [0.0] * 9}, "not calibrated"),
-        ({"width": 640, "height": 480}, "images are 64x48, but CameraInfo is of 640x480"),
+        ({"distortion_model": "thin_prism"}, ("", None, "thin_prism", "5", "plumb_bob")),
+        ({"distortion_model": "rational_polynomial", "d": [0.1] * 12}, ("", None, "12")),
+        ({"distortion_model": "ds", "d": [0, 0]}, ("", None, "ds", "2")),
+        ({"k": [0.0] * 9}, ()),
+        ({"width": 640, "height": 480}, ("", None, "64x48", "640x480")),
     ],
 )
-def test_calibrations_that_cannot_be_used_are_told(changes: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
+def test_calibrations_that_cannot_be_used_are_told(changes: dict[str, Any], complaint: ErrorData) -> None:
+    with refused(ValueError, *complaint):
         calibration_of(info(**changes), (64, 48), rectified=False)
 
 

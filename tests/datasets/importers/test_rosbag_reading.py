@@ -17,6 +17,7 @@ import pytest
 from command_line import relocbench
 from made_bags import SECOND, Bag
 from numpy.typing import NDArray
+from refusals import ErrorData, refused
 
 from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending, later
@@ -157,7 +158,7 @@ def test_topics_of_other_encodings_are_listed_and_not_read(tmp_path: Path) -> No
     data = path.read_bytes()
     for length in (30, len(data) // 2, len(data) - 9):
         path.write_bytes(data[:length])
-        with pytest.raises(DatasetError, match=r"d.mcap: "):
+        with refused(DatasetError, "d.mcap"):
             read(path)
 
 
@@ -190,7 +191,7 @@ def test_a_folder_of_files_is_one_drive_and_files_far_apart_are_not(tmp_path: Pa
     late = Bag()
     late.odometry("/odom", START + 500 * SECOND, pose_at(0))
     late.write(folder / "drive_2.bag")
-    with pytest.raises(DatasetError, match=r"drive_2.bag: begins 49\d s after drive_1.bag ends; the files of a folder"):
+    with refused(DatasetError, "drive_2.bag", None, "drive_1.bag"):
         read(folder)
 
 
@@ -257,28 +258,28 @@ def test_guesses_say_why_and_take_the_rectified_images(tmp_path: Path) -> None:
         (
             lambda bag, t: bag.odometry("/ekf", t, pose_at(0)),
             Wanted(),
-            r"topics with odometry \(/ekf, /odom\); .*--odometry",
+            ("", None, "--odometry"),
         ),
         (
             lambda bag, t: bag.cloud("/again", t, points(0)),
             Wanted(),
-            r"several topics of clouds in the frame 'lidar' .*--lidars",
+            ("", None, "lidar", "--lidars"),
         ),
-        (None, Wanted(odometry="/nothing"), "--odometry: no topic '/nothing' in .*available: /odom"),
-        (None, Wanted(lidars=("/odom",)), "--lidars: /odom has nav_msgs/Odometry; expected sensor_msgs/PointCloud2"),
-        (None, Wanted(cameras=("/points",)), "--cameras: /points has sensor_msgs/PointCloud2; expected"),
-        (None, Wanted(gnss="/cam/image_raw"), "--gnss: /cam/image_raw has sensor_msgs/Image; expected"),
-        (None, Wanted(odometry="tf"), "--odometry tf: no transform that changes leads to 'base_link'"),
+        (None, Wanted(odometry="/nothing"), ("", None, "/nothing", "--odometry")),
+        (None, Wanted(lidars=("/odom",)), ("", None, "--lidars", "nav_msgs/Odometry", "sensor_msgs/PointCloud2")),
+        (None, Wanted(cameras=("/points",)), ("", None, "--cameras", "sensor_msgs/PointCloud2")),
+        (None, Wanted(gnss="/cam/image_raw"), ("", None, "--gnss", "cam/image_raw", "sensor_msgs/Image")),
+        (None, Wanted(odometry="tf"), ("", None, "base_link", "--odometry")),
     ],
 )
 def test_what_cannot_be_decided_is_refused_by_the_option_that_decides(
-    tmp_path: Path, change: Callable[[Bag, int], None] | None, wanted: Wanted, complaint: str
+    tmp_path: Path, change: Callable[[Bag, int], None] | None, wanted: Wanted, complaint: ErrorData
 ) -> None:
     bag = drive()
     for k in range(SCANS if change else 0):
         assert change is not None
         change(bag, START + k * SECOND // 10)
-    with pytest.raises((DatasetError, ConfigError), match=complaint):
+    with refused((DatasetError, ConfigError), *complaint):
         read(bag.write(tmp_path / "drive.bag"), wanted=wanted)
 
 
@@ -346,9 +347,9 @@ def test_a_missing_transform_names_both_frames(tmp_path: Path) -> None:
     bag = drive(tf=False)
     bag.tf(START, ("base_link", "cam_optical", OPTICAL))
     path = bag.write(tmp_path / "drive.bag")
-    with pytest.raises(DatasetError, match=r"no fixed transform between 'base_link' and 'lidar' in /tf_static or /tf"):
+    with refused(DatasetError, "", None, "base_link", "lidar", "tf_static"):
         read(path, base_frame="base_link")
-    with pytest.raises(DatasetError, match="--base-frame: no frame 'car'; available: base_link, cam_optical"):
+    with refused(DatasetError, "", None, "car", "--base-frame", "base_link", "cam_optical"):
         read(path, base_frame="car")
 
 
@@ -369,10 +370,10 @@ def test_without_tf_a_file_gives_the_poses_of_sensors(tmp_path: Path) -> None:
     assert np.allclose(recording.cameras["cam"].T_rig_cam, plain.cameras["cam"].T_rig_cam)
     assert np.allclose(recording.odometry.T_odom_rig, plain.odometry.T_odom_rig)
     told.write_text(EXTRINSICS.replace("/points", "/velodyne"))
-    with pytest.raises(ConfigError, match=r"extrinsics.yaml: no lidar '/velodyne' is read; available: /points, points"):
+    with refused(ConfigError, "extrinsics.yaml", None, "/velodyne"):
         read(path, extrinsics=read_extrinsics(told), extrinsics_file=told)
     told.write_text(EXTRINSICS.replace("T_rig_lidar", "T_lidar_rig"))
-    with pytest.raises(DatasetError, match=r"extrinsics.yaml:3: key 'lidars./points.T_rig_lidar' is missing"):
+    with refused(DatasetError, "extrinsics.yaml", 3, "lidars./points.T_rig_lidar"):
         read_extrinsics(told)
 
 
@@ -396,7 +397,7 @@ def test_a_camera_frame_with_the_axes_of_a_vehicle_is_noticed(tmp_path: Path) ->
         bag.image("/front/image_raw", START + k, np.zeros((8, 12, 3), np.uint8), "rgb8", frame="camera_link")
         bag.info("/front/camera_info", START + k, (12, 8))
     path = bag.write(tmp_path / "drive.bag")
-    with pytest.raises(DatasetError, match="/front/image_raw would look up: its frame 'camera_link' seems to have x"):
+    with refused(DatasetError, "", None, "camera_link", "front/image_raw"):
         read(path, wanted=Wanted(cameras=("front",)))
     notes = Notes()
     assert "front" not in read(path, notes).cameras
@@ -411,9 +412,9 @@ def backwards(time: int, k: int) -> int:
     return time - (k % 2) * SECOND // 2
 
 
-@pytest.mark.parametrize(("stamps", "told"), [(zero, "all stamps are zero"), (backwards, "stamps run backwards")])
+@pytest.mark.parametrize("stamps", [zero, backwards])
 def test_stamps_that_cannot_be_right_give_way_to_times_of_receipt(
-    tmp_path: Path, stamps: Callable[[int, int], int], told: str
+    tmp_path: Path, stamps: Callable[[int, int], int]
 ) -> None:
     bag, notes = drive(lidar=False), Notes()
     for k in range(SCANS):
@@ -421,7 +422,7 @@ def test_stamps_that_cannot_be_right_give_way_to_times_of_receipt(
         bag.cloud("/points", stamps(time, k), points(k), received=time)
     lidar = read(bag.write(tmp_path / "drive.bag"), notes).lidars[0]
     assert lidar.times_ns.tolist() == [START + k * SECOND // 10 for k in range(SCANS)]
-    assert told in notes
+    assert "stamps" in notes
 
 
 def test_a_scan_that_came_twice_is_left_out_and_counted(tmp_path: Path) -> None:
@@ -438,9 +439,7 @@ def test_stamps_of_different_clocks_are_refused(tmp_path: Path) -> None:
     for k in range(SCANS):
         bag.cloud("/points", 100 * SECOND + k * SECOND // 10, points(k), received=START + k * SECOND // 10)
     path = bag.write(tmp_path / "drive.bag")
-    with pytest.raises(
-        DatasetError, match=r"different clocks: /points is received 16999\d+.0 s after its stamps.*--stamps"
-    ):
+    with refused(DatasetError, "", None, "/points", "--stamps"):
         read(path)
     assert read(path, stamps="receive").lidars[0].times_ns[0] == START
 
@@ -492,7 +491,7 @@ def test_flat_scans_are_push_broom_and_odd_times_name_the_option(tmp_path: Path)
         found["time"] *= 1e-3
         bag.cloud("/points", START + k * SECOND // 10, found)
     path = bag.write(tmp_path / "drive.bag")
-    with pytest.raises(DatasetError, match=r"/points: 'time' spans .* fits no unit.*--point-time"):
+    with refused(DatasetError, "", None, "time", "--point-time"):
         read(path)
     assert read(path, motion="compensated").lidars[0].pattern == "push-broom"
 
@@ -622,41 +621,41 @@ def test_an_unclosed_bag_and_a_truncated_one_say_what_helps(whole: dict[str, Pat
     unclosed = tmp_path / "unclosed.bag"
     start = data.index(b"index_pos=") + 10
     unclosed.write_bytes(data[:start] + bytes(8) + data[start + 8 :])
-    with pytest.raises(DatasetError, match=r"unclosed.bag: .*not indexed.*`rosbag reindex`"):
+    with refused(DatasetError, "unclosed.bag"):
         read(unclosed)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole["mcap"].read_bytes()[:-500])
-    with pytest.raises(DatasetError, match=r"cut.mcap: .*`mcap recover`"):
+    with refused(DatasetError, "cut.mcap"):
         read(cut)
 
 
 def test_what_is_no_bag_is_told(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="missing; expected a bag"):
+    with refused(DatasetError, "nothing.bag"):
         parts_of(tmp_path / "nothing.bag")
     (tmp_path / "drive.txt").write_text("")
-    with pytest.raises(DatasetError, match=r"drive.txt: does not have the name of a bag; expected .bag, .mcap, .db3"):
+    with refused(DatasetError, "drive.txt", None, "db3"):
         parts_of(tmp_path / "drive.txt")
     folder = tmp_path / "folder"
     folder.mkdir()
-    with pytest.raises(DatasetError, match="folder: holds no bag"):
+    with refused(DatasetError, folder):
         parts_of(folder)
     drive(ros1=False).write(folder / "summer")
-    with pytest.raises(DatasetError, match="the bags summer lie in it: give each of them"):
+    with refused(DatasetError, folder, None, "summer"):
         parts_of(folder)
     (folder / "a.bag").touch()
     (folder / "b.mcap").touch()
-    with pytest.raises(DatasetError, match="files of several formats"):
+    with refused(DatasetError, folder):
         parts_of(folder)
     metadata = folder / "summer" / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("compression_mode: ''", "compression_mode: FILE"))
-    with pytest.raises(DatasetError, match=r"metadata.yaml: its files are compressed as a whole; unpack it"):
+    with refused(DatasetError, "metadata.yaml"):
         parts_of(folder / "summer")
 
 
 def test_an_empty_bag_and_one_without_lidar_are_told(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"empty.bag: holds no message"):
+    with refused(DatasetError, "empty.bag"):
         read(Bag().write(tmp_path / "empty.bag"))
-    with pytest.raises(DatasetError, match="has no lidar that can be read"):
+    with refused(DatasetError, "blind.bag"):
         read(drive(lidar=False).write(tmp_path / "blind.bag"))
 
 
@@ -674,9 +673,9 @@ def test_packets_name_what_converts_them(tmp_path: Path) -> None:
             bag.new("ouster_ros/PacketMsg", bag.header(time, "lidar"), np.zeros(4, np.uint8)),
         )
     path = bag.write(tmp_path / "drive.bag")
-    with pytest.raises(DatasetError, match=r"/ouster_packets: packets .* play it through ouster_ros"):
+    with refused(DatasetError, "", None, "ouster_packets", "ouster_ros"):
         read(path)
-    with pytest.raises(ConfigError, match=r"--lidars: /ouster_packets .*ouster_ros/PacketMsg cannot be read"):
+    with refused(ConfigError, "", None, "--lidars", "ouster_packets", "ouster_ros/PacketMsg"):
         read(path, wanted=Wanted(lidars=("/ouster_packets",)))
 
 
@@ -685,9 +684,7 @@ def test_a_damaged_message_names_topic_and_time(tmp_path: Path) -> None:
     k = 4
     next(m for t, name, m in bag.rows if name == "/points" and t == START + k * SECOND // 10).width = 9000
     lidar = read(bag.write(tmp_path / "drive.bag")).lidars[0]
-    with pytest.raises(
-        DatasetError, match=rf"drive.bag: /points, message received at {START + k * SECOND // 10} ns: data"
-    ):
+    with refused(DatasetError, "drive.bag", None, "/points", START + k * SECOND // 10):
         lidar.read(k)
 
 
@@ -700,14 +697,14 @@ def test_a_topic_that_nobody_needs_may_be_unreadable(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(checksum, b"0" * len(checksum)))
     assert len(read(path, notes).lidars) == 1
     assert "/other_scan: its sensor_msgs/LaserScan is not the standard message" in notes
-    with pytest.raises(DatasetError, match=r"--lidars: .*drive.bag: /other_scan: its sensor_msgs/LaserScan is not the"):
+    with refused(DatasetError, "drive.bag", None, "--lidars", "other_scan", "sensor_msgs/LaserScan"):
         read(path, wanted=Wanted(lidars=("/other_scan",)))
 
 
 def test_an_impossible_pose_names_topic_and_time(tmp_path: Path) -> None:
     bag = drive()
     bag.odometry("/odom", START + 2 * SECOND, (0, 0, 0, 0, 0, 0, 0))
-    with pytest.raises(DatasetError, match=r"/odom, message received at \d+ ns: is no pose: 0, 0, 0, 0"):
+    with refused(DatasetError, "drive.bag", None, "/odom", START + 2 * SECOND):
         read(bag.write(tmp_path / "drive.bag"))
 
 

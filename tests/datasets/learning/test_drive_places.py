@@ -60,7 +60,7 @@ def test_a_place_that_one_drive_shows_is_left_out(dataset: Dataset) -> None:
 
 def test_drives_of_the_test_split_are_refused(tmp_path: Path) -> None:
     dataset = make_small_dataset(tmp_path / "small", splits={"train": [ACROSS], "test": [WITHIN]})
-    with refused(ConfigError, "", None, "train", " "):
+    with refused(ConfigError, dataset.root, None, "train", "summer"):
         drive_places(dataset.root)
 
 
@@ -69,14 +69,14 @@ def test_drives_in_different_worlds_are_refused(tmp_path: Path) -> None:
     off = np.eye(4)
     off[0, 3] = 40.0
     other = make_small_dataset(tmp_path / "off", splits=LEARNT, pose_fault=off)
-    with refused(DatasetError):
+    with refused(DatasetError, other.root):
         drive_places(other.root)
 
 
 def test_a_build_that_was_not_finished_is_called_so(tmp_path: Path) -> None:
     (tmp_path / "half").mkdir()
     (tmp_path / "half" / "build.yaml").write_text("kind: synthetic\n")
-    with refused(DatasetError):
+    with refused(DatasetError, tmp_path / "half"):
         training_places([tmp_path / "half"], Silent())
 
 
