@@ -40,7 +40,7 @@ kills: setup     ## kill each kind of job twenty times in the middle of its work
 	$(RUN)/python benchmarks/truth/kills.py
 
 fuzz: setup      ## damaged files for every reader (INPUTS=20000 SECONDS= SEED=0 JOBS=2 ONLY=part,of,names KEEP=folder)
-	PYTHONPATH=.:tests:tests/support OMP_NUM_THREADS=1 $(RUN)/python -m fuzz --seed $(or $(SEED),0) --jobs $(or $(JOBS),2) \
+	PYTHONPATH=.:tools:tests/support OMP_NUM_THREADS=1 $(RUN)/python -m fuzz --seed $(or $(SEED),0) --jobs $(or $(JOBS),2) \
 	  --keep $(or $(KEEP),fuzz-failures) $(if $(SECONDS),--seconds $(SECONDS),--inputs $(or $(INPUTS),20000)) \
 	  $(if $(ONLY),--only $(ONLY))
 

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
 from fuzz.case import Case, damage
 from fuzz.catalogue import Catalogue, catalogue_of
 from fuzz.folders import copy_tree
@@ -19,8 +18,6 @@ from fuzz.planted import FAULTS, VALID, write_valid
 from fuzz.run import Outcome, fuzz
 
 INPUTS = 1
-
-pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +87,7 @@ def test_the_same_numbers_give_the_same_inputs_in_another_process(tmp_path: Path
     assert len({json.dumps(one) for one in here}) > 50
     program = (
         "import sys, json, relocbench.datasets.core.images; from pathlib import Path; "
-        "from fuzz.test_harness import inputs_of; "
+        "from test_fuzz_harness import inputs_of; "
         "print(json.dumps(inputs_of(Path(sys.argv[1]), 60)))"
     )
     other = tmp_path / "other"

@@ -139,7 +139,7 @@ class Worker:
         if self._process is None:
             read, write = os.pipe()
             environment = os.environ | {
-                "PYTHONPATH": os.pathsep.join([str(_ROOT), str(_ROOT / "tests"), str(_ROOT / "tests" / "support")]),
+                "PYTHONPATH": os.pathsep.join([str(_ROOT), str(_ROOT / "tools"), str(_ROOT / "tests" / "support")]),
                 "PYTHONHASHSEED": "0",
                 "OMP_NUM_THREADS": "1",
                 "OPENBLAS_NUM_THREADS": "1",
