@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return make_small_dataset(tmp_path_factory.mktemp("data") / "small", size=(64, 48))
 
 
-def interrupted(command: list[str], reached: object, kind: signal.Signals, to_group: bool, cwd: Path) -> str:
+def interrupted(
+    command: list[str], reached: Callable[[], bool], kind: signal.Signals, to_group: bool, cwd: Path
+) -> str:
     """Run a command, interrupt it when it has ``reached`` its work, and see that it ends; returns what it said."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     process = subprocess.Popen(

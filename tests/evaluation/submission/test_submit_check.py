@@ -178,7 +178,7 @@ def test_a_copy_of_the_dataset_is_known_by_its_question(town: Dataset, tmp_path:
     root = submit(tmp_path / "s", town)
     change_card(root, lambda card: card["datasets"][town.name].update(fingerprint="c" * 64))
     (root / town.name / "run.yaml").write_text(
-        f"method: m\ntarget: m\ndataset: {town.name}\nfingerprint: {'c' * 64}\nquestion: {town.question}\n"
+        f"method: m\ntarget: m\ndataset: {town.name}\nfingerprint: {'c' * 64}\nquestion: {town.content_id}\n"
     )
     checked = check(root, town)
     assert faults(checked) == []
