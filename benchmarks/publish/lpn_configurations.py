@@ -270,7 +270,7 @@ def page(
     """The text of ``lpn_configurations.md`` for a test set."""
     options = options_of(FIRST, given)
     counts = {task.name: (len(task.queries), len(task.gallery)) for task in test.tasks()}
-    started = start_of(options).told
+    started = start_of(options).text
     return render(
         __name__,
         "lpn_configurations.md.j2",

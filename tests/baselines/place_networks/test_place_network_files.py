@@ -153,7 +153,7 @@ CHANGES: list[tuple[str, Callable[[State], Mapping[str, Any]], str]] = [
     (
         "megaloc",
         changed(**{f"backbone__blocks__{k}__x": torch.zeros(1) for k in range(99)}),
-        r"'backbone' is none",
+        r"'backbone' is unknown",
     ),
 ]
 

@@ -140,7 +140,7 @@ def test_what_is_published_is_what_is_looked_for(
 
 
 def test_weights_that_nobody_publishes_are_named_with_those_that_are() -> None:
-    with pytest.raises(MethodError, match="no weights of EigenPlaces on ResNet152 with 2048 dimensions; there are"):
+    with pytest.raises(MethodError, match="no weights of EigenPlaces on ResNet152 with 2048 dimensions; available:"):
         EigenPlaces.published(backbone="ResNet152")
     with pytest.raises(MethodError, match="no weights of CosPlace on VGG16 with 2048 dimensions"):
         CosPlace.published(backbone="VGG16")

@@ -250,7 +250,7 @@ def test_withheld_truth_does_not_say_which_pairs_they_are(tmp_path: Path) -> Non
     table = withheld.layout.pair_table(ACROSS)
     table.write_text(table.read_text().replace(",,", f",{ELSEWHERE},", 1))
     outcome = relocbench("validate", withheld.root)
-    assert "the group tells that the pair is of different places" in outcome.out + outcome.err
+    assert "the group says that it is a negative pair" in outcome.out + outcome.err
 
 
 def test_only_datasets_with_them_have_the_second_format(dataset: Dataset, plain: Dataset, tmp_path: Path) -> None:
