@@ -68,6 +68,21 @@ def test_the_image_gets_every_folder_that_the_wheel_needs() -> None:
     assert all((ROOT / name).exists() for name in copied)
 
 
+def test_a_package_shows_the_readme_with_whole_addresses_of_files_that_exist() -> None:
+    sys.path.insert(0, str(ROOT))
+    from hatch_build import with_whole_addresses
+
+    shown = with_whole_addresses((ROOT / "README.md").read_text(), "https://forge.example/project", "v9")
+    targets = re.findall(r"(!?)\[[^\]]*\]\(([^)]+)\)", shown)
+    ours = [(bool(picture), to) for picture, to in targets if to.startswith("https://forge.example/project/")]
+    assert any(picture for picture, _ in ours)
+    for picture, to in ours:
+        form, path = to.removeprefix("https://forge.example/project/").split("/v9/")
+        assert form == ("raw" if picture else "blob")
+        assert (ROOT / path.partition("#")[0]).exists(), path
+    assert all(to.startswith("https://") for _, to in targets)
+
+
 def test_the_wheel_holds_all_templates_and_fills_them_from_there(tmp_path: Path) -> None:
     build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
