@@ -1,6 +1,6 @@
 """The generic folder: images, a camera, poses, and optionally depth or points.
 
-Its files are described in ``docs/file-formats.md``. Each folder is one traversal; the first one is the reference.
+Its files are described in ``docs/recording-formats.md``. Each folder is one traversal; the first one is the reference.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A generic folder with lidar, read as a recording. Its files are described in ``docs/file-formats.md``."""
+"""A generic folder with lidar, read as a recording. Its files are described in ``docs/recording-formats.md``."""
 
 from __future__ import annotations
 
