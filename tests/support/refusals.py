@@ -9,23 +9,24 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
 from relocbench.errors import RelocbenchError
 
+E = TypeVar("E", bound=RelocbenchError | ValueError)
 ErrorData = tuple[Any, ...]
 """place, line and data in a table of cases, for ``refused(DatasetError, *told)`` and ``assert_names(text, *told)``"""
 
 
 @contextmanager
 def refused(
-    kind: type[RelocbenchError | ValueError] | tuple[type[RelocbenchError | ValueError], ...],
+    kind: type[E] | tuple[type[E], ...],
     place: Path | str = "",
     line: int | None = None,
     *names: object,
-) -> Iterator[pytest.ExceptionInfo[RelocbenchError | ValueError]]:
+) -> Iterator[pytest.ExceptionInfo[E]]:
     """The block raises an error of class ``kind`` that names all of ``place:line`` and ``names``.
 
     Args:

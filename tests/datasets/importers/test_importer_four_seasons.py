@@ -465,6 +465,7 @@ def test_mlad_layout_needs_no_transformations_and_takes_depth_as_metres(
     np.testing.assert_allclose(1 / reference.points.inverse_depth, depth[v, u], rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_same_build_again_gives_the_same_fingerprint(tmp_path: Path, two_drives: tuple[Drive, Drive]) -> None:
     sources = [drive.write(tmp_path) for drive in two_drives]
     first, _ = build(sources, tmp_path / "one")

@@ -88,10 +88,12 @@ def test_images_are_links_unless_copies_are_asked_for(recording: Path, tmp_path:
     assert not copied.layout.image("image_0", 200_000_000).is_symlink()
 
 
+@pytest.mark.thorough
 def test_workers_do_not_change_the_bytes(recording: Path, tmp_path: Path) -> None:
     assert build(recording, tmp_path / "a").fingerprint == build(recording, tmp_path / "b", workers=2).fingerprint
 
 
+@pytest.mark.thorough
 def test_a_build_that_was_interrupted_ends_with_the_same_bytes(recording: Path, tmp_path: Path) -> None:
     whole, torn = tmp_path / "whole", tmp_path / "torn"
     fingerprint = build(recording, whole).fingerprint

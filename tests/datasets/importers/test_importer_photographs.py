@@ -106,6 +106,7 @@ def test_no_photograph_is_in_two_splits_and_neighbours_by_name_stay_together(tmp
     assert_names(told, "", None, 1, 11)
 
 
+@pytest.mark.thorough
 def test_the_bytes_depend_on_the_seed_and_on_nothing_else(tmp_path: Path) -> None:
     source = write_photographs(tmp_path / "streets", 8)
     alone, shared = built([source], tmp_path / "1"), built([source], tmp_path / "2", workers=2)

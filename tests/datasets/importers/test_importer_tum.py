@@ -130,6 +130,7 @@ def test_distorted_images_and_depth_become_those_of_a_pinhole_camera(recording: 
     assert set(np.unique(depth)) <= {np.float32(0.0), np.float32(2.0)}
 
 
+@pytest.mark.thorough
 def test_workers_and_interruptions_do_not_change_the_bytes(recording: Path, tmp_path: Path) -> None:
     one = build([recording], tmp_path / "one", intrinsics=("fr1",))
     two = build([recording], tmp_path / "two", workers=2, intrinsics=("fr1",))

@@ -16,7 +16,7 @@ from relocbench.datasets.importers.rosbag.roles import Wanted
 from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.sensors.recording import LidarStream
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough
 
 
 def bag_of(drive: StreetDrive, path: Path, motion: str) -> Path:
@@ -35,7 +35,7 @@ def lidar_of(path: Path, spoken: Spoken, settings: BagSettings) -> LidarStream:
     return read_bag(opened, "drive", settings, reporter=spoken, from_lidar=later)[0].lidars[0]
 
 
-@pytest.mark.parametrize("motion", ["distorted", pytest.param("compensated", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("motion", ["distorted", "compensated"])
 def test_motion_of_scans_without_times_is_told_from_them(
     drives: list[StreetDrive], tmp_path: Path, motion: str
 ) -> None:
