@@ -231,7 +231,7 @@ def _load(
     seed: int,
     told: Reporter,
 ) -> tuple[Board | None, RetrievalBoard | None, PipelineBoard | None]:
-    """The boards of trackers, retrievers and chains; None where the folder holds nothing of a task."""
+    """The boards of trackers, retrievers and pipelines; None where the folder holds nothing of a task."""
     from relocbench.leaderboard.relocalization.board import load_pipelines
     from relocbench.leaderboard.retrieval.board import holds_tracking, load_retrieval
     from relocbench.leaderboard.tracking.load import load_results

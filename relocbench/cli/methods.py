@@ -28,7 +28,7 @@ def methods(
             print_json(listed, {task: len(names) for task, names in listed.items()})
         else:
             rows = [[n, kind.task, p.value, _package(p)] for kind, points in found.items() for n, p in points.items()]
-            rows.append([CLOCK, TRACKERS.task, "a floor: what times alone tell, without an image", "relocbench"])
+            rows.append([CLOCK, TRACKERS.task, "baseline: poses from timestamps alone", "relocbench"])
             print_table("", ["method", "task", "class", "package"], rows)
         return
     kind = kind_of(name)

@@ -28,7 +28,7 @@ pages that are opened from a disk cannot load modules. All other scripts and sty
 Apache-2.0.
 """
 _OF_PLACES = ("boards.js", "retrieval.js", "relocalization.js", "queries.js", "query.js", "located.js", "places.css")
-"""those of the pages of retrievers and of chains"""
+"""those of the pages of retrievers and of pipelines"""
 
 
 def asset_files(site: Path) -> set[Path]:

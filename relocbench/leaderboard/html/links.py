@@ -50,7 +50,7 @@ def retrieval_page(of_set: str) -> str:
 
 
 def relocalization_page(of_set: str) -> str:
-    """The page of chains, by the id of their dataset."""
+    """The page of pipelines, by the id of their dataset."""
     return f"relocalization-{of_set}.html"
 
 
@@ -79,7 +79,7 @@ def query_link(of_set: str, task: str, query: str, method: str) -> str:
 
 
 def located_link(of_set: str, task: str, query_ns: int, pipeline: str) -> str:
-    """The link to a query of chains: ``located.html#set=ID&task=TASK&query=TIMESTAMP&chain=LABEL``."""
+    """The link to a query of pipelines: ``located.html#set=ID&task=TASK&query=TIMESTAMP&chain=LABEL``."""
     return f"{LOCATED_PAGE}#{hash_of({'set': of_set, 'task': task, 'query': str(query_ns), 'chain': pipeline})}"
 
 

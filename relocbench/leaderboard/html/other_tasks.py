@@ -1,4 +1,4 @@
-"""What the start page and the pages of methods have of retrievers, and of chains of a retriever and a tracker."""
+"""What the start page and the pages of methods have of retrievers, and of pipelines of a retriever and a tracker."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from relocbench.leaderboard.tracking.load import machine_words
 
 
 def with_other_tasks(payload: Mapping[str, Any], boards: Boards) -> dict[str, Any]:
-    """What every page knows, with the looks of retrievers and chains, and the pages of retrievers.
+    """What every page knows, with the looks of retrievers and pipelines, and the pages of retrievers.
 
     Each task draws from the same colours, so that those of trackers do not depend on what else was evaluated; a
     retriever that is called as a tracker looks as that one does.
@@ -38,7 +38,7 @@ def retriever_labels(boards: Boards) -> list[str]:
 
 
 def results_of(label: str, boards: Boards) -> dict[str, Any]:
-    """What the page of a method has besides its results as a tracker: those as a retriever, and in chains."""
+    """What the page of a method has besides its results as a tracker: those as a retriever, and in pipelines."""
     retrieval = boards.retrieval
     own = [(asked, m) for asked in _sets(retrieval) for m in asked.methods if m.label == label]
     in_pipelines = [

@@ -147,7 +147,7 @@ def retriever_line(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable
 def pipeline_line(
     board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, row: PipelineRow
 ) -> dict[str, Any]:
-    """The row of a chain in a table of a dataset."""
+    """The row of a pipeline in a table of a dataset."""
     page = links.relocalization_page(id_of_pipelines(asked))
     own = {"page": page, "floor": is_floor_pipeline(row.pipeline), "marks": marks_of_row(row)}
     state = {"table": table.name, "method": row.pipeline.label}

@@ -1,1 +1,1 @@
-"""The leaderboard of chains: board, page and files."""
+"""The leaderboard of pipelines: board, page and files."""

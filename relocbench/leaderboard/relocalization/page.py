@@ -1,4 +1,4 @@
-"""``relocalization.md``: what a sceptical reader wants to know about chains, on one page."""
+"""``relocalization.md``: what a sceptical reader wants to know about pipelines, on one page."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def relocalization_page(board: PipelineBoard) -> str:
 
 
 def evaluate_commands(pipelines: Sequence[Pipeline]) -> list[str]:
-    """The commands that run or resume chains, one for all chains that can share it."""
+    """The commands that run or resume pipelines, one for all pipelines that can share it."""
     groups: dict[tuple[object, ...], list[Pipeline]] = {}
     for pipeline in pipelines:
         floor = pipeline.run.tracker == KEYFRAME  # every command evaluates it
@@ -69,7 +69,7 @@ def evaluate_commands(pipelines: Sequence[Pipeline]) -> list[str]:
 
 
 def _commands(pipelines: Sequence[Pipeline]) -> list[str]:
-    """One command if methods of the same name are the same in all chains, otherwise one for each chain."""
+    """One command if methods of the same name are the same in all pipelines, otherwise one for each pipeline."""
     halves: dict[str, RunRecord | None] = {}
     for pipeline in pipelines:
         for name, half in _halves(pipeline.run):
@@ -217,7 +217,7 @@ def basin_words(row: PipelineRow, table: PipelineTable) -> str:
 def _methods(
     asked: PipelineSetBoard,
 ) -> tuple[list[tuple[tuple[str, str], RunRecord]], list[tuple[str, str, str]]]:
-    """The methods by half and name, and where a chain has another of the same name: name, chain and parameters."""
+    """The methods by half and name; where pipelines have others of the same name: name, pipeline, parameters."""
     halves: dict[tuple[str, str], RunRecord] = {}
     differing = []
     for pipeline in asked.pipelines:

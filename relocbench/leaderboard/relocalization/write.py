@@ -31,7 +31,7 @@ def write_relocalization_leaderboard(
     datasets: DatasetLookup | None = None,
     reporter: Reporter,
 ) -> PipelineBoard | None:
-    """Compare chains and write both files; None where a results folder has no chains to show.
+    """Compare pipelines and write both files; None where a results folder has no pipelines to show.
 
     Args:
         datasets: with their truth; without them, those in folders beside ``results``.
@@ -55,7 +55,7 @@ def write_pipeline_board(board: PipelineBoard, out: Path, reporter: Reporter) ->
 
 
 def note_missing(board: PipelineBoard, reporter: Reporter) -> None:
-    """Tell which chains have no result on a task."""
+    """Tell which pipelines have no result on a task."""
     for asked in board.sets:
         for pipeline in asked.pipelines:
             for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in pipeline.answers):

@@ -1,4 +1,4 @@
-"""What the page of a dataset's chains shows: its tables, and of every query the errors and where it was lost."""
+"""What the page of a dataset's pipelines shows: its tables, and of every query the errors and where it was lost."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _NONE = -1
 
 
 def id_of_pipelines(asked: PipelineSetBoard) -> str:
-    """The id of a dataset's chains in links and names of files."""
+    """The id of a dataset's pipelines in links and names of files."""
     return links.set_id(asked.record.name, asked.record.fingerprint)
 
 
@@ -50,12 +50,12 @@ def candidates_key(asked: PipelineSetBoard, task: str) -> str:
 
 
 def is_floor_pipeline(pipeline: Pipeline) -> bool:
-    """Whether a chain answers the pose of its first keyframe."""
+    """Whether a pipeline answers the pose of its first keyframe."""
     return pipeline.run.tracker == KEYFRAME
 
 
 def marks_of_row(row: PipelineRow) -> list[str]:
-    """The words behind the name of a chain."""
+    """The words behind the name of a pipeline."""
     pipeline = row.pipeline
     known = {
         "trivial baseline": is_floor_pipeline(pipeline),
@@ -66,7 +66,7 @@ def marks_of_row(row: PipelineRow) -> list[str]:
 
 
 def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: Mapping[str, str]) -> dict[str, Any]:
-    """All tables of a dataset's chains.
+    """All tables of a dataset's pipelines.
 
     Args:
         trackers: task -> the id of the set of trackers whose pairs have pages, where there is one.
@@ -95,7 +95,7 @@ def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: M
 
 
 def located_payload(asked: PipelineSetBoard, task: str) -> dict[str, Any]:
-    """The answers of all chains to the queries of a task, in the order of time."""
+    """The answers of all pipelines to the queries of a task, in the order of time."""
     pipelines = {pipeline.label: pipeline for pipeline in asked.pipelines if task in pipeline.answers}
     first = next(iter(pipelines.values())).answers[task]
     return {
