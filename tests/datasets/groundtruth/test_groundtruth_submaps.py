@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from lidar_street import RIG_HEIGHT_M, START_NS, WALL_M, Box, Street, StreetLidar, drive_street
 from numpy.typing import NDArray
+from refusals import refused
 
 from relocbench.datasets.groundtruth.blocks import store as store_module
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes, Surface
@@ -74,10 +75,10 @@ def test_nodes_lie_at_equal_arc_lengths(street: FieldRecording) -> None:
     assert np.all((begin < nodes.times_ns) & (nodes.times_ns < end))
 
 
-@pytest.mark.parametrize("wobble", [0.0, 0.002])
-def test_standing_still_makes_no_nodes_and_reads_no_scans(wobble: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    going = drive_street(Street(wobble=wobble))
-    stopping = drive_street(Street(wobble=wobble, stop_s=120.0))
+def test_standing_still_makes_no_nodes_and_reads_no_scans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though odometry wobbles by 2 mm."""
+    going = drive_street(Street(wobble=0.002))
+    stopping = drive_street(Street(wobble=0.002, stop_s=120.0))
     through, stopped = make_nodes(going), make_nodes(stopping)
     assert len(through) == len(stopped)
     np.testing.assert_allclose(stopped.T_odom_node[:, 0, 3], through.T_odom_node[:, 0, 3], atol=0.3)
@@ -135,14 +136,14 @@ def test_submap_stays_within_its_segment(tmp_path: Path) -> None:
 
 def test_drive_without_way_or_lidar_is_refused(street: FieldRecording) -> None:
     standing = Trajectory(street.odometry.times_ns, np.repeat(street.odometry.T_odom_rig[:1], 161, axis=0))
-    with pytest.raises(DatasetError, match="shorter than one block"):
+    with refused(DatasetError, street.folder, None, "2.0 m"):
         make_nodes(replace(street, odometry=standing))
-    with pytest.raises(DatasetError, match="no lidar scans"):
+    with refused(DatasetError, street.folder):
         make_nodes(replace(street, lidars=()))
     late = Trajectory(street.odometry.times_ns + 10**12, street.odometry.T_odom_rig)
-    with pytest.raises(DatasetError, match="covers no time"):
+    with refused(DatasetError, street.folder):
         make_nodes(replace(street, odometry=late))
-    with pytest.raises(ConfigError, match="at least"):
+    with refused(ConfigError, "", None, "0.0 m"):
         make_nodes(street, 0.0)
 
 
@@ -267,6 +268,7 @@ def test_height_of_the_road_under_the_rig_is_found(street: FieldRecording, built
     assert found == pytest.approx(-RIG_HEIGHT_M, abs=2e-3)
 
 
+@pytest.mark.thorough
 def test_normals_have_no_seam_at_the_borders_of_blocks() -> None:
     recording = drive_street(Street(length_m=30.0, sigma=0.01))
     nodes = make_nodes(recording)
@@ -299,7 +301,7 @@ def box_points(recording: FieldRecording, box: Box) -> tuple[NDArray[np.float32]
     return np.concatenate(on), np.concatenate(off)
 
 
-@pytest.mark.parametrize("speed", [-8.0, 10.0])
+@pytest.mark.parametrize("speed", [-8.0, pytest.param(10.0, marks=pytest.mark.thorough)])
 def test_what_drove_on_is_unsteady_and_all_else_steady(speed: float) -> None:
     box = Box(20.0, speed) if speed < 0 else Box(-10.0, speed)
     moved, rest = box_points(drive_street(Street(boxes=(box,), sigma=0.01)), box)
@@ -308,6 +310,7 @@ def test_what_drove_on_is_unsteady_and_all_else_steady(speed: float) -> None:
     assert np.mean(rest > 0.9) > 0.999
 
 
+@pytest.mark.thorough
 def test_parked_box_is_steady() -> None:
     box = Box(20.0)
     parked, rest = box_points(drive_street(Street(boxes=(box,), sigma=0.01)), box)
@@ -316,6 +319,7 @@ def test_parked_box_is_steady() -> None:
     assert np.mean(rest > 0.9) > 0.999
 
 
+@pytest.mark.thorough
 def test_one_lidar_across_the_road_cannot_tell_what_moved() -> None:
     box = Box(20.0, -8.0)
     moved, _ = box_points(drive_street(Street(boxes=(box,), lidars=(1.5,))), box)
@@ -332,6 +336,7 @@ def test_block_does_not_depend_on_those_made_with_it(street: FieldRecording, bui
     assert same(alone[7], store.get(7))
 
 
+@pytest.mark.thorough
 def test_workers_and_resumption_give_the_same_bytes(street: FieldRecording, tmp_path: Path) -> None:
     longer = drive_street(Street(length_m=72.0, period_ns=60_000_000))
     nodes = make_nodes(longer)  # two units
@@ -357,9 +362,9 @@ def test_workers_and_resumption_give_the_same_bytes(street: FieldRecording, tmp_
 def test_blocks_made_otherwise_are_not_mixed(street: FieldRecording, tmp_path: Path) -> None:
     nodes = make_nodes(street)
     build_blocks(street, nodes, tmp_path)
-    with pytest.raises(DatasetError, match=r"blocks\.yaml.*other options"):
+    with refused(DatasetError, "blocks.yaml"):
         build_blocks(street, nodes, tmp_path, options=BlockOptions(voxel_m=0.2))
-    with pytest.raises(DatasetError, match=r"blocks\.yaml"):
+    with refused(DatasetError, "blocks.yaml"):
         build_blocks(street, make_nodes(street, 3.0), tmp_path)
 
 
@@ -379,9 +384,9 @@ def test_damaged_block_is_named(built: tuple[Nodes, BlockStore], tmp_path: Path)
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
-    with pytest.raises(DatasetError, match=r"000000\.npz.*not a complete block"):
+    with refused(DatasetError, "000000.npz"):
         BlockStore(tmp_path).get(0)
-    with pytest.raises(DatasetError, match=r"000001\.npz.*missing"):
+    with refused(DatasetError, "000001.npz"):
         BlockStore(tmp_path).get(1)
 
 
@@ -505,9 +510,9 @@ def test_step_costs_the_same_however_long_the_drive(
     built: tuple[Nodes, BlockStore], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Work is counted, not timed: points that enter or leave, claims on voxels, and files that are read."""
-    # A drive of 120 blocks out of copies of one block each 2 m.
+    # A drive of 60 blocks out of copies of one block each 2 m; a submap has 31.
     store = BlockStore(tmp_path / "long")
-    block, count = built[1].get(9), 120
+    block, count = built[1].get(9), 60
     poses = np.repeat(np.eye(4)[None], count, axis=0)
     poses[:, 0, 3] = 2.0 * np.arange(count)
     for k in range(count):
@@ -524,9 +529,8 @@ def test_step_costs_the_same_however_long_the_drive(
         moved.clear()
         read.clear()
         assert len(submap) <= 31 * len(block)
-    assert len(set(work[20:100])) == 1
-    assert work[60] == 2 * len(block)  # one block enters, one leaves
-    assert max(claims[20:100]) <= 2 * len(block)
+    assert set(work[20:40]) == {2 * len(block)}  # one block enters, one leaves
+    assert max(claims[20:40]) <= 2 * len(block)
 
 
 def test_store_keeps_the_last_blocks_used(built: tuple[Nodes, BlockStore], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -539,5 +543,5 @@ def test_store_keeps_the_last_blocks_used(built: tuple[Nodes, BlockStore], monke
 
 def test_node_that_is_not_there_is_refused(built: tuple[Nodes, BlockStore]) -> None:
     nodes, store = built
-    with pytest.raises(IndexError, match="no node 99"):
+    with pytest.raises(IndexError, match="99"):
         SubmapWindow(nodes, store).at(99)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from numpy.typing import NDArray
+from refusals import assert_names, refused
 
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.jobs import inputs
@@ -99,23 +100,23 @@ def test_a_sound_recording_has_no_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    ("recording", "words"),
+    ("recording", "names"),
     [
-        (drive(Scans(times(4))), "top has 4 scans; at least 10 are needed"),
-        (drive(Scans(times(40), damaged=(20,))), "20.bin: is cut off"),
-        (drive(Scans(times(40), empty=True)), "its first, middle and last scan have no point within 100 m"),
-        (drive(images=Images(times(0))), "camera front has no images"),
-        (drive(images=Images(times(40), size=(50, 30))), "front has 50x30 pixels, expected 40x30"),
+        (drive(Scans(times(4))), ("top", 4, 10)),
+        (drive(Scans(times(40), damaged=(20,))), ("20.bin",)),
+        (drive(Scans(times(40), empty=True)), ("top", "100 m")),
+        (drive(images=Images(times(0))), ("front",)),
+        (drive(images=Images(times(40), size=(50, 30))), ("front", "50x30", "40x30")),
         (
             drive(images=Images(times(40, 1_700_000_000 * 10**9))),
-            "images are from 2023-11-14 22:13:20 to 2023-11-14 22:13:23, the lidar scans from 0.000 s to 3.900 s",
+            ("2023-11-14 22:13:20", "2023-11-14 22:13:23", "0.000 s", "3.900 s"),
         ),
     ],
 )
-def test_what_is_wrong_with_scans_and_images_is_one_line(recording: FieldRecording, words: str) -> None:
+def test_what_is_wrong_with_scans_and_images_is_one_line(recording: FieldRecording, names: tuple[object, ...]) -> None:
     faults = faults_of(recording, ["front"])
     assert faults
-    assert words in str(faults[0])
+    assert_names(str(faults[0]), "", None, *names)
     assert "\n" not in str(faults[0])
 
 
@@ -124,32 +125,29 @@ def test_images_that_are_not_paired_are_not_looked_at() -> None:
 
 
 @pytest.mark.parametrize(
-    ("recording", "words"),
+    ("recording", "names"),
     [
-        (drive(metres=3.0), "m of road while a lidar recorded; at least 5 m are needed, and 60 m to fill"),
-        (
-            drive(shift=10**12),
-            "the odometry covers no scan of top: it is from 1000.000 s to 1003.900 s, the scans from 0",
-        ),
+        (drive(metres=3.0), ("5 m", "60 m")),
+        (drive(shift=10**12), ("top", "1000.000 s", "1003.900 s")),
     ],
 )
-def test_motion_that_cannot_work_is_a_fault(recording: FieldRecording, words: str) -> None:
+def test_motion_that_cannot_work_is_a_fault(recording: FieldRecording, names: tuple[object, ...]) -> None:
     faults = inputs.motion_faults(recording, FieldOptions(), Notes())
-    assert words in str(faults[0])
+    assert_names(str(faults[0]), "", None, *names)
 
 
 def test_a_drive_shorter_than_a_submap_is_noted_with_what_is_possible() -> None:
     notes = Notes()
     assert driven_m(drive()) == pytest.approx(40, abs=0.5)
     assert inputs.motion_faults(drive(), FieldOptions(), notes) == []
-    assert "summer drove 40 m of road, less than a submap has (--submap 60)" in notes.told[0]
+    assert_names(notes.told[0], "", None, "summer", "40 m", "--submap 60")
     assert inputs.motion_faults(drive(), FieldOptions(submap=30.0), notes) == []
     assert len(notes.told) == 1
 
 
 def test_a_disk_without_room_is_told_before_it_is_full(tmp_path: Path) -> None:
     check_space(tmp_path / "not" / "yet", 100.0)
-    with pytest.raises(DatasetError, match=r"MiB are free; .* m of road need about"):
+    with refused(DatasetError, tmp_path):
         check_space(tmp_path, 1e12)
 
 
@@ -158,7 +156,7 @@ def test_all_faults_are_one_exception_with_a_line_each() -> None:
     with pytest.raises(ManyFaults) as caught:
         raise_all(faults)
     assert str(caught.value) == "a.bin: is cut off\nb.bin: is empty"
-    with pytest.raises(DatasetError, match=r"a\.bin: is cut off") as one:
+    with refused(DatasetError, "a.bin") as one:
         raise_all(faults[:1])
     assert one.value is faults[0]
     raise_all([])
@@ -186,6 +184,5 @@ def test_the_command_tells_the_faults_of_all_drives_before_it_computes_odometry(
     lines = [line for line in outcome.err.splitlines() if line.startswith("relocbench: ")]
     assert len(lines) == 2
     for number, line in enumerate(lines):
-        assert f"drive {number}/lidar/top/{11 * TENTH}.bin: " in line
-        assert "not a whole number of points" in line
+        assert_names(line, f"drive {number}/lidar/top/{11 * TENTH}.bin")
     assert "odometry from" not in outcome.err

@@ -50,9 +50,9 @@ def driven(count: int, scale: float) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("scale", [0.92, 1.0, 1.03, 1.08])
-@pytest.mark.parametrize("metres", [130, 300, 1000])
+@pytest.mark.parametrize("metres", [130, 1000])
 def test_the_ratio_is_that_of_the_scales(scale: float, metres: float) -> None:
-    for seed in range(10):
+    for seed in range(3):
         found = length_ratio(*drive(metres, scale, seed), 0.5)
         assert found is not None
         assert abs(found.ratio - scale) < found.margin

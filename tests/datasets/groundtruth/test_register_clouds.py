@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import refused
 from repository import TRUTH
 
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
@@ -59,6 +60,7 @@ def test_two_scans_of_a_room_are_registered_and_trusted(pair: Pair, found: Cloud
     assert error @ found.information @ error / 6 < 4
 
 
+@pytest.mark.thorough
 def test_a_cloud_and_its_moved_copy_give_the_motion(pair: Pair) -> None:
     T = make_transform(so3_exp([0.2, -0.1, 2.0]), [3.0, -1.0, 0.5])
     copy = Cloud("copy", apply(T, pair.a.points))
@@ -71,6 +73,7 @@ def test_a_cloud_and_its_moved_copy_give_the_motion(pair: Pair) -> None:
     assert "free space could not be judged" in back.rests_on
 
 
+@pytest.mark.thorough
 def test_swapped_clouds_give_the_inverse(pair: Pair, found: CloudRegistration) -> None:
     near = invert(found.T_a_b) @ se3_exp(np.full(6, -0.01))
     swapped = register_clouds(pair.b, pair.a, CloudRegistrationOptions(initial=near))
@@ -80,6 +83,7 @@ def test_swapped_clouds_give_the_inverse(pair: Pair, found: CloudRegistration) -
     assert degrees < 0.05
 
 
+@pytest.mark.thorough
 def test_the_size_of_the_scene_does_not_matter(pair: Pair, found: CloudRegistration) -> None:
     def smaller(cloud: Cloud) -> Cloud:
         return replace(cloud, points=cloud.points / 40)
@@ -92,6 +96,7 @@ def test_the_size_of_the_scene_does_not_matter(pair: Pair, found: CloudRegistrat
     np.testing.assert_allclose(40 * small.sigma_m, found.sigma_m, rtol=0.3)
 
 
+@pytest.mark.thorough
 def test_corners_of_different_rooms_fit_each_other_and_are_refused() -> None:
     apart = unrelated_depth(9002)
     found = register_clouds(apart.a, apart.b)
@@ -103,6 +108,7 @@ def test_corners_of_different_rooms_fit_each_other_and_are_refused() -> None:
     assert distinct_evidence(a, b, best_of(found)).share < 0.05
 
 
+@pytest.mark.thorough
 def test_views_of_a_depth_camera_are_not_held_to_what_lies_beside_its_image() -> None:
     """Before its field of view was looked at, 42 % of what it \"could see\" overlapped."""
     view = depth_pair(9003)
@@ -118,12 +124,14 @@ def best_of(found: CloudRegistration) -> Array:
     return np.asarray(invert(a) @ found.scale.enlarged(found.T_a_b) @ b)
 
 
+@pytest.mark.thorough
 def test_a_wrong_initial_pose_is_refused(pair: Pair) -> None:
     wrong = pair.T_a_b @ make_transform(so3_exp([0, 0, 0.9]), [0.6, 0.4, 0.0])
     refused = register_clouds(pair.a, pair.b, CloudRegistrationOptions(initial=wrong))
     assert not refused.trusted or pose_difference(pair.T_a_b, refused.T_a_b)[0] < 0.01
 
 
+@pytest.mark.thorough
 def test_a_cube_looks_alike_from_all_sides_and_is_refused() -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform(-1, 1, size=(30_000, 3))
@@ -263,5 +271,5 @@ def test_large_coordinates_of_one_region_get_one_origin() -> None:
 
 
 def test_clouds_without_extent_are_refused() -> None:
-    with pytest.raises(DatasetError, match="cloud b has all its points in one place"):
+    with refused(DatasetError, "", None, "b"):
         register_clouds(Cloud("a", np.random.default_rng(0).normal(size=(500, 3))), Cloud("b", np.ones((500, 3))))

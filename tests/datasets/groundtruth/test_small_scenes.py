@@ -195,7 +195,7 @@ def _built(recordings: list[FieldRecording], options: FieldOptions, out: Path) -
     return build_ground_truth(recordings, Build(writer, options, spoken, Run(1))), spoken
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_street_of_an_eighth_gives_poses_of_an_eighth_and_accepts_the_same(tmp_path: Path) -> None:
     """Also depth, which is drawn from enlarged submaps."""
     drives: list[StreetDrive] = [record_street(tmp_path / "street", number, azimuths=360) for number in range(2)]
@@ -255,7 +255,7 @@ def _write_clouds(walk: Walk, folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_two_walks_through_a_room_are_built_resumed_and_looked_at(tmp_path: Path) -> None:
     walks = [record(1, walk, "lidar", laps=0.7, step_deg=4.0, period_ns=200_000_000) for walk in range(2)]
     folders = [_write_clouds(walk, tmp_path / f"walk {number}") for number, walk in enumerate(walks)]
