@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import shutil
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from refusals import refused
 from scipy.spatial import cKDTree
 
 from relocbench.datasets.core import images
@@ -23,7 +25,7 @@ from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.jobs.recording import path_length, record
 from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
 from relocbench.datasets.synthetic.town.network import Path as Road
-from relocbench.datasets.synthetic.town.town import make_district
+from relocbench.datasets.synthetic.town.town import District, make_district
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import (
     apply,
@@ -76,11 +78,16 @@ class Truth:
         return interpolate_trajectory(self.times_ns, self.T_world_town_rig, times_ns) @ self.T_town_rig
 
 
+@cache
+def district() -> District:
+    return make_district(0, "train", 180.0)
+
+
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two drives of 5 s on one street, the second the other way, in other weather."""
     out = tmp_path_factory.mktemp("robotcar")
-    town = make_district(0, "train", 180.0)
+    town = district()
     road = town.network.drive(path_length(FRAMES, "robotcar") + 1.0, 0)
     back = replace(road, points=road.points[::-1].copy(), heading=road.heading[::-1] + np.pi, streets=())
     assert isinstance(back, Road)
@@ -257,22 +264,20 @@ def test_missing_scans_are_left_out_and_counted(copied: Path) -> None:
     assert any(note.startswith(f"1 of {len(lidar.times_ns) + 1} scans") for note in notes.notes)
 
 
-@pytest.mark.parametrize(("size", "message"), [(0, "is empty"), (1000, "not a whole number of points")])
-def test_a_scan_that_is_cut_off_is_named_before_any_work(copied: Path, size: int, message: str) -> None:
+@pytest.mark.parametrize("size", [0, 1000])
+def test_a_scan_that_is_cut_off_is_named_before_any_work(copied: Path, size: int) -> None:
     path = scan_file(copied, 5)
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.raises(DatasetError, match=message) as caught:
+    with refused(DatasetError, path):
         read_robotcar(copied)
-    assert caught.value.path == path
 
 
 def test_a_scan_with_a_value_that_is_not_finite_is_named(copied: Path) -> None:
     values = np.fromfile(scan_file(copied, 5))
     values[30] = np.nan
     values.tofile(scan_file(copied, 5))
-    with pytest.raises(DatasetError, match="not finite") as caught:
+    with refused(DatasetError, scan_file(copied, 5)):
         read_robotcar(copied).lidars[0].read(5)
-    assert caught.value.path == scan_file(copied, 5)
 
 
 def test_a_scan_without_returns_is_empty(copied: Path) -> None:
@@ -290,20 +295,20 @@ def test_a_scan_that_left_out_beams_gets_its_times_from_their_azimuth(copied: Pa
 
 
 @pytest.mark.parametrize(
-    ("gone", "message"),
+    ("gone", "name"),
     [
-        ("vo/vo.csv", "needs vo/vo.csv"),
-        ("../extrinsics", "no folder 'extrinsics'"),
-        ("../extrinsics/lms_rear.txt", "missing"),
+        ("vo/vo.csv", "vo/vo.csv"),
+        ("../extrinsics", "extrinsics"),
+        ("../extrinsics/lms_rear.txt", "extrinsics/lms_rear.txt"),
     ],
 )
-def test_what_is_needed_and_missing_is_named(copied: Path, gone: str, message: str) -> None:
+def test_what_is_needed_and_missing_is_named(copied: Path, gone: str, name: str) -> None:
     path = copied / gone
     if path.is_dir():
         shutil.rmtree(path)
     else:
         path.unlink()
-    with pytest.raises(DatasetError, match=message):
+    with refused(DatasetError, "", None, name):
         read_robotcar(copied)
 
 
@@ -315,9 +320,9 @@ def test_without_gnss_there_is_no_prior_and_it_is_said(copied: Path) -> None:
 
 
 def test_an_unknown_lidar_or_camera_is_named(copied: Path) -> None:
-    with pytest.raises(ConfigError, match="no lidar 'lms_top'"):
+    with refused(ConfigError, "", None, "lms_top"):
         read_robotcar(copied, lidars=["lms_top"])
-    with pytest.raises(DatasetError, match="expected images"):
+    with refused(DatasetError, copied):
         read_robotcar(copied, cameras=["stereo_left"])
 
 
@@ -331,7 +336,7 @@ def test_a_trajectory_of_one_pose_covers_that_time_alone() -> None:
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, robotcar_layout.RobotCarLayout]:
     """A drive with two images of each of three cameras, smooth in colour, as the layout writes them."""
     out = tmp_path_factory.mktemp("filmed")
-    town = make_district(0, "train", 180.0)
+    town = district()
     road = town.network.drive(path_length(2, "robotcar") + 1.0, 0)
     recorded = record(town, road, condition_named("Sunny").factors, out, frames=2, scale=0.1, cameras=())
     start_us = int((recorded.folder / "vo" / "vo.csv").read_text().splitlines()[1].split(",")[1])
@@ -385,7 +390,7 @@ def test_the_look_up_table_says_where_pixels_come_from(
     assert not shifted[:, -3:].any()
     short = tmp_path / "short.bin"
     short.write_bytes(b"\0" * 16)
-    with pytest.raises(DatasetError, match="not a look-up table for images"):
+    with refused(DatasetError, short):
         replace(stream, look_up_table=short).read(0)
 
 

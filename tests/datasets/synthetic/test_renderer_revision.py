@@ -13,7 +13,7 @@ from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 HOW = "raise RENDERER_REVISION and write the golden values anew: python tests/support/rendered_summary.py"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_is_rendered_is_what_the_revision_says() -> None:
     """The renderer is asked; processors differ by a grey level here and there, which means of blocks hardly show."""
     golden = json.loads(GOLDEN.read_text())

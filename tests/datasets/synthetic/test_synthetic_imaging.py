@@ -13,6 +13,7 @@ import pytest
 import yaml
 from command_line import relocbench
 from pydantic import ValidationError
+from refusals import assert_names, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -146,7 +147,7 @@ def test_factors_of_the_camera_are_set_beside_others() -> None:
     assert (more.wetness, more.fog_density) == (0.5, 0.01)
     assert more.imaging == Imaging(sharpening=1.0, defocus_px=2.0)
     assert "imaging" not in Factors().model_dump()
-    with pytest.raises(ValidationError, match="gamma has no effect beside imaging"):
+    with pytest.raises(ValidationError, match=r"gamma.*imaging"):
         Factors(gamma=1.8, imaging=Imaging())
 
 
@@ -161,32 +162,35 @@ def test_a_condition_keeps_the_camera_that_it_sets() -> None:
 
 def test_mistakes_are_named(tmp_path: Path) -> None:
     command, out = ("build-dataset", "synthetic", "--imaging"), ("--out", tmp_path / "out")
-    assert "--imaging" in relocbench(*command, "vivid", *out).complaint
-    told = relocbench(*command, "varied", "--sweep", "light", *out)
-    assert (told.status, "a single factor differs" in told.complaint) == (2, True)
-    told = relocbench(*command, "varied", "--recording", "kitti", *out)
-    assert (told.status, "--imaging applies to datasets only" in told.complaint) == (2, True)
-    told = relocbench("build-dataset", "synthetic", "--recording", "kitti", "--sweep", "sharpening", *out)
-    assert (told.status, "recordings do not have" in told.complaint) == (2, True)
+    for words in (
+        (*command, "vivid"),
+        (*command, "varied", "--sweep", "light"),
+        (*command, "varied", "--recording", "kitti"),
+        ("build-dataset", "synthetic", "--recording", "kitti", "--sweep", "sharpening"),
+    ):
+        told = relocbench(*words, *out)
+        assert told.status == 2
+        assert_names(told.complaint, "", None, "imaging")
     config = tmp_path / "config.yaml"
     config.write_text("conditions: [Blurred]\nfactors:\n  Blurred: {imaging: {defocus_px: 2, zoom: 3}}\n")
     told = relocbench("build-dataset", "synthetic", "--config", config, *out)
     assert told.status == 2
-    assert f"{config}:3" in told.complaint
-    assert "zoom" in told.complaint
+    assert_names(told.complaint, config, 3, "zoom")
     config.write_text("conditions: [Blurred]\nfactors:\n  Blurred: {imaging: {defocus_px: 2}}\n")
     told = relocbench("build-dataset", "cross-view", "--config", config, *out)
-    assert (told.status, "cross-view sets do not have" in told.complaint) == (2, True)
+    assert told.status == 2
+    assert_names(told.complaint, "", None, "Blurred")
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_a_preview_shows_drawn_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
     shown = previewed(("Sunny", "Rain"), everything=False, swept=None, steps=2, cameras=2, seed=1)
     assert list(shown)[:3] == ["Sunny", "Sunny, camera 1", "Sunny, camera 2"]
     assert len({factors.imaging for factors in shown.values()}) == 5
-    with pytest.raises(ConfigError, match="--cameras"):
+    with refused(ConfigError, "", None, "--cameras"):
         previewed((), everything=False, swept="light", steps=2, cameras=2)
     sheet = tmp_path / "sheet.jpg"
     outcome = relocbench("preview", "-c", "Sunny", "--cameras", 1, "--size", 96, "--out", sheet, "--quiet")

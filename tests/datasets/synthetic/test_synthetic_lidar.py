@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import refused
 from small_street import box, quads
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
@@ -118,7 +119,7 @@ def test_the_spinning_lidar_fires_all_rings_of_an_azimuth_together(rings: int) -
 
 def test_a_spinning_lidar_of_too_many_or_too_few_rings_is_refused() -> None:
     for rings in (8, 128):
-        with pytest.raises(ConfigError, match="16 to 64 rings"):
+        with refused(ConfigError, "", None, 16, 64):
             spinning(rings)
 
 

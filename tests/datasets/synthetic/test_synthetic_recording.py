@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from killing import Fault, run_until_killed
 from numpy.typing import NDArray
 from recording_reading import RobotCarReading, Truth, hashes, matrix_of, read_vo
+from refusals import refused
 from small_street import SolidTexture, StraightRoad, Street, street_mesh
 
 from relocbench.datasets.importers.kitti import dataset as kitti
@@ -544,25 +545,25 @@ def test_a_finished_recording_is_left_alone(tmp_path: Path) -> None:
 
 def test_another_recording_of_the_name_is_refused(tmp_path: Path) -> None:
     drive(tmp_path, cameras=(), frames=3)
-    with pytest.raises(DatasetError, match="another recording of this name"):
+    with refused(DatasetError, tmp_path):
         drive(tmp_path, cameras=(), frames=4)
-    with pytest.raises(DatasetError, match="another image size"):
+    with refused(DatasetError, tmp_path):
         drive(tmp_path, cameras=(), frames=3, number=1, scale=0.2)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "names"),
     [
-        ({"layout": "euroc"}, "no recording layout 'euroc'; available: robotcar, kitti"),
-        ({"frames": 1}, "at least 2 frames"),
-        ({"scale": 0.0}, "scale of the images"),
-        ({"cameras": ("stereo/top",)}, "no RobotCar camera 'stereo/top'"),
-        ({"cameras": ("left",), "layout": "kitti"}, "no KITTI camera 'left'"),
-        ({"path": StraightRoad(90.0)}, r"needs 9\d.\d m of road, but the path is 90.0 m"),
+        ({"layout": "euroc"}, ("euroc", "robotcar", "kitti")),
+        ({"frames": 1}, ("frames", 2, 1)),
+        ({"scale": 0.0}, ("scale", "0.0")),
+        ({"cameras": ("stereo/top",)}, ("stereo/top",)),
+        ({"cameras": ("left",), "layout": "kitti"}, ("left",)),
+        ({"path": StraightRoad(90.0)}, ("90.0 m",)),
     ],
 )
-def test_what_cannot_be_recorded_is_told(tmp_path: Path, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
+def test_what_cannot_be_recorded_is_refused(tmp_path: Path, options: dict[str, Any], names: tuple[object, ...]) -> None:
+    with refused(ConfigError, "", None, *names):
         drive(tmp_path, **options)
     assert not list(tmp_path.rglob("*"))
 
@@ -571,7 +572,7 @@ def test_path_length_is_enough(tmp_path: Path) -> None:
     drive(tmp_path, frames=5, cameras=(), path=StraightRoad(path_length(5, "robotcar")))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_drive_through_a_district_sees_its_houses(tmp_path: Path) -> None:
     town = make_district(3, extent_m=180.0)
     route = town.network.drive(path_length(8, "robotcar") + 1.0, seed=2)

@@ -20,7 +20,7 @@ PATTERNS = bake(5)
 STEP_M = 0.02
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _paint(
     patterns: Patterns, layer: int, salt: int, u0: float, v0: float, step: float, columns: int, rows: int
 ) -> Array:
@@ -34,7 +34,7 @@ def _paint(
 
 def paint(layer: int, u0: float, v0: float, columns: int, rows: int, salt: int = 9, step: float = STEP_M) -> Array:
     """Second colour and brightness (rows, columns, 2) of a rectangle of a surface."""
-    out: Array = _paint(PATTERNS, layer, salt, u0, v0, step, columns, rows)
+    out: Array = _paint(PATTERNS, int(layer), salt, u0, v0, step, columns, rows)
     return out
 
 

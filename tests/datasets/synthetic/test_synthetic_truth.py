@@ -75,6 +75,7 @@ def test_the_independent_rays_hit_what_a_plane_equation_says() -> None:
     assert np.array_equal(which >= 0, np.isfinite(depth))
 
 
+@pytest.mark.thorough
 def test_truth_is_exact_among_parked_and_moving_cars(busy: Dataset) -> None:
     found = report(check(busy, pairs_a_set=2, depth_pixels=2000, seed=0))
     assert found["depth_in_256ths_m"]["rays"] >= 8000
@@ -90,6 +91,7 @@ def test_truth_is_exact_among_parked_and_moving_cars(busy: Dataset) -> None:
     assert found["reference_pixels_on_moving_cars"] == 0
 
 
+@pytest.mark.thorough
 def test_the_check_finds_depth_that_is_off_by_a_centimetre(busy: Dataset) -> None:
     traversal = busy.traversal(busy.traversal_names[0])
     time_ns = traversal.timestamps("front")[0]
@@ -154,6 +156,7 @@ def test_pairs_are_chosen_by_distance_and_evenly_along_the_drive() -> None:
     assert [q for _, q in some] == [0, 5, 10, 14, 19]
 
 
+@pytest.mark.thorough
 def test_patches_stay_alike_within_a_condition_and_not_across(tmp_path: Path) -> None:
     """Frames about half a metre apart; the exact warp takes motion out, so that only looks differ."""
     options = {"conditions": ("Sunny", "Snow"), "size": "160x120", "speed": 5.0, "lateral": 0.1, "correspondences": 0}
