@@ -114,13 +114,13 @@ def test_pixels_do_not_influence_each_other_and_inputs_are_left_alone() -> None:
 def test_too_few_residuals_and_wrong_shapes_are_refused() -> None:
     one, two = levels(view()), levels(view(), view())
     uv = pixels()
-    with pytest.raises(ValueError, match="leave 1 residuals for two unknowns; take a larger pattern"):
+    with pytest.raises(ValueError, match=r"\b1\b.*pattern"):
         match_pixels(one, one, uv, uv, MatchSettings())
-    with pytest.raises(ValueError, match="equally many channels"):
+    with pytest.raises(ValueError, match="channels"):
         match_pixels(one, two, uv, uv, INTENSITY)
     with pytest.raises(ValueError, match=r"\(N, 2\)"):
         match_pixels(one, one, uv, uv[:-1], INTENSITY)
-    with pytest.raises(ValueError, match="positive damping"):
+    with pytest.raises(ValueError, match="damping"):
         MatchSettings(damping=0.0)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import plain_alignment as plain
 import pytest
 from plain_alignment import bilinear
+from refusals import refused
 
 from baselines.alignment import image_pyramid, level_camera, with_gradients
 from relocbench.errors import MethodError
@@ -89,10 +90,10 @@ def test_the_plain_pyramid_is_the_same() -> None:
 
 def test_a_distorted_camera_is_refused_by_name() -> None:
     distorted = Camera("radtan", 50, 40, 30, 30, 25, 20, (0.1, 0, 0, 0))
-    with pytest.raises(MethodError, match=r"pinhole.*radtan"):
+    with refused(MethodError, "", None, "pinhole", "radtan"):
         image_pyramid(noise(40, 50), distorted)
 
 
 def test_an_image_of_another_size_than_its_camera_is_refused() -> None:
-    with pytest.raises(MethodError, match="40x50"):
+    with refused(MethodError, "", None, "40x50"):
         image_pyramid(noise(41, 50), camera(40, 50))

@@ -7,6 +7,7 @@ import plain_alignment as plain
 import pytest
 from alignment_scene import CAMERA, motion, render, to_image
 from numpy.typing import NDArray
+from refusals import refused
 
 from baselines.alignment import (
     Level,
@@ -122,7 +123,7 @@ def test_a_query_without_texture_is_a_stated_trouble(reference: list[LevelPoints
 
 
 def test_a_cutoff_below_the_huber_threshold_is_refused() -> None:
-    with pytest.raises(MethodError, match="cutoff"):
+    with refused(MethodError, "", None, "cutoff"):
         Settings(huber=9, cutoff=5)
 
 
@@ -156,9 +157,9 @@ def test_maps_of_several_channels_are_refused(reference: list[LevelPoints]) -> N
     grey = np.zeros((*CAMERA.size[::-1], 4), np.float32)
     several = Level(with_gradients(grey), CAMERA)
     points = sample_points(np.array([[10, 20], [30, 7]]), np.array([0.5, 0.25]), several.map, CAMERA)
-    with pytest.raises(MethodError, match="one channel"):
+    with refused(MethodError, "", None, "channel"):
         align(reference, [several], np.eye(4), Settings())
-    with pytest.raises(MethodError, match="one channel"):
+    with refused(MethodError, "", None, "channel"):
         align([points], query(MOTION), np.eye(4), Settings())
 
 

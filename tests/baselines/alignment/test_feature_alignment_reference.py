@@ -7,6 +7,7 @@ import pytest
 from alignment_scene import CAMERA
 from feature_alignment_scene import features, keyframe_points, pyramid
 from plain_alignment import bilinear
+from refusals import refused
 
 from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates, sample
 from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
@@ -34,22 +35,22 @@ def test_a_map_of_the_right_kind_is_not_copied() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shapes", "message"),
+    ("shapes", "names"),
     [
-        ([], "at least one map"),
-        ([(256, 320)], r"level 0 is \(256, 320\), expected \(256, 320, channels\)"),
-        ([(320, 256, 4)], "level 0"),
-        ([(256, 320, 4), (256, 320, 4)], r"level 1 is .* expected \(128, 160, channels\)"),
+        ([], ()),
+        ([(256, 320)], ("level 0", "(256, 320)", "(256, 320, channels)")),
+        ([(320, 256, 4)], ("level 0", "(320, 256, 4)")),
+        ([(256, 320, 4), (256, 320, 4)], ("level 1", "(128, 160, channels)")),
     ],
 )
-def test_wrong_maps_are_refused_with_what_was_expected(shapes: list[tuple[int, ...]], message: str) -> None:
-    with pytest.raises(MethodError, match=message):
+def test_wrong_maps_are_refused_with_what_was_expected(shapes: list[tuple[int, ...]], names: tuple[str, ...]) -> None:
+    with refused(MethodError, "", None, *names):
         FeaturePyramid.from_maps([np.zeros(shape, np.float32) for shape in shapes], CAMERA)
 
 
 def test_a_distorted_camera_is_refused_by_name() -> None:
     distorted = Camera("radtan", 50, 40, 30, 30, 25, 20, (0.1, 0, 0, 0))
-    with pytest.raises(MethodError, match=r"pinhole.*radtan"):
+    with refused(MethodError, "", None, "pinhole", "radtan"):
         FeaturePyramid.from_maps([np.zeros((40, 50, 2), np.float32)], distorted)
 
 
@@ -114,9 +115,9 @@ def test_confidences_multiply_the_weights_of_their_level() -> None:
 def test_as_many_confidences_as_maps_of_the_same_size() -> None:
     maps = [level.map for level in pyramid().levels]
     confidences = [np.ones((*values.shape[:2], 1), np.float32) for values in maps]
-    with pytest.raises(MethodError, match="3 maps of confidence, 4 of features"):
+    with refused(MethodError, "", None, 3, 4):
         FeaturePyramid.from_maps(maps, CAMERA, confidences[:3])
-    with pytest.raises(MethodError, match="level 1"):
+    with refused(MethodError, "", None, "level 1"):
         FeaturePyramid.from_maps(maps, CAMERA, [confidences[0]] * 4)
 
 
@@ -145,12 +146,12 @@ def test_spread_is_the_features_robust_scale() -> None:
 @pytest.mark.parametrize("weights", [[1.0, 0.0], [1.0, -1.0], [1.0, np.nan], [1.0, np.inf], [1.0]])
 def test_weights_must_be_positive_numbers(weights: list[float]) -> None:
     points = KeyframePoints(np.full((2, 2), 50.0), np.ones(2), np.zeros(2))
-    with pytest.raises(MethodError, match="weights"):
+    with refused(MethodError, "", None, "weights"):
         ReferenceFeatures.at_points(points, pyramid(), np.array(weights))
 
 
 def test_vectors_must_be_as_many_as_points() -> None:
-    with pytest.raises(MethodError, match=r"values \(N, D\)"):
+    with refused(MethodError, "", None, "(N, D)"):
         FeaturePoints.at(np.zeros((3, 2)), np.ones(3), np.zeros((2, 4)), CAMERA)
 
 

@@ -12,6 +12,7 @@ import pytest
 from alignment_scene import CAMERA, motion, render, to_image
 from answer_contract import fault_of
 from numpy.typing import NDArray
+from refusals import refused
 
 from baselines.alignment import Level, image_pyramid, moved_along
 from baselines.dso import Dso, DsoMultiStart, small_rotations
@@ -253,7 +254,7 @@ def test_dso_s_own_failure_test_is_recorded_and_off_unless_asked_for() -> None:
 
 def test_a_distorted_camera_is_the_users_mistake() -> None:
     fisheye = Camera("equidistant", CAMERA.width, CAMERA.height, 200, 200, 160, 128, (0.1, 0, 0, 0))
-    with pytest.raises(MethodError, match="pinhole"):
+    with refused(MethodError, "", None, "pinhole"):
         Dso().prepare(dense_reference(camera=fisheye))
-    with pytest.raises(MethodError, match="pinhole"):
+    with refused(MethodError, "", None, "pinhole"):
         Dso().track(Dso().prepare(dense_reference()), Query("q", 2, to_image(GREY), fisheye))

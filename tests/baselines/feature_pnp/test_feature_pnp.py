@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,6 +28,10 @@ FISHEYE = Camera("equidistant", 480, 360, 250.0, 252.0, 238.0, 181.0, (-0.02, 0.
 PLANES = np.array([[0.35, 0.1, 1.0, 5.0], [-0.5, -0.15, 1.0, 4.5]])  # n . X = d in the reference frame
 T_QUERY_REF = se3_exp([0.25, -0.1, -0.4, 0.03, -0.06, 0.05])
 TRACKERS = pytest.mark.parametrize("tracker", [OrbPnp(), SiftPnp()], ids=["orb", "sift"])
+ONE = pytest.mark.parametrize(
+    "tracker", [OrbPnp(), pytest.param(SiftPnp(), marks=pytest.mark.thorough)], ids=["orb", "sift"]
+)
+"""for what is the same code in both"""
 Array = NDArray[np.float64]
 
 
@@ -66,6 +71,12 @@ def reference(camera: Camera = PINHOLE) -> Reference:
 
 
 @cache
+def prepared(tracker: OrbPnp) -> Any:
+    """What the tracker made of the keyframe of the pinhole camera."""
+    return tracker.prepare(reference())
+
+
+@cache
 def query(camera: Camera = PINHOLE) -> Query:
     return Query("query", 1, render(camera, T_QUERY_REF)[0], camera)
 
@@ -80,9 +91,12 @@ def errors(result: TrackResult) -> tuple[float, float]:
 
 
 @TRACKERS
-@pytest.mark.parametrize("query_camera", [PINHOLE, RADTAN, FISHEYE], ids=lambda c: f"query-{c.model}")
-@pytest.mark.parametrize("reference_camera", [PINHOLE, RADTAN, FISHEYE], ids=lambda c: f"ref-{c.model}")
-def test_pose_is_right_for_every_pair_of_camera_models(
+@pytest.mark.parametrize(
+    ("reference_camera", "query_camera"),
+    [(PINHOLE, RADTAN), (RADTAN, FISHEYE), (FISHEYE, PINHOLE)],
+    ids=lambda camera: camera.model,
+)
+def test_pose_is_right_for_each_camera_model_on_either_side(
     tracker: OrbPnp, reference_camera: Camera, query_camera: Camera
 ) -> None:
     result = tracker.track(tracker.prepare(reference(reference_camera)), query(query_camera))
@@ -93,7 +107,7 @@ def test_pose_is_right_for_every_pair_of_camera_models(
     assert degrees < min(degrees_limit, 3 * result.info["rotation_sigma_deg"])
     assert result.confidence is not None
     # Half of what the fisheye keyframe shows lies outside the view of the other cameras, and counts as different.
-    narrower = reference_camera is FISHEYE and query_camera is not FISHEYE
+    narrower = reference_camera is FISHEYE
     assert (0.3 if narrower else 0.5) < result.confidence <= 1
     assert result.info["inliers"] <= result.info["matches"]
     assert result.info["reprojection_rms_px"] < 1.5
@@ -113,7 +127,7 @@ def test_sparse_map_points_are_enough(tracker: OrbPnp) -> None:
     assert degrees < 0.2
 
 
-@TRACKERS
+@ONE
 def test_colour_and_grey_images_give_the_same_pose(tracker: OrbPnp) -> None:
     grey = reference()
     colour = Reference("corner", 0, np.repeat(grey.image[..., None], 3, axis=2), PINHOLE, depth=grey.depth)
@@ -137,20 +151,20 @@ def test_same_inputs_give_the_same_bytes(tracker: OrbPnp) -> None:
     assert first.info == again.info
 
 
-@TRACKERS
+@ONE
 def test_prepared_reference_survives_the_way_to_another_process(tracker: OrbPnp) -> None:
-    prepared = tracker.prepare(reference())
-    there = pickle.loads(pickle.dumps(prepared))
+    keyframe = prepared(tracker)
+    there = pickle.loads(pickle.dumps(keyframe))
     np.testing.assert_array_equal(
-        tracker.track(prepared, query()).T_query_ref, tracker.track(there, query()).T_query_ref
+        tracker.track(keyframe, query()).T_query_ref, tracker.track(there, query()).T_query_ref
     )
 
 
-@TRACKERS
+@ONE
 def test_prior_is_not_used(tracker: OrbPnp) -> None:
-    prepared = tracker.prepare(reference())
-    with_prior = tracker.track(prepared, query(), prior=se3_exp([5, 5, 5, 1, 1, 1]))
-    np.testing.assert_array_equal(with_prior.T_query_ref, tracker.track(prepared, query()).T_query_ref)
+    keyframe = prepared(tracker)
+    with_prior = tracker.track(keyframe, query(), prior=se3_exp([5, 5, 5, 1, 1, 1]))
+    np.testing.assert_array_equal(with_prior.T_query_ref, tracker.track(keyframe, query()).T_query_ref)
 
 
 def blank() -> Query:
@@ -165,13 +179,13 @@ def elsewhere() -> Query:
 @TRACKERS
 @pytest.mark.parametrize("unanswerable", [blank, elsewhere])
 def test_a_query_of_another_place_is_a_stated_failure(tracker: OrbPnp, unanswerable: Callable[[], Query]) -> None:
-    result = tracker.track(tracker.prepare(reference()), unanswerable())
+    result = tracker.track(prepared(tracker), unanswerable())
     assert not result.answered
     assert "needed" in result.message or "no pose" in result.message
     assert result.confidence is None
 
 
-@TRACKERS
+@ONE
 def test_a_keyframe_without_depth_is_a_stated_failure(tracker: OrbPnp) -> None:
     empty = Reference("empty", 0, reference().image, PINHOLE, depth=np.zeros((360, 480), np.float32))
     nothing = Reference("nothing", 0, reference().image, PINHOLE)
@@ -202,8 +216,8 @@ def test_a_query_that_shows_two_places_is_answered_with_less_confidence() -> Non
     tracker = OrbPnp()
     other = render(PINHOLE, se3_exp([0.6, 0.0, -0.4, 0.0, 0.05, 0.0]))[0]
     torn = np.concatenate([query().image[:200], other[200:]])
-    prepared = tracker.prepare(reference())
-    whole, part = (tracker.track(prepared, Query("q", 1, image, PINHOLE)) for image in (query().image, torn))
+    keyframe = prepared(tracker)
+    whole, part = (tracker.track(keyframe, Query("q", 1, image, PINHOLE)) for image in (query().image, torn))
     assert part.answered
     assert part.info["rival_inliers"] > 10 * (whole.info["rival_inliers"] + 1) / 4
     assert whole.confidence is not None
@@ -214,14 +228,14 @@ def test_a_query_that_shows_two_places_is_answered_with_less_confidence() -> Non
 
 def test_too_few_inliers_is_a_stated_failure() -> None:
     tracker = OrbPnp(min_inliers=300, features=320)
-    result = tracker.track(tracker.prepare(reference()), query())
+    result = tracker.track(prepared(tracker), query())
     assert not result.answered
     assert "300 needed" in result.message
 
 
-@TRACKERS
+@ONE
 def test_some_matches_are_told_in_pixels_of_both_images(tracker: OrbPnp | SiftPnp) -> None:
-    result = tracker.track(tracker.prepare(reference()), query())
+    result = tracker.track(prepared(tracker), query())
     told = np.array(result.info["shown_matches"])
     agrees = told[:, 4] == 1
     assert SHOWN_INLIERS == np.count_nonzero(agrees) <= result.info["inliers"]

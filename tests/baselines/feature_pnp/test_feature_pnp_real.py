@@ -29,7 +29,7 @@ from relocbench.geometry import (
 )
 from relocbench.tracking import Query, Reference, TrackResult
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough
 FindData = Callable[[str], Path]
 Array = NDArray[np.float64]
 TRACKERS = pytest.mark.parametrize("tracker", [OrbPnp(), SiftPnp()], ids=["orb", "sift"])
@@ -187,12 +187,11 @@ def tum_errors(tracker: OrbPnp, pairs: Iterable[tuple[Frame, Frame]]) -> list[tu
 
 
 @TRACKERS
-@pytest.mark.parametrize("step", [1, 2, 4])
-def test_desk_within_a_session(real_data: FindData, tracker: OrbPnp, step: int) -> None:
+def test_desk_within_a_session(real_data: FindData, tracker: OrbPnp) -> None:
     """Measured medians: 0.5-0.65 cm, 0.15-0.27 deg."""
     frames = tum_frames(real_data("tum_rgbd") / "rgbd_dataset_freiburg1_xyz")
     assert len(frames) == 10
-    metres, degrees = medians(tum_errors(tracker, zip(frames[::2], frames[step::2], strict=False)))
+    metres, degrees = medians(tum_errors(tracker, zip(frames[::2], frames[2::2], strict=False)))
     assert metres <= 0.015
     assert degrees <= 0.6
 

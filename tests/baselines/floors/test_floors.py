@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from made_places import made_places
+from refusals import refused
 
 from baselines.floors import ColourHistogram, OrbBagOfWords, RandomOrder
 from relocbench.errors import ConfigError, MethodError
@@ -99,9 +100,9 @@ def test_images_of_one_view_are_retrieved_between_conditions() -> None:
     found = PlaceValidation(replace(data, images=tuple(elsewhere)), ("drone",))(ColourHistogram())
     assert set(found.by_conditions) == set(scores.by_conditions), "no place is shown in fog and in another condition"
     assert set(found.pairs.values()) == {4}
-    with pytest.raises(ConfigError, match="or between conditions of view 'drone': no held-out place is shown in two"):
+    with refused(ConfigError, "", None, "drone"):
         PlaceValidation(data, ("drone",))
-    with pytest.raises(ConfigError, match=r"no held-out image of view 'street' \(there are drone, satellite\)"):
+    with refused(ConfigError, "", None, "street"):
         PlaceValidation(data, ("street",))
 
 
@@ -109,7 +110,7 @@ def test_orb_words_find_places_of_other_corners() -> None:
     data = corner_places()
     gallery = [each.image for each in data.images if each.image.view == "satellite"]
     retriever = OrbBagOfWords(words=64)
-    with pytest.raises(MethodError, match="fit"):
+    with refused(MethodError, "", None, "fit"):
         retriever.describe(gallery)
     retriever.fit(gallery, seed=0)
     assert PlaceValidation(data, VIEWS)(retriever).together["R@1"] > 0.8
@@ -121,7 +122,7 @@ def test_orb_words_find_places_of_other_corners() -> None:
 def test_an_image_without_features_is_not_described_and_a_gallery_without_them_has_no_vocabulary() -> None:
     retriever = OrbBagOfWords(words=16)
     bare = [view_of(f"{value}", partial(plain, value)) for value in (0, 128)]
-    with pytest.raises(MethodError, match="ORB finds only 0 different features"):
+    with refused(MethodError, "", None, "ORB", 0):
         retriever.fit(bare, seed=0)
     retriever.fit([each.image for each in corner_places(3).images], seed=0)
     assert np.isnan(retriever.describe(bare)).all()

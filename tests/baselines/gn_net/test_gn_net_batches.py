@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_pairs import TINY, MadePairs
 from numpy.typing import NDArray
+from refusals import refused
 
 from baselines.gn_net.training.augmentation import augment
 from baselines.gn_net.training.batches import Batch, Batches
@@ -79,15 +79,15 @@ def test_a_dataset_gets_its_share_of_the_draws(percent: int, second: int, seed: 
 
 
 @pytest.mark.parametrize(
-    ("shares", "told"),
+    ("shares", "names"),
     [
-        ({"streets": 0.5}, r"shares\.streets: the data has pairs of town, walk"),
-        ({"town": 0.5, "walk": 0.4}, r"shares add up to 0\.9, but they are all datasets"),
-        ({"town": 1.0}, r"shares add up to 1, but nothing is left for walk"),
+        ({"streets": 0.5}, ("shares.streets", "town", "walk")),
+        ({"town": 0.5, "walk": 0.4}, ("shares", 0.9)),
+        ({"town": 1.0}, ("shares", 1, "walk")),
     ],
 )
-def test_shares_that_cannot_be_are_refused(shares: Mapping[str, float], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_shares_that_cannot_be_are_refused(shares: Mapping[str, float], names: tuple[object, ...]) -> None:
+    with refused(ConfigError, "", None, *names):
         EvenDraw(MadePairs(datasets=["town", "walk"] * 2), 0, shares)
 
 
@@ -96,13 +96,13 @@ def test_a_share_is_of_the_dataset_that_its_name_tells() -> None:
     for name in ("walk", "walk@c3"):
         draw = EvenDraw(data, 0, {name: 0.5})
         assert {data.label(draw[number]).dataset for number in range(1, 40, 2)} == {"walk@c3"}
-    with pytest.raises(ConfigError, match=r"shares\.town: 2 datasets have that name, such as town@a1; say which"):
+    with refused(ConfigError, "", None, "shares.town", 2, "town@a1"):
         EvenDraw(data, 0, {"town": 0.5})
 
 
 def test_shares_are_above_0_and_at_most_1() -> None:
     for shares in ({"town": 0.0}, {"town": 0.6, "walk": 0.6}):
-        with pytest.raises(ConfigError, match=r"shares is .*, expected shares above 0, at most 1 together"):
+        with refused(ConfigError, "", None, "shares", 0, 1):
             options(shares=shares)
 
 
@@ -292,23 +292,23 @@ def same(a: Batch, b: Batch) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("changed", "words"),
+    ("changed", "names"),
     [
-        ({"batch": 0}, "batch is 0, expected 1 or more"),
-        ({"batch": "four"}, "batch is 'four': Input should be a valid integer"),
-        ({"crop": 4}, "crop is 4, expected 16 or more, which the network's coarsest level needs"),
-        ({"scale": [1.0, 0.5]}, "scale is [1.0, 0.5], expected two positive factors, the smaller one first"),
-        ({"ema": 1.0}, "ema is 1.0, expected 0 or more and below 1"),
-        ({"ema": float("nan")}, "ema is nan, expected 0 or more and below 1"),
-        ({"swap": 1.5}, "swap is 1.5, expected 0 to 1"),
-        ({"learning_rate": 0.0}, "learning_rate is 0.0, expected more than 0"),
-        ({"loss": {"level_weights": [1.0]}}, "loss.level_weights is [1.0], expected as many as network.levels, which"),
-        ({"loss": {"descent": {"damping": -1}}}, "loss.descent.damping is -1.0, expected more than 0"),
-        ({"augmentation": {"grey": 2.0}}, "augmentation.grey is 2.0, expected 0 to 1"),
-        ({"augmentation": {"gray": 0.1}}, "unknown option augmentation.gray"),
-        ({"step": 3}, "unknown option step"),
+        ({"batch": 0}, ("batch", 0, 1)),
+        ({"batch": "four"}, ("batch", "four")),
+        ({"crop": 4}, ("crop", 4, 16)),
+        ({"scale": [1.0, 0.5]}, ("scale", "[1.0, 0.5]")),
+        ({"ema": 1.0}, ("ema", "1.0")),
+        ({"ema": float("nan")}, ("ema", "nan")),
+        ({"swap": 1.5}, ("swap", 1.5, 0, 1)),
+        ({"learning_rate": 0.0}, ("learning_rate", "0.0")),
+        ({"loss": {"level_weights": [1.0]}}, ("loss.level_weights", "[1.0]", "network.levels")),
+        ({"loss": {"descent": {"damping": -1}}}, ("loss.descent.damping", "-1.0")),
+        ({"augmentation": {"grey": 2.0}}, ("augmentation.grey", "2.0", 0, 1)),
+        ({"augmentation": {"gray": 0.1}}, ("augmentation.gray",)),
+        ({"step": 3}, ("step",)),
     ],
 )
-def test_options_that_make_no_sense_are_refused(changed: dict[str, Any], words: str) -> None:
-    with pytest.raises(ConfigError, match=f"^{re.escape(words)}"):
+def test_options_that_make_no_sense_are_refused(changed: dict[str, Any], names: tuple[object, ...]) -> None:
+    with refused(ConfigError, "", None, *names):
         options(**changed)

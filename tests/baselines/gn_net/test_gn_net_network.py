@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 from torch import Tensor, nn
 
 from baselines.gn_net.network import FeatureNet, image_tensor
@@ -199,16 +200,16 @@ def test_efficientnets_stages_are_an_encoder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "expected"),
+    ("changed", "names"),
     [
-        ({"encoder": "resnet"}, "'plain' or 'efficientnet-lite0'"),
-        ({"finest": 0}, "1 with this encoder"),
-        ({"norm": "none"}, "batch with this encoder"),
-        ({"widths": (4,) * 6}, "at most 5"),
+        ({"encoder": "resnet"}, ("encoder", "plain", "efficientnet-lite0")),
+        ({"finest": 0}, ("finest", 0, 1)),
+        ({"norm": "none"}, ("norm", "none", "batch")),
+        ({"widths": (4,) * 6}, ("widths", 5)),
     ],
 )
-def test_what_efficientnet_cannot_be_is_refused(changed: dict[str, object], expected: str) -> None:
-    with pytest.raises(ConfigError, match=expected):
+def test_what_efficientnet_cannot_be_is_refused(changed: dict[str, object], names: tuple[object, ...]) -> None:
+    with refused(ConfigError, "", None, *names):
         options_from_dict(NetworkOptions, {**options_to_dict(LITE), **changed})
 
 
@@ -224,7 +225,7 @@ def test_grey_images_are_repeated_and_pixels_scaled_to_one() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 2, 32, 32), (3, 32, 32), (1, 3, 3, 32)])
 def test_what_is_no_image_is_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="images are"):
+    with pytest.raises(ValueError, match="images"):
         FeatureNet(SMALL)(torch.zeros(shape))
 
 
@@ -243,7 +244,7 @@ def test_what_is_no_image_is_refused(shape: tuple[int, ...]) -> None:
     ],
 )
 def test_options_that_make_no_sense_are_named(values: dict[str, object], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+    with refused(ConfigError, "", None, said):
         options_from_dict(NetworkOptions, values)
 
 
@@ -265,6 +266,7 @@ def test_weights_come_back_as_they_were_with_options_and_card(tmp_path: Path) ->
     assert [file.name for file in path.parent.iterdir()] == ["net.safetensors"]
 
 
+@pytest.mark.thorough
 def test_the_same_weights_are_the_same_bytes_in_another_process_without_open3d(tmp_path: Path) -> None:
     script = (
         "import sys, pathlib; from baselines.gn_net.network import FeatureNet;"
@@ -311,6 +313,6 @@ def test_a_file_that_is_not_these_weights_is_one_line_with_its_path(tmp_path: Pa
 
 
 def test_a_card_is_text(tmp_path: Path) -> None:
-    with pytest.raises(MethodError, match="'seed'"):
+    with refused(MethodError, "", None, "seed"):
         save_weights(tmp_path / "net.safetensors", FeatureNet(SMALL), {"seed": 3})  # type: ignore[dict-item]
     assert not list(tmp_path.iterdir())

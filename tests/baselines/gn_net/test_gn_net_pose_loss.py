@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from made_pairs import TINY, MadePairs
+from refusals import refused
 from torch import Tensor
 
 from baselines.gn_net.losses import LossOptions, pose_loss
@@ -271,14 +272,14 @@ def test_confidences_are_learnt_from_the_pose_loss(tmp_path: Path) -> None:
     gn_net().train(PosedPairs(), None, {**TINY, **changed, "loss": loss}, run)
     heads = load_weights(tmp_path / "weights.safetensors").confidences
     assert [bool(head.weight.detach().any()) for head in heads] == [True, True]  # type: ignore[operator]
-    with pytest.raises(ConfigError, match=r"network\.confidence.*loss\.pose\.weight"):
+    with refused(ConfigError, "", None, "network.confidence", "loss.pose.weight"):
         options(network={**TINY["network"], "confidence": True}, loss={"level_weights": [1.0, 1.0]})
 
 
 def test_without_poses_the_loss_is_refused_in_one_line(tmp_path: Path) -> None:
     run = TrainingRun(tmp_path, "gn-net", "relocbench train gn-net", workers=0)
     loss = {"level_weights": [1.0, 1.0], "pose": {"weight": 0.1}}
-    with pytest.raises(MethodError, match="needs data with true poses"):
+    with refused(MethodError):
         gn_net().train(MadePairs(), None, {**TINY, "loss": loss}, run)
-    with pytest.raises(ConfigError, match="still"):
+    with refused(ConfigError, "", None, "still"):
         options(loss={"level_weights": [1.0, 1.0], "pose": {"still": 1.5}})

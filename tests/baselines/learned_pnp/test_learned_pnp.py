@@ -16,6 +16,7 @@ from command_line import relocbench
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import refused
 from safetensors.torch import save_file
 from small_dataset import ACROSS, make_small_dataset
 
@@ -99,37 +100,32 @@ def test_weights_are_read_from_both_kinds_of_file(drawn: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "names"),
     [
-        (lambda t: t.pop("conv1.weight"), "'conv1.weight' is missing"),
-        (lambda t: t.update(extra=torch.zeros(1)), "'extra' is not part of this network"),
-        (lambda t: t.update({"conv1.weight": torch.zeros(2, 2, 1, 1)}), r"'conv1.weight' is \(2, 2, 1, 1\)"),
-        (lambda t: t["conv1.weight"].fill_(torch.nan), "'conv1.weight' holds numbers that are not finite"),
-        (lambda t: t.pop("block1.bn1.running_mean"), "'block1.bn1.running_mean' is missing"),
+        (lambda t: t.pop("conv1.weight"), ("conv1.weight",)),
+        (lambda t: t.update(extra=torch.zeros(1)), ("extra",)),
+        (lambda t: t.update({"conv1.weight": torch.zeros(2, 2, 1, 1)}), ("conv1.weight", "(2, 2, 1, 1)")),
+        (lambda t: t["conv1.weight"].fill_(torch.nan), ("conv1.weight",)),
+        (lambda t: t.pop("block1.bn1.running_mean"), ("block1.bn1.running_mean",)),
     ],
 )
 def test_weights_of_another_network_are_refused_by_name(
-    drawn: Path, tmp_path: Path, change: Callable[[dict[str, torch.Tensor]], Any], told: str
+    drawn: Path, tmp_path: Path, change: Callable[[dict[str, torch.Tensor]], Any], names: tuple[str, ...]
 ) -> None:
     tensors = torch.load(drawn, weights_only=True)
     change(tensors)
     torch.save(tensors, tmp_path / "other.pth")
-    with pytest.raises(MethodError, match=told) as bad:
+    with refused(MethodError, tmp_path / "other.pth", None, *names):
         Aliked(tmp_path / "other.pth", 200, 1280, "cpu", "t16")
-    assert bad.value.path == tmp_path / "other.pth"
 
 
 def test_files_that_are_no_weights_are_refused(drawn: Path, tmp_path: Path) -> None:
     (tmp_path / "text.pth").write_text("hello")
     torch.save([1, 2], tmp_path / "list.pth")
-    for name, told in (
-        ("none.pth", "no such file"),
-        ("text.pth", "cannot be read as weights"),
-        ("list.pth", "no tensors"),
-    ):
-        with pytest.raises(MethodError, match=told):
+    for name in ("none.pth", "text.pth", "list.pth"):
+        with refused(MethodError, tmp_path / name):
             AlikedPnp(weights=tmp_path / name, model="t16")
-    with pytest.raises(MethodError, match="is of another network"):
+    with refused(MethodError, drawn):
         AlikedPnp(weights=drawn, model="n16")
 
 
@@ -146,7 +142,7 @@ def test_without_kornia_one_line_says_what_to_install(drawn: Path, monkeypatch: 
     for name in [name for name in sys.modules if name.partition(".")[0] == "kornia"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "kornia", None)
-    with pytest.raises(MethodError, match=r"ALIKED needs the package kornia: pip install 'relocbench\[learned\]'"):
+    with refused(MethodError, "", None, "ALIKED", "kornia", "pip install 'relocbench[learned]'"):
         AlikedPnp(weights=drawn, model="t16")
 
 
@@ -160,10 +156,11 @@ def test_grey_images_and_small_ones(drawn: Path) -> None:
     colour.flags.writeable = False
     with warnings.catch_warnings(action="error"):
         assert len(detector(colour)) > 0, "evaluation hands over images that nobody can write to"
-    with pytest.raises(MethodError, match="needs images of 64 pixels or more, this one has 128x63"):
+    with refused(MethodError, "", None, 64, "128x63"):
         detector(image[:63])
 
 
+@pytest.mark.thorough
 def test_keypoints_of_a_shrunk_image_are_pixels_of_the_original(real_data: Callable[[str], Path]) -> None:
     weights = real_data("weights") / "aliked-t16.pth"
     small = pattern(160, 224)
@@ -175,6 +172,7 @@ def test_keypoints_of_a_shrunk_image_are_pixels_of_the_original(real_data: Calla
     assert set(direct.scale) == {1.0}
 
 
+@pytest.mark.thorough
 def test_keypoints_move_with_the_image(real_data: Callable[[str], Path]) -> None:
     weights = real_data("weights") / "aliked-n16.pth"
     path = min((real_data("kitti_odometry") / "sequences" / "06" / "image_0").glob("*.png"))
@@ -188,6 +186,7 @@ def test_keypoints_move_with_the_image(real_data: Callable[[str], Path]) -> None
     assert np.abs(np.median(near, axis=0)).max() < 0.05
 
 
+@pytest.mark.thorough
 def test_poses_with_the_weights_of_the_authors(real_data: Callable[[str], Path], tmp_path: Path) -> None:
     weights = real_data("weights") / "aliked-n16.pth"
     dataset = make_small_dataset(tmp_path / "small", frames=4, size=(160, 120))

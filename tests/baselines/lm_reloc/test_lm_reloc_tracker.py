@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from made_views import POSES, TINY_POSE_NET, keyframe, query, tiny_encoder
+from refusals import refused
 from repository import ROOT
 from small_dataset import render, small_camera
 
@@ -119,9 +120,9 @@ def test_files_that_decide_the_answers_are_named(weights: Path) -> None:
 
 def test_wrong_weights_are_one_line(tmp_path: Path) -> None:
     path = tiny_encoder(tmp_path)
-    with pytest.raises(MethodError, match=f"{path}: a safetensors file, but not weights of pose-net"):
+    with refused(MethodError, path, None, "pose-net"):
         LmReloc(pose_weights=path)
-    with pytest.raises(MethodError, match="no such file of weights"):
+    with refused(MethodError, "none.safetensors"):
         PoseNet(tmp_path / "none.safetensors")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from made_views import tiny_encoder
+from refusals import refused
 
 from baselines.lm_reloc.correlation import correlate, descriptors
 from baselines.lm_reloc.loss import pose_loss
@@ -106,20 +107,20 @@ def test_folded_normalisation_predicts_the_same() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "words"),
+    ("changed", "names"),
     [
-        ({"side": 30}, "side is 30, expected a multiple of 8, which the encoder needs, up to 1024"),
-        ({"stage": 3}, "stage is 3, expected 0 to 2, the encoder's last stage"),
-        ({"kernels": [1, 4]}, r"kernels is \[1, 4\], expected as many as channels, odd and up to 15"),
-        ({"kernels": [1]}, r"kernels is \[1\], expected as many as channels"),
-        ({"kernels": [3, 5]}, r"kernels is \[3, 5\], expected sides that shrink the map of 4 by 3 at most"),
-        ({"channels": []}, "channels is .*, expected 1 to 12"),
-        ({"focal": 0}, "focal is 0.*, expected more than 0"),
-        ({"hidden": 10**9}, "hidden is 1000000000, expected 1 to 4096"),
+        ({"side": 30}, ("side", 30, 8, 1024)),
+        ({"stage": 3}, ("stage", 3, 0, 2)),
+        ({"kernels": [1, 4]}, ("kernels", "[1, 4]", "channels", 15)),
+        ({"kernels": [1]}, ("kernels", "[1]", "channels")),
+        ({"kernels": [3, 5]}, ("kernels", "[3, 5]", 4, 3)),
+        ({"channels": []}, ("channels", 1, 12)),
+        ({"focal": 0}, ("focal", 0)),
+        ({"hidden": 10**9}, ("hidden", 1000000000, 4096)),
     ],
 )
-def test_a_shape_that_no_network_has_is_refused_by_name(changed: dict[str, Any], words: str) -> None:
-    with pytest.raises(ConfigError, match=words) as caught:
+def test_a_shape_that_no_network_has_is_refused_by_name(changed: dict[str, Any], names: tuple[object, ...]) -> None:
+    with refused(ConfigError, "", None, *names) as caught:
         tiny(**changed)
     assert "\n" not in str(caught.value)
 

@@ -9,6 +9,7 @@ from typing import Literal, cast
 
 import pytest
 import torch
+from refusals import refused
 from torch import Tensor
 from torch.autograd import gradcheck
 from torch.nn import functional
@@ -112,14 +113,14 @@ def test_batches_that_a_loss_cannot_use_are_refused() -> None:
     pairs = LossOptions(decorrelation=DecorrelationOptions(weight=0.1))
     both: dict[View, ViewOutput] = {"satellite": output(1), "drone": output(2)}
     assert math.isfinite(float(total_loss(both, {"satellite": one, "drone": one}, pairs).total))
-    with pytest.raises(ValueError, match="same building"):
+    with pytest.raises(ValueError, match="building"):
         total_loss(both, {"satellite": one, "drone": other}, pairs)
-    with pytest.raises(ValueError, match="same building"):
+    with pytest.raises(ValueError, match="building"):
         total_loss({"drone": output(1)}, {"drone": one}, pairs)
     with pytest.raises(ValueError, match="masks"):
         total_loss({"drone": output(1)}, {"drone": one}, LossOptions(partition=PartitionLossOptions(weight=1.0)))
     for outputs, labels in (({}, {}), ({"drone": output(1)}, {"satellite": one})):
-        with pytest.raises(ValueError, match="same views"):
+        with pytest.raises(ValueError, match="views"):
             total_loss(cast(dict[View, ViewOutput], outputs), cast(dict[View, Tensor], labels))
 
 
@@ -206,7 +207,7 @@ def test_the_variance_by_hand() -> None:
     two = torch.tensor([[0.5, 0.1], [0.5, 0.9]]).reshape(1, 2, 1, 2)
     assert float(spread(two, "pixels", False)) == pytest.approx(0.04)
     assert float(spread(two, "pixels", True)) == pytest.approx((0.04 / 0.3 + 0.04 / 0.7) / 2)
-    with pytest.raises(ValueError, match="at least two"):
+    with pytest.raises(ValueError, match="two"):
         spread(torch.ones(1, 1, 2, 2), "parts", False)
 
 
@@ -284,7 +285,7 @@ def test_the_originals_derivative_by_the_variance_never_vanishes() -> None:
     ],
 )
 def test_options_that_make_no_sense_are_named(values: dict[str, object], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+    with refused(ConfigError, "", None, said):
         options_from_dict(LossOptions, values)
 
 

@@ -54,7 +54,7 @@ def test_a_descriptors_parts_are_the_embeddings_of_unit_norm() -> None:
     f = noise(3, 4, 5)
     assert torch.allclose(parts_of(descriptors(f), 4), unit_parts(f))
     for parts in (3, 0):
-        with pytest.raises(ValueError, match="does not consist of"):
+        with pytest.raises(ValueError, match="consist"):
             parts_of(descriptors(f), parts)
 
 

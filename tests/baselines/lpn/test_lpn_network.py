@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import pickle
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
 import pytest
 import torch
+from made_places import NarrowResNet
+from refusals import refused
 from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.autograd import gradcheck
@@ -35,6 +38,14 @@ from relocbench.errors import ConfigError, MethodError
 
 SMALL = NetworkOptions(backbone="resnet18", parts=2, width=8)
 """2 rings of a 4 x 4 map at 64 pixels"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def narrow() -> Iterator[None]:
+    """ResNet-18 with few channels and blocks, but where a test takes the whole one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
+        yield
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -202,8 +213,13 @@ def test_attention_acts_after_the_stages_that_are_named() -> None:
 # Backbone
 
 
-@pytest.mark.parametrize(("name", "build"), [("resnet18", resnet18), ("resnet50", resnet50)])
-def test_the_backbone_is_torchvisions_but_for_the_last_stride(name: str, build: object) -> None:
+@pytest.mark.parametrize(
+    ("name", "build"), [pytest.param("resnet18", resnet18, marks=pytest.mark.thorough), ("resnet50", resnet50)]
+)
+def test_the_backbone_is_torchvisions_but_for_the_last_stride(
+    name: str, build: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.lpn.backbone.resnet18", resnet18)
     torch.manual_seed(3)
     theirs = build(weights=None).eval()  # type: ignore[operator]
     state = {key: value for key, value in theirs.state_dict().items() if not key.startswith("fc.")}
@@ -244,11 +260,11 @@ def test_first_weights_depend_on_their_generator_alone() -> None:
         if parameter.ndim > 1:
             assert not torch.equal(parameter, other.get_parameter(name))
     first = one.branch("drone").backbone.get_parameter("layer1.0.conv1.weight")
-    assert float(first.detach().std()) == pytest.approx((2 / (64 * 9)) ** 0.5, rel=0.02)  # fan-out
+    assert float(first.detach().std()) == pytest.approx((2 / (8 * 9)) ** 0.5, rel=0.1)  # fan-out
 
 
 def test_a_backbones_file_is_read(tmp_path: Path) -> None:
-    theirs = resnet18(weights=None)
+    theirs = NarrowResNet()
     for number, tensor in enumerate(theirs.state_dict().values()):
         if tensor.is_floating_point():
             tensor.uniform_(0.1, 1.0, generator=generator(number))
@@ -270,7 +286,7 @@ def test_files_that_are_no_weights_are_refused_in_one_line(tmp_path: Path) -> No
     backbone = make_backbone("resnet18", 1, generator())
     before = {name: value.clone() for name, value in backbone.state_dict().items()}
     state = before.copy()
-    refused: dict[str, str] = {"missing.pth": "no such file", "missing.safetensors": "no such file"}
+    names: dict[str, tuple[object, ...]] = {"missing.pth": (), "missing.safetensors": ()}
     (tmp_path / "text.pth").write_text("weights will be here\n")
     (tmp_path / "empty.pth").write_bytes(b"")
     (tmp_path / "text.safetensors").write_text("weights will be here\n")
@@ -278,26 +294,24 @@ def test_files_that_are_no_weights_are_refused_in_one_line(tmp_path: Path) -> No
     torch.save(backbone, tmp_path / "module.pth")
     torch.save(state, tmp_path / "whole.pth")
     (tmp_path / "cut.pth").write_bytes((tmp_path / "whole.pth").read_bytes()[:10000])
-    refused |= dict.fromkeys(("text.pth", "empty.pth", "code.pth", "module.pth", "cut.pth"), "not a readable file")
-    refused["text.safetensors"] = "not a readable safetensors file"
+    names |= dict.fromkeys(("text.pth", "empty.pth", "code.pth", "module.pth", "cut.pth", "text.safetensors"), ())
     torch.save({"epoch": 3, "state_dict": state}, tmp_path / "checkpoint.pth")
     torch.save([1, 2], tmp_path / "list.pth")
-    refused |= dict.fromkeys(("checkpoint.pth", "list.pth"), "not a state dict")
-    torch.save(resnet50(weights=None).state_dict(), tmp_path / "deeper.pth")
-    refused["deeper.pth"] = "another network than this backbone"
+    names |= dict.fromkeys(("checkpoint.pth", "list.pth"), ())
+    torch.save(resnet18(weights=None).state_dict(), tmp_path / "deeper.pth")
+    names["deeper.pth"] = ()
     torch.save({**state, "head.weight": torch.zeros(3)}, tmp_path / "more.pth")
-    refused["more.pth"] = "'head.weight' is not part of it"
+    names["more.pth"] = ("head.weight",)
     torch.save({name: value for name, value in state.items() if name != "bn1.weight"}, tmp_path / "fewer.pth")
-    refused["fewer.pth"] = "'bn1.weight' is missing"
+    names["fewer.pth"] = ("bn1.weight",)
     torch.save({**state, "bn1.weight": torch.zeros(3)}, tmp_path / "shape.pth")
-    refused["shape.pth"] = r"'bn1.weight' is \(3,\), expected \(64,\)"
+    names["shape.pth"] = ("bn1.weight", 3, 8)
     torch.save({**state, "bn1.weight": torch.full((64,), torch.nan)}, tmp_path / "nan.pth")
     torch.save({**state, "bn1.weight": torch.ones(64, dtype=torch.int64)}, tmp_path / "whole-numbers.pth")
-    refused |= dict.fromkeys(("nan.pth", "whole-numbers.pth"), "'bn1.weight' holds values that are not finite numbers")
-    for name, said in refused.items():
-        with pytest.raises(MethodError, match=said) as caught:
+    names |= dict.fromkeys(("nan.pth", "whole-numbers.pth"), ("bn1.weight",))
+    for name, said in names.items():
+        with refused(MethodError, tmp_path / name, None, *said) as caught:
             load_backbone(tmp_path / name, backbone)
-        assert str(tmp_path / name) in str(caught.value)
         assert "\n" not in str(caught.value)
     assert all(torch.equal(value, before[name]) for name, value in backbone.state_dict().items())
 
@@ -309,7 +323,7 @@ def test_what_comes_out_has_these_shapes(small: LpnNetwork) -> None:
     out = small("drone", pictures(3))
     assert out.embeddings.shape == (3, 2, 8)
     assert out.logits.shape == (3, 2, 5)
-    assert out.pooled.shape == (3, 512)
+    assert out.pooled.shape == (3, 64)
     assert out.masks is None
     assert torch.equal(out.embeddings, small.embed("drone", pictures(3)))
     last = small.branch("drone").last_map(pictures(3))
@@ -324,7 +338,7 @@ def test_images_are_normalised_as_imagenets(small: LpnNetwork) -> None:
     hook.remove()
     assert torch.allclose(seen[0][0, :, 3, 4], torch.tensor([0.0, 1.0, -1.0]), atol=1e-6)
     for wrong in (torch.zeros(1, 1, 64, 64), torch.zeros(3, 64, 64)):
-        with pytest.raises(ValueError, match="images are"):
+        with pytest.raises(ValueError, match="images"):
             small.embed("drone", wrong)
 
 
@@ -337,7 +351,7 @@ def test_a_descriptor_is_the_same_for_the_mirror_image(small: LpnNetwork) -> Non
     assert not torch.allclose(found[0], found[1], atol=1e-3)
     small.train()
     try:
-        with pytest.raises(RuntimeError, match="evaluation mode"):
+        with pytest.raises(RuntimeError, match="mode"):
             small.describe("drone", images)
     finally:
         small.eval()
@@ -350,11 +364,11 @@ def test_drone_and_satellite_share_a_branch_and_street_as_told(street: str) -> N
     assert net.branch("drone") is net.branch("satellite")
     assert len(net.branches) == (2 if street == "separate" else 1)
     if street == "none":
-        with pytest.raises(ValueError, match="no view 'street'"):
+        with pytest.raises(ValueError, match="street"):
             net("street", pictures())
     else:
         assert (net.branch("street") is net.branch("drone")) == (street == "shared")
-    with pytest.raises(ValueError, match="no view 'night'"):
+    with pytest.raises(ValueError, match="night"):
         net(cast(View, "night"), pictures())
 
 
@@ -433,7 +447,7 @@ def test_the_table_has_these_rows() -> None:
     street = configuration("street")
     assert (street.views, street.network.street, street.network.parts) == (("street",), "shared", 1)
     assert set(CONFIGURATIONS) == {*FROM_ABOVE, "street"}
-    with pytest.raises(ConfigError, match="no configuration 'lpn2'; available: global-average, lpn, "):
+    with refused(ConfigError, "", None, "lpn2", "global-average", "lpn"):
         configuration("lpn2")
 
 
@@ -478,7 +492,7 @@ def test_what_is_not_trained_stands_still() -> None:
     net.train()
     enter(net, Stage("all", 1, "soft"))
     assert all(module.training for module in net.modules())
-    with pytest.raises(ValueError, match="in none of the groups"):
+    with pytest.raises(ValueError, match="mean"):
         group_of("branches.air.mean")
 
 
@@ -491,7 +505,7 @@ def test_weights_are_copied_to_another_partition_and_to_nothing_else() -> None:
         assert torch.equal(value, masks[name] if name in masks else source.state_dict()[name])
     for other in (LpnNetwork(4, SMALL), LpnNetwork(3, replace(SMALL, width=9)), LpnNetwork(3, replace(SMALL, parts=1))):
         untouched = {name: value.clone() for name, value in other.state_dict().items()}
-        with pytest.raises(ValueError, match="more than their partition: 'heads"):
+        with pytest.raises(ValueError, match="heads"):
             copy_weights(source, other)
         assert all(torch.equal(value, untouched[name]) for name, value in other.state_dict().items())
 
@@ -515,7 +529,7 @@ def test_weights_are_copied_to_another_partition_and_to_nothing_else() -> None:
     ],
 )
 def test_options_that_make_no_sense_are_named(values: dict[str, object], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+    with refused(ConfigError, "", None, said):
         options_from_dict(NetworkOptions, values)
 
 

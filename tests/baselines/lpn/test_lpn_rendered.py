@@ -31,6 +31,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> CrossViewSet:
     return cross_view.build_places([], options, tmp_path_factory.mktemp("places") / "out", Silent(), Run(1))
 
 
+@pytest.mark.thorough
 def test_a_rendered_set_is_learnt_from_by_its_folder(rendered: CrossViewSet) -> None:
     places = training_places([rendered.root], Silent())
     assert places.views == ("drone", "satellite")
@@ -38,6 +39,7 @@ def test_a_rendered_set_is_learnt_from_by_its_folder(rendered: CrossViewSet) -> 
     assert [one.image.key for one in places.images] == [one.image.key for one in rendered.training().images]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", FROM_ABOVE)
 def test_each_configuration_trains_and_is_evaluated(
     name: str, rendered: CrossViewSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

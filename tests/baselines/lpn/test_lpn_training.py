@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from made_places import TINY, NarrowResNet, made_places
+from refusals import refused
 from torch import Tensor
 
 from baselines.lpn.configurations import CONFIGURATIONS
@@ -122,6 +123,7 @@ def test_only_the_part_classifier_moves_in_its_stage(tmp_path: Path) -> None:
     assert set(after) - set(before) == {"branches.air.partition.classifier.weight"}
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("without_curves")
 def test_it_learns_places_it_can_tell_apart(tmp_path: Path) -> None:
     """Where one training ends depends on the last digits of its sums, which processors round as they like. Of several
@@ -146,7 +148,9 @@ def test_it_learns_places_it_can_tell_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("without_curves")
-@pytest.mark.parametrize(("name", "breaks"), [("lpn", (2, 6)), ("lpn-rpp", (6, 6))])
+@pytest.mark.parametrize(
+    ("name", "breaks"), [("lpn", (2, 6)), pytest.param("lpn-rpp", (6, 6), marks=pytest.mark.thorough)]
+)
 def test_going_on_after_a_kill_ends_with_the_same_bytes(tmp_path: Path, name: str, breaks: tuple[int, ...]) -> None:
     """A step reads four images: cut in step 1 and 2, or in step 2 and in step 3, the first of another stage."""
     whole, cut = tmp_path / "whole", tmp_path / "cut"
@@ -169,7 +173,7 @@ def test_a_finished_training_is_not_begun_again_and_another_one_is_refused(tmp_p
     before = first.weights.read_bytes()
     assert train(tmp_path, data=cut_after(0)) == first
     assert first.weights.read_bytes() == before
-    with pytest.raises(MethodError, match=r"options\.seed: 0 there, 1 now"):
+    with refused(MethodError, "", None, "options.seed", 0, 1):
         train(tmp_path, seed=1)
 
 
@@ -222,9 +226,9 @@ def test_held_out_places_are_in_one_part_alone() -> None:
     assert not names[0] & names[1]
     assert len(names[0] | names[1]) == 10
     assert {each.place for each in held.images} == {0, 1}
-    with pytest.raises(ConfigError, match="too few to hold 2 out"):
+    with refused(ConfigError, "", None, 2):
         hold_out(made_places(3), 0.1, seed=0)
-    with pytest.raises(ConfigError, match="no held-out image of view 'street'"):
+    with refused(ConfigError, "", None, "street"):
         PlaceValidation(held, ("drone", "street"))
 
 
@@ -249,11 +253,11 @@ def test_a_configuration_starts_from_trained_rings(tmp_path: Path, trained: Path
     report = train(tmp_path / "a", "lpn-heatmap", start=str(trained), reporter=told)
     assert report.steps == 1  # the stage of rings is left out
     assert "network 'lpn' of weights.safetensors (backbone: drawn, no ImageNet)" in "\n".join(told.notes)
-    with pytest.raises(MethodError, match="trained on 4 places, this data has 5"):
+    with refused(MethodError, "", None, 4, 5):
         train(tmp_path / "b", "lpn-heatmap", data=made_places(5), start=str(trained))
-    with pytest.raises(MethodError, match="cannot start from it: the networks differ in more than their partition"):
+    with refused(MethodError, "", None, "partition"):
         train(tmp_path / "c", "lpn-branch5", start=str(trained))
-    with pytest.raises(MethodError, match="no such file of weights"):
+    with refused(MethodError, "none.safetensors"):
         train(tmp_path / "d", start="none.safetensors")
 
 
@@ -282,7 +286,7 @@ def test_the_backbone_of_another_training_can_be_taken(tmp_path: Path, trained: 
     for name, tensor in source.named_parameters():
         assert torch.allclose(found.get_parameter(name), tensor, atol=1e-6), name
     deeper = {**TINY["network"], "backbone": "resnet50"}
-    with pytest.raises(MethodError, match="another network than this backbone"):
+    with refused(MethodError, trained):
         train(tmp_path / "b", backbone_weights=str(trained), network=deeper)
 
 
@@ -323,30 +327,26 @@ def test_usual_options_are_the_configurations() -> None:
 
 
 @pytest.mark.parametrize(
-    ("other", "words"),
+    ("other", "names"),
     [
-        ({"stepz": 3}, "stepz"),
-        (
-            {"views": ["drone", "street"]},
-            "network.street is 'none', expected separate or shared, since views has street",
-        ),
-        ({"views": ["drone", "street"], "network": {"street": "shared"}}, "no images of view 'street' to learn from"),
-        ({"epochs": {"uniform": 1}}, r"epochs is .*'uniform': 1.*, expected stages of 'lpn': all"),
-        ({"configuration": "lpn2"}, "no configuration 'lpn2'"),
-        ({"network": {"partition": "soft"}}, "network.partition is 'soft', expected rings in configuration 'lpn'"),
-        (
-            {"loss": {"decorrelation": {"weight": 0.1}}},
-            "paired is false, expected true where loss.decorrelation.weight is above 0",
-        ),
-        ({"paired": True, "batch": 3}, "batch is 3, expected an even number where paired is true"),
-        ({"rate": 0}, "rate is 0.0, expected more than 0"),
-        ({"flip": 2}, "flip is 2.0, expected 0 to 1"),
-        ({"loss": {"partition": {"tau": 0}}}, "loss.partition.tau is 0.0, expected more than 0"),
+        ({"stepz": 3}, ("stepz",)),
+        ({"views": ["drone", "street"]}, ("network.street", "none", "separate", "shared", "views")),
+        ({"views": ["drone", "street"], "network": {"street": "shared"}}, ("street",)),
+        ({"epochs": {"uniform": 1}}, ("epochs", "uniform", "lpn", "all")),
+        ({"configuration": "lpn2"}, ("lpn2",)),
+        ({"network": {"partition": "soft"}}, ("network.partition", "soft", "rings", "lpn")),
+        ({"loss": {"decorrelation": {"weight": 0.1}}}, ("paired", "loss.decorrelation.weight")),
+        ({"paired": True, "batch": 3}, ("batch", 3, "paired")),
+        ({"rate": 0}, ("rate", "0.0")),
+        ({"flip": 2}, ("flip", "2.0", 0, 1)),
+        ({"loss": {"partition": {"tau": 0}}}, ("loss.partition.tau", "0.0")),
     ],
 )
-def test_options_that_make_no_sense_are_refused(tmp_path: Path, other: dict[str, Any], words: str) -> None:
+def test_options_that_make_no_sense_are_refused(
+    tmp_path: Path, other: dict[str, Any], names: tuple[object, ...]
+) -> None:
     options = {**TINY, **other, "network": {**TINY["network"], **other.get("network", {})}}
-    with pytest.raises(ConfigError, match=words):
+    with refused(ConfigError, "", None, *names):
         LpnTrainer().train_places(made_places(), None, options, TrainingRun(tmp_path, workers=0))
     assert not list(tmp_path.iterdir())
 
@@ -413,5 +413,5 @@ def test_augmentation_turns_satellites_alone_and_keeps_bytes_for_a_seed() -> Non
 
 
 def test_a_loss_that_is_not_finite_stops_with_what_was_wrong(tmp_path: Path) -> None:
-    with pytest.raises(MethodError, match=r"broke down at step \d+: not finite: .*; try lower rates"):
+    with refused(MethodError, "", None, "rates"):
         train(tmp_path, steps_per_epoch=6, rate=1e30, backbone_rate=1e30)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from made_places import picture
 from numpy.typing import NDArray
+from refusals import refused
 from small_lpn import drawn_weights
 
 from baselines.lpn.retriever import Lpn
@@ -116,18 +117,16 @@ def test_an_image_that_is_the_mean_has_no_descriptor(tmp_path: Path) -> None:
     assert np.isnan(rows[0]).all()
     assert np.allclose(rows[1], -only)
     nothing = ViewMeans(tmp_path, lambda images: np.full((1, 4), np.nan), 1)
-    with pytest.raises(MethodError, match=r"drone: none of its images can be described"):
+    with refused(MethodError, "", None, "drone"):
         nothing.centred(only, ["drone"])
 
 
 def test_what_is_not_there_is_named(weights: Path, unlabelled: Path) -> None:
-    with pytest.raises(
-        MethodError, match=r"nowhere: is not a folder; expected one with a folder of images for each view"
-    ):
+    with refused(MethodError, "", None, "nowhere"):
         Lpn(weights=weights, unlabelled=unlabelled / "nowhere")
     street = ViewMeans(unlabelled, lambda images: np.zeros((len(images), 2)), 1)
-    with pytest.raises(MethodError, match=r"street: holds no JPEG or PNG; expected unlabelled"):
+    with refused(MethodError, "", None, "street"):
         street.centred(np.zeros((1, 2), np.float32), ["street"])
     (unlabelled / "satellite" / "0.png").write_bytes(b"no image")
-    with pytest.raises(MethodError, match=r"0\.png: an unlabelled image that cannot be read"):
+    with refused(MethodError, "0.png"):
         Lpn(weights=weights, unlabelled=unlabelled).describe(views("satellite"))

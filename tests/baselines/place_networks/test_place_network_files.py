@@ -23,6 +23,7 @@ from drawn_places import (
     pattern,
     saved,
 )
+from refusals import refused
 from safetensors.torch import save_file
 
 from baselines.place_networks import CosPlace
@@ -81,91 +82,90 @@ def changed(**tensors: Any) -> Callable[[State], Mapping[str, Any]]:
     return lambda state: {k: v for k, v in {**state, **named}.items() if v is not None}
 
 
-CHANGES: list[tuple[str, Callable[[State], Mapping[str, Any]], str]] = [
+CHANGES: list[tuple[str, Callable[[State], Mapping[str, Any]], tuple[str, ...]]] = [
     (
         "cosplace",
         changed(aggregation__3__weight=None),
-        r"'aggregation\.3\.weight' is missing; expected the",
+        ("aggregation.3.weight",),
     ),
     (
         "cosplace",
         changed(aggregation__3__bias=None),
-        r"'aggregation\.3\.bias' is missing; expected the w",
+        ("aggregation.3.bias",),
     ),
-    ("cosplace", changed(aggregation__3__weight=torch.zeros(3)), r"is \(3,\), expected 2 dimensions of the weights"),
-    ("cosplace", changed(aggregation__3__weight=torch.zeros(0, 512)), r"is \(0, 512\), expected 2 dimensions"),
+    ("cosplace", changed(aggregation__3__weight=torch.zeros(3)), ("(3,)", "2")),
+    ("cosplace", changed(aggregation__3__weight=torch.zeros(0, 512)), ("(0, 512)", "2")),
     (
         "cosplace",
         changed(aggregation__3__weight=torch.zeros(7, 64)),
-        r"'aggregation\.3\.bias' is \(32,\), expec",
+        ("aggregation.3.bias", "(32,)"),
     ),
     (
         "cosplace",
         changed(aggregation__1__p=torch.tensor([torch.nan])),
-        r"'aggregation\.1\.p' holds values that are",
+        ("aggregation.1.p",),
     ),
-    ("cosplace", changed(aggregation__1__p=torch.tensor([3])), r"'aggregation\.1\.p' holds values that are"),
+    ("cosplace", changed(aggregation__1__p=torch.tensor([3])), ("aggregation.1.p",)),
     (
         "cosplace",
         changed(more=torch.zeros(1)),
-        r"'more' is not part of this network; expected the weights",
+        ("more",),
     ),
-    ("cosplace", changed(backbone__0__weight=None), r"its 'backbone' is unknown; expected the weights of"),
-    ("cosplace", changed(backbone__4__2__conv1__weight=torch.zeros(1)), r"its 'backbone' is unknown"),
+    ("cosplace", changed(backbone__0__weight=None), ("backbone",)),
+    ("cosplace", changed(backbone__4__2__conv1__weight=torch.zeros(1)), ("backbone",)),
     (
         "cosplace",
         changed(backbone__0__weight=torch.zeros(64, 3, 5, 5)),
-        r"'backbone\.0\.weight' is \(64, 3, 5, 5\)",
+        ("backbone.0.weight", "(64, 3, 5, 5)"),
     ),
-    ("netvlad", changed(pool__centroids=None), r"'pool\.centroids' is missing; expected the"),
+    ("netvlad", changed(pool__centroids=None), ("pool.centroids",)),
     (
         "netvlad",
         changed(pool__conv__bias=torch.zeros(4)),
-        r"'pool\.conv\.bias' is \(4,\), expected \(5,\)",
+        ("pool.conv.bias", "(4,)", "(5,)"),
     ),
-    ("netvlad", changed(encoder__0__weight=None), r"its 'encoder' is unknown"),
+    ("netvlad", changed(encoder__0__weight=None), ("encoder",)),
     (
         "netvlad",
         changed(WPCA__0__bias=torch.zeros(4)),
-        r"'WPCA\.0\.weight' is missing; expected the",
+        ("WPCA.0.weight",),
     ),
-    ("netvlad", changed(WPCA__0__weight=torch.zeros(4, 9, 1, 1)), r"'WPCA\.0\.bias' is missing"),
+    ("netvlad", changed(WPCA__0__weight=torch.zeros(4, 9, 1, 1)), ("WPCA.0.bias",)),
     (
         "megaloc",
         changed(backbone__pos_embed=torch.zeros(1, 25, 128)),
-        r"its 'backbone' is unknown",
+        ("backbone",),
     ),
     (
         "megaloc",
         changed(backbone__register_tokens=torch.zeros(1, 4, 128)),
-        r"'backbone\.register_tokens' is not part",
+        ("backbone.register_tokens",),
     ),
     (
         "megaloc",
         changed(aggregator__linear__weight=None),
-        r"'aggregator\.linear\.weight' is missing; expected",
+        ("aggregator.linear.weight",),
     ),
     (
         "megaloc",
         changed(aggregator__agg__dust_bin=torch.zeros(1)),
-        r"'aggregator\.agg\.dust_bin' is \(1,\)",
+        ("aggregator.agg.dust_bin", "(1,)"),
     ),
     (
         "megaloc",
         changed(**{f"backbone__blocks__{k}__x": torch.zeros(1) for k in range(99)}),
-        r"'backbone' is unknown",
+        ("backbone",),
     ),
 ]
 
 
-@pytest.mark.parametrize(("name", "change", "words"), CHANGES)
+@pytest.mark.parametrize(("name", "change", "names"), CHANGES)
 def test_files_of_another_network_are_refused_by_name(
-    tmp_path: Path, name: str, change: Callable[[State], Mapping[str, Any]], words: str
+    tmp_path: Path, name: str, change: Callable[[State], Mapping[str, Any]], names: tuple[str, ...]
 ) -> None:
     path = saved(change(STATES[name]()), tmp_path / "other.pth")
-    with pytest.raises(MethodError, match=words) as bad:
+    with refused(MethodError, path, None, *names) as bad:
         made(name, path)
-    assert bad.value.path == path
     assert "\n" not in str(bad.value)
 
 
@@ -174,7 +174,7 @@ def test_files_of_the_other_retrievers_are_refused(drawn: Callable[[str], Path],
     alike = {"cosplace", "eigenplaces"}
     for other in RETRIEVERS:
         if other != name and {name, other} != alike:
-            with pytest.raises(MethodError, match="expected the weights of"):
+            with refused(MethodError, drawn(other)):
                 made(name, drawn(other))
 
 
@@ -199,7 +199,7 @@ def test_files_that_are_none_are_refused(drawn: Callable[[str], Path], tmp_path:
         assert bad.value.path == path
         assert "\n" not in str(bad.value)
     for path in (tmp_path / "absent.pth", tmp_path):
-        with pytest.raises(MethodError, match="no such file of weights"):
+        with refused(MethodError, path):
             made(name, path)
 
 
@@ -208,5 +208,5 @@ def test_a_tensor_of_more_numbers_than_are_stored_is_refused(tmp_path: Path) -> 
     state = gem_state()
     wide = torch.zeros(1).expand(4 * 10**9, 512)
     path = saved({**state, "aggregation.3.weight": wide}, tmp_path / "a.pth")
-    with pytest.raises(MethodError, match=r"'aggregation\.3\.weight' has more numbers than the file stores"):
+    with refused(MethodError, "", None, "aggregation.3.weight"):
         CosPlace(weights=path)

@@ -64,7 +64,9 @@ def map_by_hand(name: BackboneName, state: State, prefix: str, image: Image, sta
     return np.asarray(x[0].double().numpy())
 
 
-@pytest.mark.parametrize("name", ["ResNet18", "ResNet50", "VGG16"])
+@pytest.mark.parametrize(
+    "name", ["ResNet18", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("ResNet50", "VGG16"))]
+)
 def test_cosplace_is_a_backbone_a_generalised_mean_and_a_linear_layer(tmp_path: Path, name: BackboneName) -> None:
     state = gem_state(name, 24)
     retriever = CosPlace(weights=saved(state, tmp_path / "a.pth"))
@@ -95,7 +97,7 @@ def netvlad_by_hand(x: NDArray[np.float64], state: State, pool: str) -> NDArray[
 @pytest.mark.parametrize(
     ("backbone", "bias", "whitened", "layout"),
     [
-        (Backbone("VGG16"), False, 20, NETVLAD),
+        pytest.param(Backbone("VGG16"), False, 20, NETVLAD, marks=pytest.mark.thorough),
         (Backbone("ResNet18", 3), True, None, ("backbone", "aggregation")),
         (Backbone("ResNet18"), False, None, NETVLAD),
     ],
