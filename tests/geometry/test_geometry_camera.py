@@ -272,18 +272,18 @@ def test_dictionary_and_pickle_hold_the_camera(camera: Camera) -> None:
 
 
 @pytest.mark.parametrize(
-    ("model", "change", "message"),
+    ("model", "change", "data"),
     [
-        ("thin-prism", {}, "none of pinhole, radtan, equidistant"),
-        ("pinhole", {"width": 0}, "not positive"),
-        ("pinhole", {"fx": -1.0}, "focal lengths positive"),
+        ("thin-prism", {}, "pinhole.*radtan.*equidistant"),
+        ("pinhole", {"width": 0}, "positive"),
+        ("pinhole", {"fx": -1.0}, "positive"),
         ("pinhole", {"cy": float("nan")}, "finite"),
-        ("pinhole", {"distortion": [0.1]}, "takes 0"),
-        ("radtan", {"distortion": [0.1, 0.2, 0.3]}, "4 or 5 or 8"),
-        ("equidistant", {}, "takes 4"),
+        ("pinhole", {"distortion": [0.1]}, r"\b0\b"),
+        ("radtan", {"distortion": [0.1, 0.2, 0.3]}, r"\b4\b.*\b5\b.*\b8\b"),
+        ("equidistant", {}, r"\b4\b"),
     ],
 )
-def test_impossible_cameras_are_refused(model: str, change: dict[str, object], message: str) -> None:
+def test_impossible_cameras_are_refused(model: str, change: dict[str, object], data: str) -> None:
     values: dict[str, object] = {"model": model, "width": 64, "height": 48, "fx": 50, "fy": 50, "cx": 32, "cy": 24}
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=data):
         camera_from_dict(values | change)

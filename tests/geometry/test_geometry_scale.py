@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -87,11 +85,11 @@ def test_a_query_at_the_keyframes_place_has_a_translation_of_no_length(seed: int
 
 def test_without_depth_the_fault_says_so() -> None:
     points, pixels, rotation, translation = scene(1, PINHOLE, 1.0)
-    with pytest.raises(ScaleError, match=r"^4 matches have depth, at least 5 are needed for a metric scale$"):
+    with pytest.raises(ScaleError, match=r"\b4\b.*\b5\b"):
         translation_scale(np.where(np.arange(200)[:, None] < 4, points, np.nan), pixels, PINHOLE, rotation, translation)
-    with pytest.raises(ScaleError, match=r"^0 matches have depth"):
+    with pytest.raises(ScaleError, match=r"\b0\b.*\b5\b"):
         translation_scale(np.zeros((0, 3)), np.zeros((0, 2)), PINHOLE, rotation, translation)
-    with pytest.raises(ScaleError, match=r"^2 pixels have both depths, at least 5 are needed for a metric scale$"):
+    with pytest.raises(ScaleError, match=r"\b2\b.*\b5\b"):
         depth_scale([1, 2, 0, 4, np.nan, -1, 3], [1, 2, 3, 0, 5, 6, np.inf])
 
 
@@ -99,36 +97,34 @@ def test_without_parallax_the_fault_says_so() -> None:
     _, pixels, rotation, translation = scene(2, PINHOLE, 1.0)
     far = pixels + np.random.default_rng(0).normal(scale=1.0, size=pixels.shape)
     rays, _ = PINHOLE.unproject(pixels)
-    with pytest.raises(
-        ScaleError, match=r"^no parallax: the length .* is known to \S+ m only, worse than 1 m; the points"
-    ):
+    with pytest.raises(ScaleError, match="parallax"):
         translation_scale(1e5 * rays @ rotation, far, PINHOLE, rotation, translation)
     ahead = np.column_stack([np.zeros(9), np.zeros(9), np.arange(3.0, 12.0)])
     centre = np.tile([PINHOLE.cx, PINHOLE.cy], (9, 1))
-    with pytest.raises(ScaleError, match=r"^no parallax: all matches lie in the direction of the translation$"):
+    with pytest.raises(ScaleError, match="parallax"):
         translation_scale(ahead, centre, PINHOLE, np.eye(3), [0, 0, -1.0])
 
 
 @given(SEEDS, LENGTHS)
 def test_a_translation_that_is_the_other_way_round_is_told(seed: int, length: float) -> None:
     points, pixels, rotation, translation = scene(seed, PINHOLE, length)
-    with pytest.raises(ScaleError, match="the translation is the other way round"):
+    with pytest.raises(ScaleError, match="translation"):
         translation_scale(points, pixels, PINHOLE, rotation, -translation)
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "name"),
     [
-        ({"direction": [0.0, 0.0, 0.0]}, "whose length is not 0"),
-        ({"direction": [np.nan, 0.0, 1.0]}, "a finite direction"),
-        ({"rotation": np.eye(4)}, "expected points (N, 3)"),
-        ({"pixels": np.zeros((7, 2))}, "expected points (N, 3)"),
+        ({"direction": [0.0, 0.0, 0.0]}, "direction"),
+        ({"direction": [np.nan, 0.0, 1.0]}, "direction"),
+        ({"rotation": np.eye(4)}, "rotation"),
+        ({"pixels": np.zeros((7, 2))}, "pixels"),
     ],
 )
-def test_impossible_arguments_are_named(change: dict[str, object], words: str) -> None:
+def test_impossible_arguments_are_named(change: dict[str, object], name: str) -> None:
     points, pixels, rotation, translation = scene(3, PINHOLE, 1.0)
     given_: dict[str, object] = {"pixels": pixels, "rotation": rotation, "direction": translation, **change}
-    with pytest.raises(ValueError, match=re.escape(words)) as caught:
+    with pytest.raises(ValueError, match=name) as caught:
         translation_scale(points, camera=PINHOLE, **given_)  # type: ignore[arg-type]
     assert not isinstance(caught.value, ScaleError)
 
@@ -160,5 +156,5 @@ def test_depths_that_are_known_better_weigh_more() -> None:
 
     weighted, plain = (np.std([each.value for each in estimates(weight)]) for weight in (True, False))
     assert weighted < plain / 1.8
-    with pytest.raises(ValueError, match="relative_sigma above 0"):
+    with pytest.raises(ValueError, match="relative_sigma"):
         depth_scale(np.ones(9), np.ones(9), np.zeros(9))

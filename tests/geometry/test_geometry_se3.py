@@ -252,7 +252,7 @@ def test_trajectory_is_never_extrapolated(offset: int) -> None:
 
 @pytest.mark.parametrize("times", [[], [5, 5, 6, 7], [5, 4, 6, 7]])
 def test_trajectory_times_must_increase(times: list[int]) -> None:
-    with pytest.raises(ValueError, match="strictly increasing"):
+    with pytest.raises(ValueError, match="increasing"):
         interpolate_trajectory(np.array(times, dtype=np.int64), ramp()[1][: len(times)], [5])
 
 
@@ -269,15 +269,15 @@ def test_trajectory_asked_for_nothing_answers_nothing() -> None:
 
 def test_trajectory_times_in_seconds_are_refused() -> None:
     times, poses = ramp()
-    with pytest.raises(ValueError, match="integer nanoseconds"):
+    with pytest.raises(ValueError, match="nanoseconds"):
         interpolate_trajectory(times, poses, [1602074877.390449])
-    with pytest.raises(ValueError, match="integer nanoseconds"):
+    with pytest.raises(ValueError, match="nanoseconds"):
         interpolate_trajectory(times / 1e9, poses, [NOW_NS])
 
 
 def test_trajectory_needs_a_pose_for_every_time() -> None:
     times, poses = ramp()
-    with pytest.raises(ValueError, match="4 times"):
+    with pytest.raises(ValueError, match="4"):
         interpolate_trajectory(times, poses[:3], [NOW_NS])
 
 

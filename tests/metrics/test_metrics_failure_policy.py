@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from relocbench.errors import DatasetError, PredictionError
 from relocbench.metrics import (
@@ -99,17 +100,17 @@ def test_nothing_predicted_leaves_every_pair_missing() -> None:
 
 
 def test_unknown_pair_is_an_error_that_names_file_line_and_pair() -> None:
-    with pytest.raises(PredictionError, match=r"orb\.txt:7: unknown pair 10 200; expected one of the 3 pairs"):
+    with refused(PredictionError, "orb.txt", 7, "10 200", 3):
         align_predictions(PAIRS, [(10, 100), (10, 200)], path="orb.txt", lines=[6, 7])
 
 
 def test_duplicate_pair_is_an_error_that_names_both_lines() -> None:
-    with pytest.raises(PredictionError, match=r"orb\.txt:9: duplicate pair 10 100 \(first in line 6\)"):
+    with refused(PredictionError, "orb.txt", 9, "10 100", 6):
         align_predictions(PAIRS, [(10, 100), (20, 200), (10, 100)], path="orb.txt", lines=[6, 7, 9])
 
 
 def test_pair_twice_in_the_set_itself_is_the_datasets_fault() -> None:
-    with pytest.raises(DatasetError, match="10 100 twice"):
+    with refused(DatasetError, "", None, "10 100"):
         align_predictions([*PAIRS, (10, 100)], [])
 
 
@@ -130,10 +131,10 @@ def test_method_with_a_missing_set_has_blank_totals_for_every_metric() -> None:
 
 
 def test_pair_without_ground_truth_cannot_be_scored() -> None:
-    with pytest.raises(ValueError, match="true poses must be finite"):
+    with pytest.raises(ValueError, match="true poses"):
         pose_errors(np.eye(4)[None], np.full((1, 4, 4), np.nan))
 
 
 def test_empty_pair_set_cannot_be_scored() -> None:
-    with pytest.raises(DatasetError, match="no accepted pair"):
+    with refused(DatasetError):
         summarize(pose_errors(np.zeros((0, 4, 4)), np.zeros((0, 4, 4))))

@@ -43,11 +43,11 @@ def test_every_start_is_in_exactly_one_group() -> None:
 
 
 def test_starts_outside_the_groups_and_wrong_shapes_are_refused() -> None:
-    with pytest.raises(ValueError, match="start offsets must lie in"):
+    with pytest.raises(ValueError, match="offsets"):
         matching_quality(np.zeros((1, 2)), np.zeros((1, 2)), [17.0])
-    with pytest.raises(ValueError, match="matching needs"):
+    with pytest.raises(ValueError, match="matching"):
         matching_quality(np.zeros((2, 2)), np.zeros((1, 2)), [1.0])
-    with pytest.raises(ValueError, match="matching needs"):
+    with pytest.raises(ValueError, match="matching"):
         matching_quality(np.zeros((0, 2)), np.zeros((0, 2)), [])
 
 

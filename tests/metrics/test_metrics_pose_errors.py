@@ -119,7 +119,7 @@ def test_hand_value_query_ahead_and_turned() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"must be \(N, 4, 4\)"):
+    with pytest.raises(ValueError, match=r"\(N, 4, 4\)"):
         pose_errors(np.eye(4), np.eye(4))
     with pytest.raises(ValueError, match="true poses"):
         pose_errors(np.eye(4)[None], np.tile(np.eye(4), (2, 1, 1)))
@@ -146,5 +146,5 @@ def test_a_right_position_alone_has_a_joint_error_of_its_rotation() -> None:
     )
     joint = pose_errors(T_pred, T_gt).joint_error(0.25, 2)
     assert joint.tolist() == pytest.approx([1.5, np.inf])
-    with pytest.raises(ValueError, match="must be positive"):
+    with pytest.raises(ValueError, match="positive"):
         pose_errors(T_pred, T_gt).joint_error(0.25, 0)

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import ArrayLike, NDArray
+from refusals import refused
 
 from relocbench.errors import ConfigError
 from relocbench.geometry import make_transform, so3_exp
@@ -219,7 +220,7 @@ def test_thresholds_finer_than_two_sigma_are_told() -> None:
 
 
 def test_unknown_metric_is_refused_with_the_names_there_are() -> None:
-    with pytest.raises(ConfigError, match=r"unknown metric 'auc'; expected one of t_auc@0\.5m"):
+    with refused(ConfigError, "", None, "auc", "t_auc@0.5m"):
         metric_named("auc")
 
 
@@ -362,7 +363,7 @@ def test_a_method_that_answers_nothing_has_no_share_of_wrong_answers() -> None:
 
 
 def test_columns_of_another_length_are_refused() -> None:
-    with pytest.raises(ValueError, match="confidence must be"):
+    with pytest.raises(ValueError, match="confidence"):
         summarize(errors_of([0.1, 0.2]), confidence=np.ones(3))
 
 
@@ -377,7 +378,7 @@ def test_spread_over_seeds_is_mean_and_sample_deviation() -> None:
 
 @pytest.mark.parametrize("bad", [[], [np.nan], [-1.0], [[0.0]]])
 def test_areas_and_curves_refuse_what_is_no_error(bad: list[float]) -> None:
-    with pytest.raises(ValueError, match="errors must be"):
+    with pytest.raises(ValueError, match="errors"):
         cumulative_curve(bad)
-    with pytest.raises(ValueError, match="errors must be"):
+    with pytest.raises(ValueError, match="errors"):
         area_shares(bad, 1.0)

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import refused
 
 from relocbench.errors import ConfigError, DatasetError, PredictionError
 from relocbench.metrics import (
@@ -174,13 +175,13 @@ def test_a_query_without_positives_stays_in_the_denominator_unless_it_is_left_ou
 def test_no_query_with_a_positive_is_zero_or_an_error() -> None:
     scores = at([], [])
     assert summarize_retrieval(scores)["AP"] == 0.0
-    with pytest.raises(DatasetError, match="none of 2 queries"):
+    with refused(DatasetError, "", None, 2):
         summarize_retrieval(scores, denominator=Denominator.WITH_POSITIVES)
 
 
 @pytest.mark.parametrize("name", ["R@0", "R@", "r@1", "mAP", "R@1.5"])
 def test_an_unknown_metric_is_named(name: str) -> None:
-    with pytest.raises(ConfigError, match="unknown retrieval metric"):
+    with refused(ConfigError, "", None, name):
         at([0]).per_query(name)
 
 
@@ -281,11 +282,9 @@ def test_a_list_that_ends_early_has_not_retrieved_the_rest() -> None:
     assert score_retrieval(ranking).average_precision.tolist() == [(0 + 1 / 2) / 2 / 2, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(
-    ("ranked", "message"), [([0, 4], "holds 4"), ([-1], "holds -1"), ([1, 2, 1], "1 twice"), ([0.5], "indices")]
-)
-def test_a_list_of_something_else_is_refused(ranked: list[float], message: str) -> None:
-    with pytest.raises(PredictionError, match=f"query 1 .*{message}"):
+@pytest.mark.parametrize(("ranked", "names"), [([0, 4], [4]), ([-1], ["-1"]), ([1, 2, 1], [1]), ([0.5], [])])
+def test_a_list_of_something_else_is_refused(ranked: list[float], names: list[object]) -> None:
+    with refused(PredictionError, "", None, "query 1", *names):
         rank_lists([[0], ranked], relevance_from_labels([1, 2], [1, 2, 1, 3]))
 
 
@@ -402,23 +401,23 @@ def test_memory_is_bounded_by_the_blocks_whatever_the_gallery() -> None:
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     relevance = relevance_from_labels([1, 2], [1, 2, 3])
-    with pytest.raises(ValueError, match="one length"):
+    with pytest.raises(ValueError, match="length"):
         rank_descriptors(np.ones((2, 4)), np.ones((3, 5)), relevance)
-    with pytest.raises(ValueError, match="expected 2 query and 3 gallery"):
+    with pytest.raises(ValueError, match=r"\b2\b.*\b3\b"):
         rank_descriptors(np.ones((2, 4)), np.ones((4, 4)), relevance)
-    with pytest.raises(ValueError, match="at least one row"):
+    with pytest.raises(ValueError, match=r"\b0\b"):
         rank_descriptors(np.ones((2, 4)), np.ones((3, 4)), relevance, gallery_block=0)
-    with pytest.raises(ValueError, match="non-empty"):
+    with pytest.raises(ValueError, match=r"\(N, D\)"):
         rank_descriptors(np.ones((2, 0)), np.ones((3, 0)), relevance)
-    with pytest.raises(ValueError, match=r"scores must be \(2, 3\)"):
+    with pytest.raises(ValueError, match=r"\(2, 3\)"):
         rank_scores(np.ones((3, 2)), relevance)
-    with pytest.raises(ValueError, match="2 ranked lists"):
+    with pytest.raises(ValueError, match="2"):
         rank_lists([[0]], relevance)
-    with pytest.raises(ValueError, match="integers"):
+    with pytest.raises(ValueError, match=r"\(N,\)"):
         relevance_from_labels([1.0], [1])
-    with pytest.raises(ValueError, match="query 0 must be distinct"):
+    with pytest.raises(ValueError, match="query 0"):
         relevance_from_lists([[0, 0]], 2)
-    with pytest.raises(ValueError, match="query 1 must be distinct"):
+    with pytest.raises(ValueError, match="query 1"):
         relevance_from_lists([[0], [2]], 2)
 
 
@@ -485,13 +484,13 @@ def test_place_recognition_states_its_queries_without_positives() -> None:
 
 def test_positions_and_headings_that_make_no_place_are_refused() -> None:
     here = [[0.0, 0.0]]
-    with pytest.raises(ValueError, match="finite metres"):
+    with pytest.raises(ValueError, match=r"\(N, 2\)"):
         relevance_within([[np.nan, 0.0]], here)
-    with pytest.raises(ValueError, match="same columns"):
+    with pytest.raises(ValueError, match="columns"):
         relevance_within([[0.0, 0.0, 0.0]], here)
-    with pytest.raises(ValueError, match="needs query_heading_rad"):
+    with pytest.raises(ValueError, match="query_heading_rad"):
         relevance_within(here, here, heading_limit_deg=40)
-    with pytest.raises(ValueError, match=r"gallery_heading_rad must be \(1,\)"):
+    with pytest.raises(ValueError, match="gallery_heading_rad"):
         relevance_within(here, here, heading_limit_deg=40, query_heading_rad=[0.0], gallery_heading_rad=[0.0, 1.0])
     with pytest.raises(ValueError, match="radius"):
         relevance_within(here, here, -1.0)
@@ -519,7 +518,7 @@ def test_intervals_cover_where_queries_come_in_groups_and_single_queries_do_not(
             covered[name] += not interval.excludes(0.5)
     assert 0.88 <= covered["groups"] / 200 <= 0.99
     assert covered["queries"] / 200 <= 0.6
-    with pytest.raises(ValueError, match="one length"):
+    with pytest.raises(ValueError, match="length"):
         per_group([1.0], [1, 2])
 
 
@@ -563,7 +562,9 @@ def far_from(scores: RetrievalScores, expected: dict[str, float]) -> dict[str, f
     return {name: abs(100 * values[ours] - expected[name]) for name, ours in GOLDEN_NAMES.items()}
 
 
-@pytest.mark.parametrize("case", GOLDEN_CASES)
+@pytest.mark.parametrize(
+    "case", [c if c.endswith("1.5") else pytest.param(c, marks=pytest.mark.thorough) for c in GOLDEN_CASES]
+)
 def test_golden_values_of_university_1652_from_descriptors(real_data: RealData, case: str) -> None:
     """To 1e-6 but for one near tie, which exact products order the other way than the golden float32 products."""
     query, gallery, relevance, expected = golden(real_data, case)
@@ -573,6 +574,7 @@ def test_golden_values_of_university_1652_from_descriptors(real_data: RealData, 
     assert max(off.values()) < 5e-5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["s2d_1.5", "s2d_2.0"])
 def test_golden_values_of_university_1652_from_lists(real_data: RealData, case: str) -> None:
     """The ranking as described: float32 products, descending, stable; in the first case one near tie decides."""

@@ -147,7 +147,7 @@ def test_one_seed_or_few_places_have_no_interval(shape: tuple[int, int]) -> None
 
 def test_what_cannot_be_compared_is_refused() -> None:
     for a, b in ((np.ones((3, 20)), np.ones((2, 20))), (np.ones(20), np.ones(20)), (np.ones((3, 0)), np.ones((3, 0)))):
-        with pytest.raises(ValueError, match=r"two non-empty \(S, P\) arrays of one shape"):
+        with pytest.raises(ValueError, match=r"\(S, P\)"):
             crossed_difference(a, b)
     with pytest.raises(ValueError, match="finite"):
         crossed_difference(np.full((3, 20), np.nan), np.ones((3, 20)))

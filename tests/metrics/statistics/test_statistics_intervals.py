@@ -177,15 +177,15 @@ def test_a_method_does_not_differ_from_itself_but_another_pair_might() -> None:
 
 
 def test_different_pairs_cannot_be_compared() -> None:
-    with pytest.raises(ValueError, match="same pairs"):
+    with pytest.raises(ValueError, match="pairs"):
         paired_difference([np.ones(10)], [np.ones(11)])
-    with pytest.raises(ValueError, match="same pairs"):
+    with pytest.raises(ValueError, match="pairs"):
         mean_interval([np.ones(10)], [np.ones((2, 11))])
 
 
 @pytest.mark.parametrize("values", [[], [[]], [[np.inf, 1.0]], [[np.nan]], [[1.5]], [[-0.1]]])
 def test_values_that_are_no_shares_are_refused(values: list[list[float]]) -> None:
-    with pytest.raises(ValueError, match=r"at least one pair set|finite numbers|in 0\.\.1"):
+    with pytest.raises(ValueError, match=r"pair set|finite|0\.\.1"):
         mean_interval(values)
 
 

@@ -126,7 +126,7 @@ def test_a_few_neighbouring_failures_are_one_event() -> None:
 def test_few_pairs_say_nothing_and_other_pairs_are_refused() -> None:
     ranks = rank_with_ties({"a": [np.ones(9)], "b": [np.zeros(9)]}, np.random.default_rng(0), independent=True)
     assert ranks == {"a": 1, "b": 1}
-    with pytest.raises(ValueError, match="same pairs"):
+    with pytest.raises(ValueError, match="pairs"):
         rank_with_ties({"a": [np.ones(10)], "b": [np.ones(11)]}, np.random.default_rng(0))
-    with pytest.raises(ValueError, match="finite numbers"):
+    with pytest.raises(ValueError, match="finite"):
         rank_with_ties({"a": [[np.nan]]}, np.random.default_rng(0))

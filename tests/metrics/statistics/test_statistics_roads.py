@@ -134,7 +134,7 @@ def test_intervals_cover_on_roads_whose_sets_err_together() -> None:
     assert covered["sets"] < 90  # the simulation tells the two apart
 
 
-@pytest.mark.parametrize("roads", [1, 4, 12])
+@pytest.mark.parametrize("roads", [1, *(pytest.param(roads, marks=pytest.mark.thorough) for roads in (4, 12))])
 def test_equal_methods_share_a_rank_where_sets_of_a_road_err_together(roads: int) -> None:
     of_sets = [road for road in range(roads) for _ in range(6)]
     different = {"roads": 0, "sets": 0}
@@ -150,6 +150,7 @@ def test_equal_methods_share_a_rank_where_sets_of_a_road_err_together(roads: int
     assert different["sets"] >= 8  # the simulation tells the two apart
 
 
+@pytest.mark.thorough
 def test_many_roads_that_suit_methods_by_chance_are_no_evidence() -> None:
     different = {MANY_ROADS - 1: 0, 2 * MANY_ROADS: 0}
     for roads in different:
@@ -181,11 +182,11 @@ def test_values_by_place_have_the_mean_of_the_sets_means() -> None:
 
 
 def test_what_makes_no_series_is_refused() -> None:
-    with pytest.raises(ValueError, match="one road for each of 2 pair sets, got 1"):
+    with pytest.raises(ValueError, match=r"\b2\b.*\b1\b"):
         mean_interval([np.ones(20), np.ones(20)], roads=["a"])
-    with pytest.raises(ValueError, match="at least one pair"):
+    with pytest.raises(ValueError, match="pair"):
         by_road([np.zeros(0), np.zeros(3)])
-    with pytest.raises(ValueError, match="one place for each value"):
+    with pytest.raises(ValueError, match="place"):
         by_place([[1.0, 2.0]], [["a"]])
-    with pytest.raises(ValueError, match="one or more sets"):
+    with pytest.raises(ValueError, match="sets"):
         by_place([], [])
