@@ -112,7 +112,7 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
     ),
     "leaderboard": (
         lambda d, t: [d.results, "--out", t / "b", "--no-plots", "--format", "csv"],
-        {"files_written": 3, "pair_sets": 2},
+        {"files_written": 3, "pair_sets": 2},  # rows, errors, truth.csv
     ),
     "report": (
         lambda d, t: [d.results, "--out", t / "site", "--pairs", 0],
