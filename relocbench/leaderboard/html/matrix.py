@@ -29,7 +29,6 @@ def matrix_of(datasets: Sequence[DatasetBoard], *, pictures: bool) -> dict[str, 
     ranked = len(datasets) == 1
     return {
         "ranked": ranked,
-        "several_maps": len({column.map_condition for column in results.columns}) > 1,
         "sets": [
             _set(dataset, datasets, len(list(own))) for dataset, own in groupby(results.columns, lambda c: c.dataset)
         ],
@@ -37,8 +36,6 @@ def matrix_of(datasets: Sequence[DatasetBoard], *, pictures: bool) -> dict[str, 
         "lines": [_line(results, line) for line in results.lines],
         "total": ranked and sum(not column.is_finer for column in results.columns) > 1,
         "across": sum(column.pairs for column in results.columns if not (column.same_drive or column.is_finer)),
-        "finer": any(column.is_finer for column in results.columns),
-        "finer_than_truth": any(column.is_finer_than_truth for column in results.columns),
     }
 
 
@@ -67,12 +64,11 @@ def _set(dataset: DatasetBoard, datasets: Sequence[DatasetBoard], span: int) -> 
 def _column(results: ByCondition, column: Column, pictures: bool) -> dict[str, Any]:
     return {
         "title": column.title,
-        "map": column.map_condition,
+        "map": results.map_of(column),
         "same_drive": column.same_drive,
         "split": column.split,
         "pairs": column.pairs,
-        "thresholds": f"{column.metres:g} m, {column.degrees:g}°",
-        "finer": column.is_finer,
+        "thresholds": f"{column.metres:g} m, {column.degrees:g}°" if results.has_finer(column) else "",
         "dagger": column.is_finer_than_truth,
         "doubt": "; ".join(words for _, words in doubts_of(column.dataset.entry.truth_checks, column.pair_sets)),
         "image": middle_picture(column.dataset, column.pair_sets[0]) if pictures else None,

@@ -100,6 +100,15 @@ class ByCondition:
     lines: tuple[Line, ...]
     """the method that finds most across conditions first, trivial baselines last"""
 
+    def map_of(self, column: Column) -> str:
+        """The condition of a column's keyframes; empty where its dataset has one map alone, or it is not recorded."""
+        maps = {c.map_condition for c in self.columns if c.dataset is column.dataset}
+        return column.map_condition if len(maps) > 1 and column.map_condition != UNKNOWN else ""
+
+    def has_finer(self, column: Column) -> bool:
+        """Whether the column's dataset has finer thresholds beside the usual ones."""
+        return any(c.is_finer for c in self.columns if c.dataset is column.dataset)
+
     @property
     def usual(self) -> ByCondition:
         """Without the columns of finer thresholds."""

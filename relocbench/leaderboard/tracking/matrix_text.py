@@ -25,12 +25,10 @@ def matrix_text(datasets: Sequence[DatasetBoard], pages: Sequence[str] = ()) -> 
     results = by_condition(datasets)
     if not results.columns:
         return ""
-    several_maps = len({column.map_condition for column in results.columns}) > 1
-    finer = any(column.is_finer for column in results.columns)
     named = [escaped(short_title(dataset, datasets)) for dataset in datasets]
     linked = [f"[{name}]({quote(page)})" for name, page in zip(named, pages, strict=True)] if pages else []
     links = dict(zip(map(id, datasets), linked, strict=False))
-    heads = [_head(column, links.get(id(column.dataset), ""), several_maps, finer) for column in results.columns]
+    heads = [_head(results, column, links.get(id(column.dataset), "")) for column in results.columns]
     names = [_name(line, datasets) for line in results.lines]
     cells = [[_cell(c, f) for c, f in zip(results.columns, line.found, strict=True)] for line in results.lines]
     if len(datasets) == 1:
@@ -63,17 +61,17 @@ def _name(line: Line, datasets: Sequence[DatasetBoard]) -> str:
     return " ".join([label, *dict.fromkeys(sign for method in own for sign in signs(method).split())])
 
 
-def _head(column: Column, link: str, several_maps: bool, finer: bool) -> str:
+def _head(results: ByCondition, column: Column, link: str) -> str:
     parts = [link] if link else []
     parts.append(escaped(column.title))
     if column.same_drive:
         parts.append("same drive")
-    elif several_maps:
-        parts.append(f"map: {escaped(column.map_condition)}")
+    elif keyframes := results.map_of(column):
+        parts.append(f"map: {escaped(keyframes)}")
     if column.split:
         parts.append(f"split {escaped(column.split)}")
     parts.append(f"{column.pairs} pairs")
-    if finer:
+    if results.has_finer(column):
         parts.append(f"{column.metres:g} m, {column.degrees:g}°{DAGGER if column.is_finer_than_truth else ''}")
     if doubts_of(column.dataset.entry.truth_checks, column.pair_sets):
         parts.append("**truth in doubt**")

@@ -1,0 +1,224 @@
+#!/usr/bin/env python3
+"""Write the Markdown of a published board again from its CSV files, where only the layout of pages has changed.
+
+    tools/rewrite_board.py leaderboard [--dataset DATASET ...]
+
+A board takes hours to evaluate; its tables hold every error and all that the pages show. Before anything is written,
+every number of ``leaderboard.csv`` is computed again from ``errors.csv`` and compared to twelve digits (the order in
+which pair sets were added up is not published). Plots and CSV files stay as they are. The truth of datasets that are
+named is compared with their images, as ``relocbench leaderboard`` does where it has them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import re
+import sys
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable, PairErrors
+from relocbench.evaluation.common.matching_table import ALL, MatchingRow, OffsetCounts
+from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
+from relocbench.files import write_text
+from relocbench.leaderboard.common.text import cell, write_records
+from relocbench.leaderboard.tracking.doubt import check_truth, truth_rows
+from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
+from relocbench.leaderboard.tracking.load import DatasetEntry, Method
+from relocbench.leaderboard.tracking.long_form import leaderboard_rows
+from relocbench.leaderboard.tracking.model import TOTALS, Board
+from relocbench.leaderboard.tracking.set_page import set_file, set_page
+from relocbench.leaderboard.tracking.tables import make_board
+from relocbench.progress import Silent
+
+Rows = list[dict[str, str]]
+_KEY = ("dataset", "pair_set", "split", "group", "method")
+_COUNTS = ("answered", "match@1px", "match@3px", "start@1px", "start@3px")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("board", type=Path, help="folder of leaderboard.csv")
+    parser.add_argument("--dataset", type=Path, action="append", default=[], help="whose truth is compared with images")
+    options = parser.parse_args()
+    folder: Path = options.board
+    published = _read(folder / "leaderboard.csv")
+    errors, matching = _errors(folder / "errors.csv"), _matching(folder / "matching.csv")
+    by_dataset: dict[str, Rows] = defaultdict(list)
+    for row in published:
+        by_dataset[row["dataset"]].append(row)
+    entries = [_entry(folder, rows, errors, matching) for rows in by_dataset.values()]
+    at_hand = {dataset.fingerprint: dataset for dataset in map(Dataset, options.dataset)}
+    entries = [_with_checks(entry, at_hand.get(entry.record.fingerprint)) for entry in entries]
+    board = make_board(entries, metric=published[0]["ranked_by"])
+    _compare(board, published)
+    for dataset in board.datasets:
+        write_text(folder / set_file(dataset), set_page(board, dataset, plots=True))
+    write_text(folder / READING, reading_page(board))
+    write_text(folder / "leaderboard.md", front_page(board))
+    names = {entry.title: {"dataset": entry.record.name, "fingerprint": entry.record.fingerprint} for entry in entries}
+    checks = [row for entry in entries for row in truth_rows(names[entry.title], entry.truth_checks)]
+    if checks:
+        write_records(folder / "truth.csv", checks)
+
+
+def _read(path: Path) -> Rows:
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def _errors(path: Path) -> dict[tuple[str, str, str], ErrorTable]:
+    """The errors by dataset, pair set and method, in the order of the file."""
+    found: dict[tuple[str, str, str], list[PairErrors]] = defaultdict(list)
+    for row in _read(path):
+        key = int(row["ref_timestamp_ns"]), int(row["query_timestamp_ns"])
+        numbers = [float(row[name]) if row[name] else None for name in ERROR_COLUMNS[4:]]
+        place = row["dataset"], row["pair_set"], row["method"]
+        found[place].append(PairErrors(key, row["group"], row["status"], *numbers))  # type: ignore[arg-type]
+    return {place: ErrorTable.of(rows) for place, rows in found.items()}
+
+
+def _matching(path: Path) -> dict[tuple[str, str, str], tuple[MatchingRow, ...]]:
+    """Rows that sum up to those of the file: one a group and offset, with the counts that the shares are of."""
+    found: dict[tuple[str, str, str], Rows] = defaultdict(list)
+    for row in _read(path):
+        if row["start"] != ALL:
+            found[row["dataset"], row["pair_set"], row["method"]].append(row)
+    out = {}
+    for place, rows in found.items():
+        named = [row for row in rows if row["group"] != ALL] or rows
+        out[place] = tuple(
+            MatchingRow(
+                (0, number),
+                "" if row["group"] == ALL else row["group"],
+                OffsetCounts(
+                    int(row["start"].removesuffix("px")),
+                    int(row["count"]),
+                    *(round(float(row[name] or 0) * int(row["count"])) for name in _COUNTS),
+                ),
+            )
+            for number, row in enumerate(named)
+        )
+    return out
+
+
+def _entry(
+    folder: Path,
+    rows: Rows,
+    errors: dict[tuple[str, str, str], ErrorTable],
+    matching: dict[tuple[str, str, str], tuple[MatchingRow, ...]],
+) -> DatasetEntry:
+    name, fingerprint = rows[0]["dataset"], rows[0]["fingerprint"]
+    page = (folder / "sets" / f"{name}@{fingerprint[:12]}.md").read_text(encoding="utf-8")
+    licence = re.search(r"Licence: (.*?)\. \d+ pairs in ", page)
+    settings = dict(re.findall(r"^- `(.*?)`: `(\{.*\})`$", page, re.MULTILINE))
+    of_sets = [row for row in rows if row["pair_set"] not in TOTALS]
+    sets = {row["pair_set"]: row for row in of_sets if row["group"] == ALL}
+    groups: dict[str, dict[str, None]] = defaultdict(dict)
+    for row in of_sets:
+        if row["group"] != ALL:
+            groups[row["pair_set"]][row["group"]] = None
+    splits: dict[str, tuple[str, ...]] = {}
+    for pair_set, row in sets.items():
+        splits[row["split"]] = (*splits.get(row["split"], ()), pair_set)
+    record = DatasetRecord(
+        name=name,
+        fingerprint=fingerprint,
+        question=rows[0]["question"],
+        licence=re.sub(r"\\(.)", r"\1", licence[1]) if licence else "unknown",
+        splits={split: names for split, names in splits.items() if split},
+        pair_sets={pair_set: _pair_set(row, tuple(groups[pair_set])) for pair_set, row in sets.items()},
+    )
+    own = {row["method"]: row for row in of_sets}
+    methods = [_method(row, settings.get(label), list(sets), errors, matching) for label, row in sorted(own.items())]
+    return DatasetEntry(record, tuple(methods), record.pair_sets, splits)
+
+
+def _pair_set(row: dict[str, str], groups: tuple[str, ...]) -> PairSetRecord:
+    reference, query, camera = row["pair_set"].split("__")
+    medians = ("distance_m", "angle_deg", "sigma_translation_m", "sigma_rotation_deg")
+    return PairSetRecord(
+        reference=reference,
+        query=query,
+        camera=camera,
+        reference_condition=row["reference_condition"],
+        query_condition=row["query_condition"],
+        pairs=int(row["pairs"]),
+        rejected=int(row["rejected"]),
+        has_truth=True,
+        groups=groups,
+        **{f"median_{name}": float(text) if (text := row[f"median_{name}"]) else None for name in medians},
+    )
+
+
+def _method(
+    row: dict[str, str],
+    settings: str | None,
+    pair_sets: list[str],
+    errors: dict[tuple[str, str, str], ErrorTable],
+    matching: dict[tuple[str, str, str], tuple[MatchingRow, ...]],
+) -> Method:
+    place = row["dataset"], row["method"]
+    known = {"method": row["version"], "relocbench": row["relocbench"]}
+    parameters = json.loads(row["parameters"])
+    ordered = {**(json.loads(settings) if settings else {}), **parameters}  # the page has the order of the run
+    run = RunRecord(
+        method=row["method"],
+        target=row["target"],
+        parameters={key: parameters[key] for key in ordered},
+        seed=int(row["seed"]) if row["seed"] else None,
+        dataset=row["dataset"],
+        fingerprint=row["fingerprint"],
+        question=row["question"],
+        versions={key: value for key, value in known.items() if value},
+        machine={"cpu": row["machine"], "cores": int(row["cores"])} if row["machine"] else {},
+        workers=int(row["workers"]) if row["workers"] else None,
+        isolated={"yes": True, "no": False}.get(row["isolated"]),
+        uses_times=row["uses_times"] == "yes",
+        made_elsewhere=row["made_elsewhere"] == "yes",
+    )
+    own = {name: errors[place[0], name, place[1]] for name in pair_sets if (place[0], name, place[1]) in errors}
+    matched = {name: matching[place[0], name, place[1]] for name in own if (place[0], name, place[1]) in matching}
+    missing = {name: "not run" for name in pair_sets if name not in own}
+    return Method(row["method"], run, own, missing, matching=matched, rescored=row["rescored"] == "yes")
+
+
+def _with_checks(entry: DatasetEntry, dataset: Dataset | None) -> DatasetEntry:
+    return entry if dataset is None else replace(entry, truth_checks=check_truth(dataset, entry.used, Silent()))
+
+
+def _compare(board: Board, published: Rows) -> None:
+    """Exit unless every value of the published rows that is computed follows from the errors."""
+    made = {tuple(str(row[key]) for key in _KEY): row for row in leaderboard_rows(board)}
+    wrong = []
+    for row in published:
+        key = tuple(row[name] for name in _KEY)
+        again = made.pop(key, None)
+        values = {} if again is None else {name: str(cell(value)) for name, value in again.items()}
+        wrong += [
+            (key, name, row[name], values.get(name)) for name in row if not _same(values.get(name, ""), row[name])
+        ]
+    if wrong or made:
+        for key, name, was, now in wrong[:20]:
+            print(f"{' '.join(key)}: {name} is {now}, published as {was}", file=sys.stderr)
+        sys.exit(f"{len(wrong)} values and {len(made)} rows are not those that were published: nothing was written")
+
+
+def _same(made: str, published: str) -> bool:
+    if made == published:
+        return True
+    try:
+        return math.isclose(float(made), float(published), rel_tol=1e-12)
+    except ValueError:
+        return False
+
+
+if __name__ == "__main__":
+    main()
