@@ -16,6 +16,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.inspect.agreement import ImageAgreement, measure_agreement
 from relocbench.datasets.inspect.overlay import spread_pairs
+from relocbench.errors import DatasetError
 from relocbench.execution import Run, default_workers, run_units
 from relocbench.leaderboard.common.text import Value
 from relocbench.progress import Reporter
@@ -24,7 +25,7 @@ _MOST_OF_A_SET = 6
 """pairs of a pair set that are compared, spread along the drive: those that inspect draws too"""
 _MOST_OF_ALL = 48
 """of a dataset, but for two of each pair set"""
-_MANY = 12
+_MANY = 24
 """pairs from which on they are compared in processes, whose start takes as long as several pairs"""
 _LEAST_APART = 2
 """pairs that must be apart: one may be a mistake of the comparison"""
@@ -65,8 +66,10 @@ class _Job:
 def check_truth(dataset: Dataset, pair_sets: Iterable[str], reporter: Reporter) -> dict[str, TruthCheck]:
     """Compare the images of some pairs of each pair set that has images, depth and a truth that can be wrong.
 
+    A pair whose images cannot be read is left out with a note: its errors follow from poses alone.
+
     Raises:
-        DatasetError: a file of the dataset cannot be read.
+        DatasetError: a file of poses or pairs is bad.
     """
     sets = [dataset.pair_set(name) for name in pair_sets]
     sets = [s for s in sets if dataset.has_images(s) and any(p.sigma_translation_m != 0 for p in s.pairs)]
@@ -78,7 +81,10 @@ def check_truth(dataset: Dataset, pair_sets: Iterable[str], reporter: Reporter) 
     workers = default_workers() if len(jobs) >= _MANY else 1
     with reporter.stage("comparing images with the truth", len(jobs)) as advance:
         for index, each in run_units(_compare, jobs, Run(workers)):
-            found.setdefault(jobs[index].pair_set, []).append(each)
+            if isinstance(each, str):
+                reporter.note(f"the truth of a pair of {jobs[index].pair_set} is not compared with its images: {each}")
+            else:
+                found.setdefault(jobs[index].pair_set, []).append(each)
             advance(1)
     return {name: _check_of(each) for name, each in found.items()}
 
@@ -105,13 +111,16 @@ def truth_rows(title: Mapping[str, Value], checks: Mapping[str, TruthCheck]) -> 
     ]
 
 
-def _compare(job: _Job) -> tuple[ImageAgreement, int]:
+def _compare(job: _Job) -> tuple[ImageAgreement, int] | str:
+    """The agreement and the width of the query; why there is none where an image cannot be read."""
     pair_set = job.dataset.pair_set(job.pair_set)
     pair = pair_set.by_key[job.key]
     assert pair.T_query_ref is not None  # spread_pairs has chosen it
-    query = job.dataset.query(pair_set, pair)
-    agreement = measure_agreement(job.dataset.reference(pair_set, pair), query, pair.T_query_ref)
-    return agreement, query.camera.width
+    try:
+        query, reference = job.dataset.query(pair_set, pair), job.dataset.reference(pair_set, pair)
+        return measure_agreement(reference, query, pair.T_query_ref), query.camera.width
+    except DatasetError as why:
+        return str(why)
 
 
 def _check_of(found: Sequence[tuple[ImageAgreement, int]]) -> TruthCheck:
