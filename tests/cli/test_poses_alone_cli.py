@@ -219,6 +219,7 @@ def test_the_pages_of_results_hold_no_pictures(site: Path) -> None:
 @pytest.mark.thorough
 def test_the_page_of_a_set_has_its_map_and_that_of_a_pair_its_plan(site: Path, page: Any) -> None:
     page.goto(next(site.glob("set-*.html")).as_uri())
+    page.locator("#curves").scroll_into_view_if_needed()
     page.wait_for_selector("#curves .main-svg")
     page.locator("#map").scroll_into_view_if_needed()
     page.wait_for_selector("#map .main-svg")
