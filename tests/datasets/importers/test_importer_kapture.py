@@ -494,7 +494,7 @@ def test_options_and_lists_that_do_not_fit_are_refused(made: Path, tmp_path: Pat
     ):
         with refused((DatasetError, ConfigError), *told):
             build(sources, tmp_path / "d", **options)
-    for text, told in (
+    for text, fault in (
         ("q/l15.png, map/left/11.png\n", ("pairs.txt", 1, "map/left/11.png")),
         ("q/l16.png map/left/10.png\n", ("pairs.txt", 1, "q/l16.png")),
         ("q/l15.png, map/left/10.png, 1, 2\n", ("pairs.txt", 1, 4)),
@@ -502,7 +502,7 @@ def test_options_and_lists_that_do_not_fit_are_refused(made: Path, tmp_path: Pat
         ("# nothing\n", ("pairs.txt",)),
     ):
         pairs.write_text(text)
-        with refused(DatasetError, *told):
+        with refused(DatasetError, *fault):
             build(both, tmp_path / "p", pairs=pairs)
     for name, other in (("q/x.png", "q/x.png"), ("q/l15.png", "trajectories.txt")):
         poses.write_text(f"{name} 1 0 0 0 0 0 0\n")
