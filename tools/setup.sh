@@ -12,6 +12,13 @@ fail() {
   exit 1
 }
 
+# An installation in place of another checkout would be pointed to this one without a word.
+installed=$(cat "$venv"/lib/python*/site-packages/relocbench-*.dist-info/direct_url.json 2>/dev/null || true)
+owner=$(sed -n 's|.*"url": *"file://\([^"]*\)".*|\1|p' <<<"$installed")
+if [ -d "$owner" ] && [ ! "$owner" -ef . ]; then
+  fail "the virtual environment '$venv' belongs to the checkout in '$owner'; set VENV to another folder"
+fi
+
 command -v "$python" >/dev/null || fail "no '$python'; relocbench needs Python 3.11 to 3.13 (set PYTHON=/path/to/python)"
 "$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' ||
   fail "'$python' is $("$python" -V 2>&1); relocbench needs Python 3.11 to 3.13 (set PYTHON=/path/to/python)"

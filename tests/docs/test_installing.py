@@ -10,6 +10,7 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+import pytest
 from repository import ROOT
 
 PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ]+)", re.MULTILINE)
@@ -108,3 +109,18 @@ def test_the_wheel_holds_all_templates_and_fills_them_from_there(tmp_path: Path)
         ).stdout
         assert filled.startswith(f"{place}/relocbench/pages/__init__.py\nFeature network")
         assert "2 levels of 3 channels" in filled
+
+
+@pytest.mark.parametrize("of_this_checkout", [True, False])
+def test_set_up_refuses_the_environment_of_another_checkout(of_this_checkout: bool, tmp_path: Path) -> None:
+    owner = ROOT if of_this_checkout else tmp_path / "other"
+    installed = tmp_path / "env" / "lib" / "python3.11" / "site-packages" / "relocbench-0.1.0.dist-info"
+    installed.mkdir(parents=True)
+    (tmp_path / "other").mkdir()
+    (installed / "direct_url.json").write_text(f'{{"url": "{owner.as_uri()}", "dir_info": {{"editable": true}}}}')
+    # Without a Python, set-up ends after the question whose environment it is.
+    environment = os.environ | {"VENV": str(tmp_path / "env"), "PYTHON": "no-python"}
+    done = subprocess.run([ROOT / "tools" / "setup.sh"], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert (str(owner) in done.stderr) == (not of_this_checkout)
