@@ -62,3 +62,19 @@ def test_blocks_come_with_their_language_their_file_and_their_line(tmp_path: Pat
     assert (one.language, one.title, one.line, one.lines) == ("python", "a.py", 4, ("x = 1",))
     assert (other.language, other.title, other.line) == ("bash", "", 8)
     assert [line for line, _ in tool.commands(page)] == [8]
+
+
+def test_a_page_may_have_so_many_words_and_no_more(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("word " * tool.MOST_WORDS)
+    assert list(tool.too_long(page)) == []
+    page.write_text("word " * (tool.MOST_WORDS + 1))
+    (fault,) = tool.too_long(page)
+    assert str(tool.MOST_WORDS + 1) in fault
+
+
+def test_a_named_test_needs_its_file_and_its_function(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("`test_check_docs.py` `test_check_docs.py::test_nowhere`\n`test_of_nothing.py`\n")
+    named = [fault.split("'")[1] for fault in tool.unknown_tests(page)]
+    assert named == ["test_check_docs.py::test_nowhere", "test_of_nothing.py"]
