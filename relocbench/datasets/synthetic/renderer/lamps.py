@@ -77,7 +77,7 @@ def make_lamps(heads: NDArray[np.floating]) -> Lamps:
     return Lamps(heads, low.astype(np.float32), near)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _luminaire(down: float) -> float:
     """Intensity relative to that straight down, by the cosine of the angle from straight down.
 
@@ -87,7 +87,7 @@ def _luminaire(down: float) -> float:
     return (1 - _UPWARDS) / max(down, _WIDEST) ** 2 * smoothstep(down, 0.0, _WIDEST) + _UPWARDS
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def strongest_lamp(
     lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, nz: float
 ) -> tuple[int, float, float]:
@@ -116,7 +116,7 @@ def strongest_lamp(
     return best, most, total - most
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def headlight_irradiance(beam: Beam, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Irradiance at a point with a normal by the dipped headlights of the recording car, modelled as one lamp."""
     dx, dy, dz = x - beam.origin[0], y - beam.origin[1], z - beam.origin[2]

@@ -52,7 +52,7 @@ def direct_samples(u: Floats, v: Floats) -> Samples:
     return Samples(u, v, np.zeros(n, np.float32), np.zeros((n, 3), np.float32), np.full(n, NOTHING, np.uint32))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def ray(view: View, u: float, v: float) -> tuple[Vector, Vector, Vector]:
     """Direction of the ray through a point of the image, and its derivatives by u and v."""
     r, ix, iy = view.rotation, 1.0 / view.fx, 1.0 / view.fy
@@ -63,7 +63,7 @@ def ray(view: View, u: float, v: float) -> tuple[Vector, Vector, Vector]:
     return d, dx, dy
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def start(view: View, samples: Samples, i: int) -> tuple[Vector, Vector, Vector, Vector]:
     """Origin, direction and its derivatives of a sample's ray, direct or reflected."""
     d, dx, dy = ray(view, samples.u[i], samples.v[i])

@@ -21,7 +21,7 @@ _HAZE = 0.00025
 _FOG_LAYER_M = 160.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def sky_radiance(sky: Sky, x: float, y: float, z: float) -> Vector:
     """The sky's radiance in a unit direction; directions below the horizon get that of the horizon."""
     z = max(z, 0.0)

@@ -144,7 +144,7 @@ def _sees(scene: Scene, points: Floats, direction: Floats, far: float) -> Floats
     return 1.0 - scene.occluded(np.ascontiguousarray(rays), far).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[float, float]:
     """Irradiance at a point with a normal under a sky of radiance 1/pi, and the mean visibility of the sky there."""
     points, heights = light.points, light.heights
@@ -175,7 +175,7 @@ def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: floa
     return max(0.5 * v0 + share * per_weight, 0.04), v0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def ground_share(light: Skylight, x: float, y: float) -> float:
     """Share of light on the ground that is not blocked by objects standing on it."""
     ground = light.ground

@@ -22,6 +22,10 @@ _LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAM
 _PAINT, _CAR_GLASS, _SIGN = int(Material.CAR_PAINT), int(Material.CAR_GLASS), int(Material.SHOP_SIGN)
 _SKY = int(Semantic.SKY)
 _MOVING, _PARKED = int(Semantic.MOVING_CAR), int(Semantic.PARKED_CAR)
+# Numba compiles a function anew for each literal integer that it is given, so that these are of the type of variables.
+_NOISE, _ONE, _THREE = np.int64(MACRO), np.int64(1), np.int64(3)
+_ON_GROUND, _OF_PUDDLES = np.int64(0), np.int64(1)
+"""salts of the noise in world coordinates"""
 
 
 class Geometry(NamedTuple):
@@ -71,7 +75,7 @@ class Hits(NamedTuple):
     """(N,) sharpness of the specular reflection, 1 for glass and still water"""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _fresnel(cosine: float) -> float:
     """Reflectance of water and glass (Schlick 1994, F0 = 0.03)."""
     k = 1 - min(max(cosine, 0.0), 1.0)
@@ -79,13 +83,13 @@ def _fresnel(cosine: float) -> float:
     return 0.03 + 0.97 * k2 * k2 * k
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def corner(vertices: Floats, i: int) -> Vector:
     """A vertex in double precision."""
     return float(vertices[i, 0]), float(vertices[i, 1]), float(vertices[i, 2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _facet(geometry: Geometry, triangle: int) -> tuple[Vector, Vector, Vector, Vector, float, float]:
     """A corner, the unit normal, the spatial gradients of u and v, and u and v at the corner of a triangle.
 
@@ -114,7 +118,7 @@ def _facet(geometry: Geometry, triangle: int) -> tuple[Vector, Vector, Vector, V
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _paint(
     geometry: Geometry, looks: Looks, seed: int, triangle: int
 ) -> tuple[np.int64, np.int64, float, float, Vector]:
@@ -192,9 +196,9 @@ def surfaces(
         # Low-frequency stains, in surface coordinates on walls and in world coordinates on the ground.
         flat = nz > 0.7
         if flat:
-            slow, stain = sample(patterns, MACRO, 0, 1.0, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
+            slow, stain = sample(patterns, _NOISE, _ON_GROUND, 1.0, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
         else:
-            slow, stain = sample(patterns, MACRO, dice, 1.0, su + 2 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
+            slow, stain = sample(patterns, _NOISE, dice, 1.0, su + 2 * shift, sv, dudx, dvdx, dudy, dvdy, _ONE)
         tone = varied
         stained = 0.19 if material == _ASPHALT else 0.12
         if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
@@ -231,7 +235,9 @@ def surfaces(
                     looks.film[material] * soaked * (0.65 + 0.35 * smoothstep(slow, 0.2, 0.7)) * (0.75 + 0.25 * share)
                 )
                 if setting.puddles > 0.0 and looks.hollows[material] > 0.0:
-                    hollow, _ = sample(patterns, MACRO, 1, 2.2, p[0], p[1], px[0], px[1], py[0], py[1], 3)
+                    hollow, _ = sample(
+                        patterns, _NOISE, _OF_PUDDLES, 2.2, p[0], p[1], px[0], px[1], py[0], py[1], _THREE
+                    )
                     line = 1.0 - 0.36 * setting.puddles * looks.hollows[material]
                     still = smoothstep(hollow, line, line + 0.05) * (1 - snow)
                 film += (1 - film) * still

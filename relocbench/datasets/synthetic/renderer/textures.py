@@ -212,14 +212,14 @@ def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint64]:
     return np.asarray(flat[:, 0] + (flat[:, 1] << np.uint64(32)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _log2(x: float) -> float:
     """Base-2 logarithm, linear between powers of two; it is at most 0.09 too small, which blending does not show."""
     bits = np.int64(np.float32(x).view(np.int32))
     return (bits - 0x3F800000) / 8388608.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _bilinear(texels: NDArray[np.uint64], first: int | np.int64, size: int, u: float, v: float) -> np.int64:
     """Both channels times 65536 at (u, v) in tiles, on the level with ``size`` x ``size`` texels of a layer.
 
@@ -241,7 +241,7 @@ def _bilinear(texels: NDArray[np.uint64], first: int | np.int64, size: int, u: f
     return np.int64(a * (256 - fy) + b * fy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _blended(texels: NDArray[np.uint64], first: int | np.int64, size: int, blend: int, u: float, v: float) -> np.int64:
     """Both channels times 65536 ``_BLENDS`` at (u, v) in tiles, ``blend`` parts of them from the level below."""
     total = (_BLENDS - blend) * _bilinear(texels, first, size, u, v)
@@ -250,7 +250,7 @@ def _blended(texels: NDArray[np.uint64], first: int | np.int64, size: int, blend
     return np.int64(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _shift(
     columns: float, rows: float, bond: float, column: int, row: int, salt: int | np.int64
 ) -> tuple[float, float]:
@@ -270,7 +270,7 @@ def _shift(
     return du, dv
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _shares(x: float) -> tuple[int, float, float]:
     """The neighbour on the nearer side of a place in tiles, -1 or 1, and the shares of the own tile and of it.
 
@@ -318,7 +318,7 @@ def _across(
     return second, bright
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _within_one_tile(columns: float, rows: float, bond: float, u: float, v: float, du: float, dv: float) -> bool:
     """Whether all that is within (du, dv) of a place in tiles shows one tile alone."""
     if columns < 0.0:
@@ -330,7 +330,7 @@ def _within_one_tile(columns: float, rows: float, bond: float, u: float, v: floa
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def sample(
     patterns: Patterns,
     layer: int | np.int64,
