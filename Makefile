@@ -2,7 +2,7 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup browser test test-rest test-all test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
+.PHONY: help setup kernels browser test test-rest test-all test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
 PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra bags --extra cluster --extra registration --extra learned \
@@ -16,21 +16,24 @@ setup: $(VENV)/.ready ## virtual environment, pinned packages, system libraries
 $(VENV)/.ready: tools/setup.sh tools/hashes.txt pyproject.toml relocbench/version.py
 	VENV=$(VENV) tools/setup.sh
 
+kernels: setup   ## compile what the demo and the tests need, where it is not there yet
+	@OMP_NUM_THREADS=1 $(RUN)/python tools/compile_kernels.py
+
 browser:         ## Chromium, which the tests of the pages in HTML open them in (they are skipped without one)
 	tools/browser.sh
 
 PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n logical --dist worksteal --durations=20
 
-test: setup      ## the quick tests: each promise once, on all cores
+test: kernels    ## the quick tests: each promise once, on all cores
 	$(PYTEST) -m "not thorough"
 
-test-rest: setup ## the other tests, marked thorough: more cases of the same promises
+test-rest: kernels ## the other tests, marked thorough: more cases of the same promises
 	$(PYTEST) -m thorough
 
-test-all: setup  ## all tests: those of test and of test-rest
+test-all: kernels ## all tests: those of test and of test-rest
 	$(PYTEST)
 
-test-busy: setup ## all tests with eight busy loops beside them
+test-busy: kernels ## all tests with eight busy loops beside them
 	tools/beside_busy_loops.sh 8 $(PYTEST)
 
 test-processors: setup ## the tests as other processors would run them, a table of what failed (TESTS=files)
@@ -54,7 +57,7 @@ format: setup    ## format the code
 	$(RUN)/ruff format .
 	$(RUN)/ruff check --fix .
 
-demo: setup      ## small dataset -> trackers -> what each finds in which condition
+demo: kernels    ## small dataset -> trackers -> what each finds in which condition
 	$(RUN)/relocbench demo --out demo-output
 
 bench: setup     ## speed and memory; each benchmark prints one JSON line last

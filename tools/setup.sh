@@ -44,4 +44,5 @@ export VIRTUAL_ENV="$PWD/$venv"
 case "$venv" in /*) VIRTUAL_ENV="$venv" ;; esac
 "$venv/bin/uv" pip install --quiet --require-hashes -r tools/hashes.txt
 "$venv/bin/uv" pip install --quiet --no-deps --no-build-isolation -e .
+OMP_NUM_THREADS=1 "$venv/bin/python" tools/compile_kernels.py
 touch "$venv/.ready"

@@ -1,0 +1,72 @@
+"""Compile the kernels that the demo and the tests need into the user's cache; where they are there, return at once.
+
+    python tools/compile_kernels.py
+
+Without it each process compiles what it calls when it first calls it, and processes that begin together all compile
+the same. Here two lines of work that share few kernels run side by side, each on the smallest input: a rendered town
+and the trackers on it, and ground truth from recorded drives.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from relocbench.kernels import use_kernel_cache
+
+_ROOT = Path(__file__).resolve().parents[1]
+_RELOCBENCH = f"{sys.executable} -m relocbench"
+_RENDERED = f"""
+{_RELOCBENCH} build-dataset synthetic --preset smoke --conditions Sunny,Rain,Snow,Night --size 96x72 -o town -j 1
+{_RELOCBENCH} evaluate -d town -m dso -m gn-net -o results -j 1
+"""
+_RECORDED = f"""
+{sys.executable} -c "
+from pathlib import Path
+from recorded_street import record_street
+for number in range(2):
+    record_street(Path('drives'), number, azimuths=360)
+"
+set -- drives/boreas-*
+{_RELOCBENCH} build-dataset boreas $1 $2 -o street -j 1 --submap 20 --depth-submap 12 --keyframe-distance 2 \\
+  --query-distance 3 --correspondences 50 --matcher fgr
+"""
+
+
+def main() -> None:
+    use_kernel_cache()
+    marker = Path(os.environ["NUMBA_CACHE_DIR"]) / "compiled"
+    if marker.exists():
+        return
+    print("compiling kernels, once for these sources", flush=True)
+    began = time.monotonic()
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(_ROOT), str(_ROOT / "tests" / "support")]),
+        "OMP_NUM_THREADS": "1",
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        running = []
+        for number, script in enumerate((_RENDERED, _RECORDED)):
+            scratch = Path(folder) / str(number)
+            scratch.mkdir()
+            command = ["bash", "-euo", "pipefail", "-c", script]
+            running.append(
+                subprocess.Popen(
+                    command, cwd=scratch, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+                )
+            )
+        for process in running:
+            said, _ = process.communicate()
+            if process.returncode:
+                print(f"kernels are compiled when they are called, since this failed:\n{said}", file=sys.stderr)
+                return
+    marker.touch()
+    print(f"compiled kernels in {time.monotonic() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
