@@ -38,7 +38,7 @@ class OrbBagOfWords:
     An image without features, or only with words that all images have, has no descriptor.
 
     Args:
-        words: K.
+        words: number of visual words, K.
         features: largest number of features of an image, strongest first.
         sample: largest number of the gallery's features, drawn evenly over its images, that the vocabulary is made
             from.

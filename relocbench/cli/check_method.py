@@ -36,6 +36,8 @@ def check_method(
 ) -> None:
     """Try a tracker on a few pairs or a retriever on a few images, and say whether it keeps the contract.
 
+    An answer that is confident about a black image or a different place keeps the contract, and is called doubtful.
+
     Example: relocbench check-method mypackage.trackers:MyTracker
     """
     from relocbench.cli.console import print_json, print_table
@@ -47,12 +49,13 @@ def check_method(
     asked = [(spec, dataset)]
     findings = next(f for _, f in run_limited(_checked, asked, Run(), on_loss=_lost))
     if json:
-        told = [{"check": f.check, "passed": f.passed, "detail": f.detail} for f in findings]
-        passed = sum(f.passed for f in findings)
-        counts = {"checks": len(findings), "passed": passed, "failed": len(findings) - passed}
+        told = [{"check": f.check, "passed": f.passed, "doubtful": f.doubtful, "detail": f.detail} for f in findings]
+        passed, doubtful = (sum(getattr(f, name) for f in findings) for name in ("passed", "doubtful"))
+        counts = {"checks": len(findings), "passed": passed, "failed": len(findings) - passed, "doubtful": doubtful}
         print_json({"method": method, "task": spec.kind.task, "checks": told}, counts)
     else:
-        rows = [[f.check, "ok" if f.passed else "BROKEN", f.detail] for f in findings]
+        words = {True: "ok", False: "BROKEN"}
+        rows = [[f.check, "DOUBTFUL" if f.doubtful else words[f.passed], f.detail] for f in findings]
         print_table("", ["check", "", "detail"], rows)
     if not all(f.passed for f in findings):
         raise typer.Exit(2)

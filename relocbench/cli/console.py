@@ -7,9 +7,9 @@ import math
 import re
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -115,30 +115,52 @@ def reporter(quiet: bool) -> Reporter:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on standard output; columns after the first are aligned right.
+    """A table on standard output; columns after the first are aligned right, and those of long texts left.
 
-    Where it is wider than the terminal, its headings are broken into lines between their words.
+    Where it is wider than the terminal, its headings are broken into lines between their words, then long texts are
+    wrapped, and then columns are left out, the last ones first; their names stand below the table.
     """
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:
         # Piped into a file or a pager a table keeps its width instead of being squeezed into 80 columns.
         console = Console(highlight=False, markup=False, width=max(console.width, 200))
-    table = _table(title, columns, rows)
-    if (
-        console.is_terminal
-        and console.measure(table, options=console.options.update(width=10_000)).maximum > console.width
-    ):
-        table = _table(title, [in_lines(name) for name in columns], rows)
-    console.print(table)
+    if title:
+        console.print(printable(title), style="table.title")
+    table = [[printable(cell) for cell in row] for row in rows]
+    texts = {i for i in range(len(columns)) if any(len(row[i]) > _SHORT and " " in row[i] for row in table)}
+    names, shown = list(columns), list(range(len(columns)))
+    if console.is_terminal and _width(names, table, shown) > console.width:
+        names = [in_lines(name) for name in columns]
+        while len(shown) > 1 and _width(names, table, shown, texts) > console.width:
+            shown.pop()
+    grid = Table(header_style="bold")
+    for i in shown:
+        justify: Literal["left", "right"] = "left" if i == 0 or i in texts else "right"
+        grid.add_column(names[i], justify=justify, overflow="fold", no_wrap=i not in texts)
+    for row in table:
+        grid.add_row(*(row[i] for i in shown))
+    console.print(grid)
+    if left_out := [name for i, name in enumerate(columns) if i not in shown]:
+        words = ", ".join(" ".join(name.split()) for name in left_out)
+        console.print(f"too wide for this terminal, see --json: {words}", style="dim")
 
 
-def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    table = Table(title=title or None, title_justify="left", header_style="bold")
-    for index, name in enumerate(columns):
-        table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*map(printable, row))
-    return table
+_SHORT = 28
+"""characters of the longest number or name; longer cells of several words are texts, which may be wrapped"""
+_LEAST_TEXT = 20
+"""characters of a column of texts that is wrapped, at least"""
+
+
+def _width(
+    names: Sequence[str], rows: Sequence[Sequence[str]], shown: Sequence[int], wrapped: Collection[int] = ()
+) -> int:
+    """The least width of some columns of a table with its frame, where some of them may be wrapped."""
+    total = 1
+    for i in shown:
+        widest = max((len(row[i]) for row in rows), default=0)
+        heading = max(map(len, names[i].split("\n")))
+        total += 3 + max(heading, min(widest, _LEAST_TEXT) if i in wrapped else widest)
+    return total
 
 
 def in_lines(heading: str, most: int = 12) -> str:

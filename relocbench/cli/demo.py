@@ -10,7 +10,6 @@ import typer
 from relocbench.cli.options import Json, Quiet, Workers
 
 if TYPE_CHECKING:
-    from relocbench.leaderboard.tracking.by_condition import ByCondition
     from relocbench.progress import Reporter
 
 _METHODS = ("identity", "dso", "orb-pnp", "gn-net")
@@ -46,6 +45,7 @@ def demo(
 
     Example: relocbench demo --out demo
     """
+    from relocbench.cli.boards import print_matrix
     from relocbench.cli.console import print_json, reporter
     from relocbench.cli.counts import of_evaluation
     from relocbench.datasets.importers import importer
@@ -75,7 +75,7 @@ def demo(
         places = {"dataset": dataset.root, "results": out / "results", "leaderboard": out / "leaderboard"}
         print_json({**places, "picture": out / PICTURE, "page": page}, of_evaluation(evaluated))
         return
-    _print_summary(found)
+    print_matrix(found.usual, "demo")
     typer.echo(f"picture: {out / PICTURE}")
     typer.echo(f"page: {page}")
 
@@ -101,19 +101,3 @@ def _able(report: Reporter) -> tuple[str, ...]:
         else:
             able.append(name)
     return tuple(able)
-
-
-def _print_summary(results: ByCondition) -> None:
-    """The share of queries that each method finds, by condition."""
-    from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.text import number
-    from relocbench.metrics import CORRECT
-
-    metres, degrees = CORRECT
-    title = f"Map: {results.columns[0].map_condition}. Queries found within {metres:g} m and {degrees:g}°, in %"
-    # A word a line, so that the table fits a narrow terminal.
-    named = [
-        "\n".join((*c.condition.split(", "), *(["(same drive)"] if c.same_drive else []))) for c in results.columns
-    ]
-    rows = [[line.label, *(number(found.share, "share") for found in line.found)] for line in results.lines]
-    print_table(title, ["method", *map("\n".join, named)], rows)

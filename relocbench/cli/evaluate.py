@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from relocbench.cli import options as common
 
 if TYPE_CHECKING:
-    from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.core.pair_set import PairSet
     from relocbench.evaluation.common.results import MethodResults
+    from relocbench.evaluation.tracking.evaluate import Report
+    from relocbench.progress import Reporter
 
 
 def evaluate(
@@ -79,73 +81,94 @@ def evaluate(
         scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
     )
     options = merged(EvaluateOptions, config, chosen)
-    report = evaluate_methods(options, reporter(quiet))
+    progress = reporter(quiet)
+    report = evaluate_methods(options, progress)
     if json:
         print_json(report.to_dict(), of_evaluation(report))
     else:
-        _print_report(report.dataset, report.pair_sets, report.folders, matching=options.matching)
+        _print_report(report, progress, matching=options.matching)
         for label, message in report.crashed:
             typer.echo(f"{label}: {message}", err=True)
         if not quiet:
             typer.echo(f"results: {report.results}", err=True)
 
 
-COLUMNS = (
-    "recall@(0.25m,2deg)",
-    "t_auc@0.5m",
-    "r_auc@0.5deg",
-    "median_translation_error_m",
-    "median_rotation_error_deg",
-    "coverage",
-    "median_seconds",
-)
 ELSEWHERE_COLUMNS = ("answered_share", "confident_share", "confident_high")
 """of the numbers about pairs of different places, in ``scores.yaml``"""
 
 
-def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[MethodResults], *, matching: bool) -> None:
-    from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import METHOD, heading
-    from relocbench.metrics import metric_named
+def _print_report(report: Report, progress: Reporter, *, matching: bool) -> None:
+    """The matrix of what was scored, then a table for each pair set, in the order of the dataset's splits."""
+    from relocbench.cli.boards import print_matrix
+    from relocbench.evaluation.common.results import DatasetResults
+    from relocbench.leaderboard.tracking.by_condition import by_condition
+    from relocbench.leaderboard.tracking.doubt import check_truth
+    from relocbench.leaderboard.tracking.load import load_methods
+    from relocbench.leaderboard.tracking.model import DatasetBoard
 
-    for pair_set in pair_sets:
-        rejected = f", {len(pair_set.rejected)} rejected" if pair_set.rejected else ""
-        elsewhere = f", {len(pair_set.negative_pairs)} of different places" if pair_set.negative_pairs else ""
-        title = f"{dataset.name}: {pair_set.name} ({len(pair_set.pairs)} pairs{elsewhere}{rejected})"
-        rows = []
-        for folder in folders:
-            groups = folder.score_record().pair_sets.get(pair_set.name, {})
-            rows += [[folder.label, group, *_cells(values)] for group, values in groups.items()]
-        if rows:
-            print_table(title, [METHOD, "group", *(heading(m, metric_named(m).unit) for m in COLUMNS)], rows)
+    dataset, folders = report.dataset, report.folders
+    scored = [one.name for one in report.pair_sets if any(one.name in f.score_record().pair_sets for f in folders)]
+    if scored:
+        entry = load_methods(DatasetResults(folders[0].root.parent), [f.label for f in folders], scored)
+        entry = replace(entry, dataset=dataset, truth_checks=check_truth(dataset, scored, progress))
+        print_matrix(by_condition([DatasetBoard(entry, ())]))
+    in_order = [name for names in dataset.splits.values() for name in names]
+    place = {name: number for number, name in enumerate(in_order)}
+    for pair_set in sorted(report.pair_sets, key=lambda one: place.get(one.name, len(place))):
+        name = f"{dataset.name}: {pair_set.name}"
+        if pair_set.name in scored:
+            _print_scores(name, pair_set, folders)
         elif not pair_set.has_truth:
             typer.echo(f"{pair_set.name}: ground truth is withheld; predictions are kept, not scored", err=True)
         if pair_set.negative_pairs:
-            _print_elsewhere(f"{dataset.name}: {pair_set.name}", pair_set.name, folders)
+            _print_elsewhere(name, pair_set.name, folders)
         if matching:
-            _print_matching(f"{dataset.name}: {pair_set.name}", pair_set.name, folders)
+            _print_matching(name, pair_set.name, folders)
+
+
+def _print_scores(name: str, pair_set: PairSet, folders: list[MethodResults]) -> None:
+    """The scores of all pairs of a pair set; those of its groups are in ``scores.yaml`` and ``--json``."""
+    from relocbench.cli.boards import SHORT_HEADINGS, short_heading
+    from relocbench.cli.console import print_table
+    from relocbench.evaluation.common.matching_table import ALL
+    from relocbench.leaderboard.common.headings import METHOD
+    from relocbench.leaderboard.common.text import number
+    from relocbench.metrics import metric_named
+
+    rejected = f", {len(pair_set.rejected)} rejected" if pair_set.rejected else ""
+    negative = f", {len(pair_set.negative_pairs)} negative pairs" if pair_set.negative_pairs else ""
+    metrics = [metric_named(name) for name in SHORT_HEADINGS]
+    rows = []
+    for folder in folders:
+        values = folder.score_record().pair_sets.get(pair_set.name, {}).get(ALL)
+        if values is not None:
+            rows.append([folder.label, *(number(values.get(m.name), m.unit) for m in metrics)])
+    heads = [METHOD, *(short_heading(m.name, m.unit) for m in metrics)]
+    print_table(f"{name} ({len(pair_set.pairs)} pairs{negative}{rejected})", heads, rows)
 
 
 def _print_elsewhere(title: str, pair_set: str, folders: list[MethodResults]) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import ELSEWHERE, METHOD
+    from relocbench.leaderboard.common.headings import METHOD
+    from relocbench.leaderboard.common.text import number
     from relocbench.metrics import CONFIDENT
 
     scores = {f.label: f.score_record().elsewhere.get(pair_set) for f in folders}
     rows = [
-        [label, str(of["pairs"]), *(cell(of[name], "share") for name in ELSEWHERE_COLUMNS)]
+        [label, str(of["pairs"]), *(number(of[name], "share") for name in ELSEWHERE_COLUMNS)]
         for label, of in scores.items()
         if of
     ]
     if rows:
-        wrong = f"elsewhere_confident: answered with a confidence of {CONFIDENT:g} or more"
-        print_table(f"{title}, pairs of different places ({wrong})", [METHOD, *ELSEWHERE], rows)
+        heads = [METHOD, "pairs", "answered, %", f"confidence {CONFIDENT:g} or more, %", "at most, %"]
+        print_table(f"{title}, negative pairs (of different places)", heads, rows)
 
 
 def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> None:
     from relocbench.cli.console import print_table
     from relocbench.evaluation.common.matching_table import ALL
     from relocbench.leaderboard.common.headings import METHOD, heading
+    from relocbench.leaderboard.common.text import number
 
     scores = {f.label: f.score_record().matching.get(pair_set, {}).get(ALL) for f in folders}
     known = {label: summary for label, summary in scores.items() if summary}
@@ -153,24 +176,9 @@ def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> 
         return
     offsets = list(next(iter(known.values())))
     rows = [
-        [label, within, *(cell(summary[offset][f"match@{within.replace(' ', '')}"], "share") for offset in offsets)]
+        [label, within, *(number(summary[offset][f"match@{within.replace(' ', '')}"], "share") for offset in offsets)]
         for label, summary in known.items()
         for within in ("1 px", "3 px")
     ]
     columns = [heading(offset.replace("px", " px")) for offset in offsets]
     print_table(f"{title}, pixels found again by the start's offset", [METHOD, "within", *columns], rows)
-
-
-def _cells(values: dict[str, Any]) -> list[str]:
-    from relocbench.metrics import metric_named
-
-    return [cell(values.get(name), metric_named(name).unit) for name in COLUMNS]
-
-
-def cell(value: float | None, unit: str) -> str:
-    """A metric as people read it: shares in percent."""
-    if value is None:
-        return ""
-    if unit == "share":
-        return f"{100 * value:.1f}"
-    return "inf" if value == float("inf") else f"{value:.4f}"

@@ -118,9 +118,10 @@ def evaluate_relocalization(
 
 
 def _print_report(report: RelocalizationReport) -> None:
+    from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
     from relocbench.evaluation.relocalization.score import FAILURES, RANKING
-    from relocbench.leaderboard.common.headings import RETRIEVER, TOP, TRACKER, heading
+    from relocbench.leaderboard.common.headings import RETRIEVER, TOP, TRACKER
     from relocbench.leaderboard.common.text import number
 
     for name, record in report.tasks.record.tasks.items():
@@ -146,4 +147,4 @@ def _print_report(report: RelocalizationReport) -> None:
                     *(number(values[name], unit) for name, unit in medians.items()),
                 ]
             )
-        print_table(title, [RETRIEVER, TRACKER, TOP, *map(heading, (RANKING, *shares)), *medians], rows)
+        print_table(title, [RETRIEVER, TRACKER, TOP, *map(short_heading, (RANKING, *shares, *medians))], rows)

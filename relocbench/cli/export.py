@@ -29,8 +29,12 @@ def export(
         ),
     ],
     results: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Results folder that holds the predictions or rankings.")
-    ] = Path("results"),
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Results folder that holds the predictions of --method or rankings of --retriever [default: results].",
+        ),
+    ] = None,
     method: Annotated[
         str | None,
         typer.Option(
@@ -96,6 +100,9 @@ def export(
     from relocbench.evaluation.tracking.exports import export_poses
     from relocbench.files import locked_output
 
+    if results is not None and method is None and retriever is None:
+        raise ConfigError("--results without --method or --retriever; name one, or leave --results out for the truth")
+    results = results or Path("results")
     if retriever is None and top is not None:
         raise ConfigError("--top is the length of a retriever's lists; name the retriever: --retriever LABEL")
     if retriever is not None and (format != "hloc" or method is not None):

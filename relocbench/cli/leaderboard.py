@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.leaderboard.relocalization.board import PipelineBoard
     from relocbench.leaderboard.retrieval.board import RetrievalBoard
-    from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
+    from relocbench.leaderboard.tracking.model import Board
     from relocbench.progress import Reporter
 
 _USUAL = {
@@ -116,6 +116,7 @@ def leaderboard(
 
     Example: relocbench leaderboard results --out tables --format latex
     """
+    from relocbench.cli.boards import print_board
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.evaluation.common.opening import check_in_no_dataset
@@ -152,7 +153,7 @@ def leaderboard(
         print_json({**head, "files": [str(path) for path in files], "rows": rows, **retrieval}, counts)
     else:
         if board is not None:
-            print_leaderboard(board)
+            print_board(board)
         if found is not None:
             _print_retrieval(found)
         if pipelines is not None:
@@ -302,8 +303,9 @@ def _print_retrieval(board: RetrievalBoard) -> None:
 
 
 def _print_pipelines(board: PipelineBoard) -> None:
+    from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import RANK, RETRIEVER, TOP, TRACKER, heading
+    from relocbench.leaderboard.common.headings import RANK, RETRIEVER, TOP, TRACKER
     from relocbench.leaderboard.common.text import number
 
     median = "median_translation_error_m"
@@ -322,35 +324,6 @@ def _print_pipelines(board: PipelineBoard) -> None:
                 ]
                 for row in table.rows
             ]
-            shares = map(heading, dict.fromkeys(metrics))
-            print_table(title, [RETRIEVER, TRACKER, TOP, RANK, *shares, median], rows)
-
-
-def print_leaderboard(board: Board) -> None:
-    """A compact table for each pair set, and the totals."""
-    for dataset in board.datasets:
-        for table in [*dataset.pair_sets, *(t for t in dataset.totals if len(t.pair_sets) > 1)]:
-            _print_table(board, dataset, table)
-
-
-def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
-    from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import METHOD, RANK, SECONDS
-    from relocbench.leaderboard.common.text import number
-    from relocbench.leaderboard.tracking.cells import plain_heading, shown_metrics
-
-    metrics = [m for m in shown_metrics(board) if m in (*board.with_interval, *shown_metrics(board)[:3])]
-    of_split = f" {table.split}" if table.is_total and table.split else ""
-    rejected = f", {table.rejected} rejected" if table.rejected else ""
-    title = f"{dataset.entry.title}: {table.pair_set}{of_split} ({table.pairs} pairs{rejected})"
-    columns = [METHOD, RANK, *map(plain_heading, metrics), SECONDS]
-    rows = [
-        [
-            row.method.label,
-            "" if row.rank is None else str(row.rank),
-            *(number(row.values[m.name], m.unit) for m in metrics),
-            number(row.values["median_seconds"], "s"),
-        ]
-        for row in table.rows
-    ]
-    print_table(title, columns, rows)
+            print_table(
+                title, [RETRIEVER, TRACKER, TOP, RANK, *map(short_heading, dict.fromkeys((*metrics, median)))], rows
+            )

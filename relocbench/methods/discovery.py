@@ -13,6 +13,7 @@ each optionally preceded by the label that its results are kept under (``dso-fas
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -31,6 +32,10 @@ ENTRY_POINT_GROUP = "relocbench.methods"
 SUBPROCESS = "subprocess:"
 START = "start"
 """the setting that names the tracker whose pose another one starts from"""
+
+
+_ARGUMENT = re.compile(r" {4}(\w+(?:, \w+)*): *(.*)")
+"""a line that begins to describe arguments"""
 
 
 @dataclass(frozen=True)
@@ -130,6 +135,8 @@ class Parameter:
     annotation: Any
     default: Any
     """``inspect.Parameter.empty`` if it is required"""
+    words: str = ""
+    """what it is, from the section ``Args:`` of the docstring; empty where that says nothing"""
 
     @property
     def required(self) -> bool:
@@ -339,11 +346,35 @@ def parameters_of(target: str, kind: MethodKind = TRACKERS) -> list[Parameter]:
         hints = get_type_hints(function, include_extras=True)
     except (NameError, TypeError):
         hints = {}
+    words = _argument_words(factory)
     out = []
     for p in signature.parameters.values():
         if p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD):
             continue
-        out.append(Parameter(p.name, hints.get(p.name, Any), p.default))
+        out.append(Parameter(p.name, hints.get(p.name, Any), p.default, words.get(p.name, "")))
+    return out
+
+
+def _argument_words(factory: Any) -> dict[str, str]:
+    """What docstrings say of each argument below ``Args:``: those of the function, or of a class and its bases."""
+    documented = (
+        [part for base in inspect.getmro(factory) for part in (base.__init__, base)]
+        if inspect.isclass(factory)
+        else [factory]
+    )
+    out: dict[str, str] = {}
+    for part in documented:
+        lines = inspect.cleandoc(getattr(part, "__doc__", None) or "").split("\n")
+        below = lines[lines.index("Args:") + 1 :] if "Args:" in lines else []
+        names: list[str] = []
+        for line in below:
+            if line.strip() and not line.startswith(" "):
+                break
+            named = _ARGUMENT.match(line)
+            if named is not None:
+                names = [name for name in named[1].split(", ") if name not in out]
+            for name in names:
+                out[name] = f"{out.get(name, '')} {named[2] if named else line.strip()}".strip()
     return out
 
 

@@ -9,6 +9,7 @@ import urllib.parse
 import urllib.request
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import IO, Any
 
@@ -43,6 +44,27 @@ def published_files(method: MethodSpec) -> dict[Path, PublishedFile]:
     if not files:
         raise MethodError(f"method '{method.label}' needs no files that others publish")
     return {Path(path): file for path, file in files.items()}
+
+
+class Weights(StrEnum):
+    """Where the weights of a method are."""
+
+    NONE = "none needed"
+    INCLUDED = "included"
+    FETCHED = "fetched"
+    MISSING = "to be fetched"
+    TRAINED = "to be trained"
+    """a parameter names the file of a training"""
+
+
+def weights_of(method: MethodSpec) -> Weights:
+    """Where the weights are that a method needs with its parameters. Raises MethodError."""
+    factory = method_class(method.target, method.kind)
+    if callable(getattr(factory, "published", None)):
+        return Weights.FETCHED if all(path.is_file() for path in published_files(method)) else Weights.MISSING
+    if "weights" not in method.parameters:
+        return Weights.NONE
+    return Weights.INCLUDED if method.files() else Weights.TRAINED
 
 
 def check_fetched(path: Path, file: PublishedFile) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from relocbench.cli.console import Pace, in_lines, print_table
@@ -91,3 +93,17 @@ def test_only_a_table_wider_than_its_terminal_has_broken_headings(
         monkeypatch.setenv("COLUMNS", str(width))
         print_table("", ["method", "median_translation_error_m"], [["dso", "0.5"]])
         assert ("translation_error" not in capsys.readouterr().out) == broken
+
+
+def test_a_table_too_wide_for_its_terminal_wraps_texts_then_leaves_out_the_last_columns(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    why = "a text of so many words that it does not fit into the half of a narrow terminal"
+    numbers = [f"number {i}" for i in range(8)]
+    print_table("", ["method", "why", *numbers], [["dso", why, *("0.12345678" for _ in numbers)]])
+    table, left_out = capsys.readouterr().out.split("too wide")
+    assert max(map(len, re.sub(r"\x1b\[[0-9;]*m", "", table).split("\n"))) <= 80
+    assert all(word in table for word in why.split())
+    assert table.count("0.12345678") + sum(number in left_out for number in numbers) == len(numbers)

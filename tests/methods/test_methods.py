@@ -159,6 +159,22 @@ def test_every_breach_of_the_contract_is_found() -> None:
         assert all(not f.passed for f in findings if f.check.startswith("answers")), answer
 
 
+def test_confidence_where_nothing_is_known_is_called_doubtful() -> None:
+    doubtful = {f.check for f in check(parse_method(f"{HERE}:Certain")) if f.doubtful}
+    assert doubtful == {
+        "answers a query that shows nothing known",
+        "answers a query of a different place",
+        "answers a black query",
+    }
+    assert not any(f.doubtful for f in check(parse_method("orb-pnp")))
+
+
+def test_a_parameter_has_the_words_of_the_docstring_of_its_class_or_a_base() -> None:
+    words = {p.name: p.words for p in parameters_of("sift-pnp")}
+    assert all(words.values())
+    assert words["min_inliers"] == "with fewer inliers, tracking fails."
+
+
 def test_an_author_is_told_the_line_of_their_own_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "singular_tracker.py").write_text(
         "import numpy as np\n\n\nclass Singular:\n"

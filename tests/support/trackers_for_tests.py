@@ -32,6 +32,13 @@ class Shift:
         return TrackResult(pose, confidence=float((query.timestamp_ns or 0) % 7), info={"steps": np.int64(self.steps)})
 
 
+class Certain:
+    """Is certain of the identity, whatever it is shown."""
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult(np.eye(4), confidence=1.0)
+
+
 @dataclass
 class Logging(Shift):
     """A line in ``log`` for each question; sleeps, kills its process, fails or raises where it is told to."""

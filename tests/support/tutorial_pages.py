@@ -102,7 +102,7 @@ def missing_lines(shown: tuple[str, ...], printed: list[str]) -> list[str]:
     for line in shown:
         if line.strip() in ("", "...", "…"):
             continue
-        seconds_last = "median_seconds" in line or (seconds_last and _is_row(line))
+        seconds_last = re.search(r"seconds\s*┃?\s*$", line) is not None or (seconds_last and _is_row(line))
         wanted = _plain(line, seconds_last=seconds_last)
         if not any(_same(wanted, _plain(one, seconds_last=seconds_last)) for one in rest):
             missing.append(line)

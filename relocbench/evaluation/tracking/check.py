@@ -20,6 +20,7 @@ from relocbench.evaluation.common.views import masked_query, masked_reference
 from relocbench.execution import messages_to_stderr
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
+from relocbench.metrics import CONFIDENT
 from relocbench.tracking import (
     KeyframePoints,
     Query,
@@ -39,6 +40,8 @@ class Finding:
     check: str
     passed: bool
     detail: str = ""
+    doubtful: bool = False
+    """whether the contract is kept, but the answer is hard to believe"""
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ class _Question:
     name: str
     reference: Reference
     query: Query
+    hopeless: bool = False
+    """whether nothing in the images says where the query was taken"""
 
     def shown(self, times: bool) -> _Question:
         """The views as an evaluation gives them, but writable: a method that writes to them is reported."""
@@ -55,6 +60,7 @@ class _Question:
             self.name,
             replace(reference, image=writable.image, depth=writable.depth),
             replace(query, image=self.query.image),
+            self.hopeless,
         )
 
 
@@ -81,7 +87,7 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
             findings.append(Finding(name, False, fault))
     answers = [_ask(tracker, question) for question in questions]
     for question, answer in zip(questions, answers, strict=True):
-        findings.append(Finding(f"answers {question.name}", answer.status != "error", _words(answer)))
+        findings.append(_answers(question, answer))
     usable = [i for i, answer in enumerate(answers) if answer.status != "error"]
     findings.append(_repeatable(spec, tracker, questions, answers, usable))
     findings.append(_leaves_input_alone(tracker, questions[0]))
@@ -92,6 +98,15 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
         findings.append(_matches_by_pixel(spec, tracker, questions[0]))
     _close(tracker)
     return findings
+
+
+def _answers(question: _Question, answer: CheckedAnswer) -> Finding:
+    """Whether an answer keeps the contract; one that is confident where nothing is to be known is doubtful."""
+    told, sure = _words(answer), question.hopeless and (answer.confidence or 0.0) >= CONFIDENT
+    if sure and answer.T_query_ref is not None:
+        told += f", although nothing says where it is: below {CONFIDENT:g} is expected"
+        return Finding(f"answers {question.name}", True, told, doubtful=True)
+    return Finding(f"answers {question.name}", answer.status != "error", told)
 
 
 def constructed(spec: MethodSpec) -> tuple[Any, Finding]:
@@ -229,6 +244,7 @@ def _made_up() -> list[_Question]:
     texture = _smooth(rng.random((_HEIGHT + 80, _WIDTH + 80)))
     here, moved = texture[40:-40, 40:-40], texture[40:-40, 45:-35]
     depth = np.full((_HEIGHT, _WIDTH), _WALL_M, dtype=np.float32)
+    elsewhere = _smooth(np.random.default_rng(1).random((_HEIGHT, _WIDTH)))
     noise = (rng.random((_HEIGHT, _WIDTH)) * 255).astype(np.uint8)
     dense = Reference("check/dense", 0, here, camera, depth=depth)
     uv = np.stack(np.meshgrid(np.arange(8.0, _WIDTH - 8, 6), np.arange(8.0, _HEIGHT - 8, 6)), -1).reshape(-1, 2)
@@ -241,8 +257,9 @@ def _made_up() -> list[_Question]:
         _Question("a pair with dense depth", dense, Query("check/a", 10, moved, camera)),
         _Question("a pair with sparse points", sparse, Query("check/b", 11, moved, camera)),
         _Question("a pair in colour", colour, Query("check/c", 12, np.stack([moved] * 3, axis=-1), camera)),
-        _Question("a query that shows nothing known", dense, Query("check/d", 13, noise, camera)),
-        _Question("a black query", dense, Query("check/e", 14, black, camera)),
+        _Question("a query that shows nothing known", dense, Query("check/d", 13, noise, camera), hopeless=True),
+        _Question("a query of a different place", dense, Query("check/g", 16, elsewhere, camera), hopeless=True),
+        _Question("a black query", dense, Query("check/e", 14, black, camera), hopeless=True),
         _Question("a keyframe without depth", nothing, Query("check/f", 15, moved, camera)),
     ]
 
@@ -266,8 +283,14 @@ def _from_dataset(path: Path) -> list[_Question]:
     dataset.require_images(dataset.pair_sets(), "there is nothing to try a method on")
     for pair_set in dataset.pair_sets():
         if pair_set.pairs:
+            asked = [*((p, "") for p in pair_set.pairs[:2]), *((p, "negative ") for p in pair_set.negative_pairs[:2])]
             return [
-                _Question(f"pair {p.key[0]} {p.key[1]}", dataset.reference(pair_set, p), dataset.query(pair_set, p))
-                for p in pair_set.pairs[:2]
+                _Question(
+                    f"{negative}pair {p.key[0]} {p.key[1]}",
+                    dataset.reference(pair_set, p),
+                    dataset.query(pair_set, p),
+                    hopeless=bool(negative),
+                )
+                for p, negative in asked
             ]
     raise DatasetError("holds no pair to try the method on", path)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from relocbench.leaderboard.common.ranks import shown_rank
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.marks import is_ranked
-from relocbench.leaderboard.tracking.model import DatasetBoard, Table
+from relocbench.leaderboard.tracking.model import DatasetBoard
 from relocbench.leaderboard.tracking.thresholds import finer_thresholds
 from relocbench.metrics import CORRECT, within
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
@@ -96,7 +96,7 @@ class ByCondition:
     """The methods against the conditions."""
 
     columns: tuple[Column, ...]
-    """by dataset and split; pairs of the same drive first, then in the order of the dataset's pair sets"""
+    """by dataset and split; pairs of the same drive first, then in the order of the dataset's splits"""
     lines: tuple[Line, ...]
     """the method that finds most across conditions first, trivial baselines last"""
 
@@ -120,6 +120,8 @@ class ByCondition:
 def by_condition(datasets: Sequence[DatasetBoard]) -> ByCondition:
     """Sort the results on some datasets by the condition of the query.
 
+    Only the results are read, and the totals for ranks: a board without tables has the same columns and no ranks.
+
     The columns of a dataset that standing still nearly solves occur twice: within the usual thresholds, and beside it
     within the finer ones that fit.
     """
@@ -135,22 +137,20 @@ def by_condition(datasets: Sequence[DatasetBoard]) -> ByCondition:
 
 def _columns(dataset: DatasetBoard) -> list[Column]:
     entry = dataset.entry
-    tables = {table.pair_set: table for table in dataset.pair_sets}
     split_of = {name: split for split, names in entry.splits.items() for name in names}
-    splits = [split for split in (*entry.splits, "") if any(split_of.get(name, "") == split for name in tables)]
-    found: dict[tuple[int, bool, str, str], list[Table]] = {}
-    for name in entry.pair_sets:
-        if name in tables:
-            record, split = entry.pair_sets[name], splits.index(split_of.get(name, ""))
-            across = record.reference != record.query
-            key = split, across, record.reference_condition, record.query_condition
-            found.setdefault(key, []).append(tables[name])
+    splits = [split for split in (*entry.splits, "") if any(split_of.get(name, "") == split for name in entry.used)]
+    found: dict[tuple[int, bool, str, str], list[str]] = {}
+    for name in entry.used:
+        record, split = entry.pair_sets[name], splits.index(split_of.get(name, ""))
+        across = record.reference != record.query
+        key = split, across, record.reference_condition, record.query_condition
+        found.setdefault(key, []).append(name)
     finer = finer_thresholds(entry)
     columns = []
     for (split, across, map_condition, condition), own in sorted(found.items(), key=lambda item: item[0][:2]):
         shown = splits[split] if len(splits) > 1 else ""
-        names, pairs = tuple(t.pair_set for t in own), sum(t.pairs for t in own)
-        column = Column(dataset, names, map_condition, condition, shown, pairs, not across)
+        pairs = sum(entry.pair_sets[name].pairs for name in own)
+        column = Column(dataset, tuple(own), map_condition, condition, shown, pairs, not across)
         columns.append(column)
         if finer is not None:
             columns.append(replace(column, metres=finer.metres, degrees=finer.degrees))

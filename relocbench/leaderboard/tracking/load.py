@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -207,6 +207,14 @@ def load_results(
     return entries
 
 
+def load_methods(folder: DatasetResults, labels: Collection[str], pair_sets: Collection[str]) -> DatasetEntry:
+    """The results of some methods on some pair sets of a dataset, as they were just scored. Raises PredictionError."""
+    entry = _dataset(folder, None, None, labels)
+    chosen = {name: record for name, record in entry.pair_sets.items() if name in pair_sets}
+    splits = {split: kept for split, of in entry.splits.items() if (kept := tuple(n for n in of if n in chosen))}
+    return replace(entry, pair_sets=chosen, splits=splits)
+
+
 def _belongs(dataset: Dataset | CrossViewSet, record: DatasetRecord) -> bool:
     """Whether results are of a dataset or of a copy of it."""
     return dataset.name == record.name and (
@@ -268,7 +276,9 @@ def evaluate_command(
     return shlex.join([*words, "--matching"] if matching and not method.target.startswith(PREDICTIONS) else words)
 
 
-def _dataset(folder: DatasetResults, split: str | None, truth: Truth | None) -> DatasetEntry:
+def _dataset(
+    folder: DatasetResults, split: str | None, truth: Truth | None, labels: Collection[str] | None = None
+) -> DatasetEntry:
     record = folder.record
     check_file_names(record.pair_sets, "the pair set", _yaml(folder))
     unknown = [name for names in record.splits.values() for name in names if name not in record.pair_sets]
@@ -277,7 +287,7 @@ def _dataset(folder: DatasetResults, split: str | None, truth: Truth | None) -> 
     in_order = dict.fromkeys([name for names in record.splits.values() for name in names] + list(record.pair_sets))
     chosen = list(in_order) if split is None else list(record.splits[split])
     pair_sets = {n: s for n in chosen if (s := record.pair_sets[n]).has_truth and s.pairs > 0}
-    there = folder.methods()
+    there = [method for method in folder.methods() if labels is None or method.label in labels]
     check_file_names((m.label for m in there), "the method", folder.root)
     methods = tuple(_method(m, record, pair_sets, truth) for m in there)
     _check_same_pairs(folder, methods)
