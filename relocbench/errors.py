@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 
 USER_ERROR = 2
@@ -105,6 +106,19 @@ def quoted(text: object, most: int = MOST_QUOTED) -> str:
     """Untrusted text for a message: in quotation marks, printable, at most ``most`` characters between the marks."""
     # Text that is cut off need not be made printable: it may be a whole file.
     return f"'{cut(printable(str(text)[: most + 1]), most)}'"
+
+
+def hint(name: str, known: Iterable[str], prefix: str = "") -> str:
+    """A suggestion for a mistyped or shortened name, in parentheses; empty if no known name is similar."""
+    names = list(known)
+    close = get_close_matches(name, names, n=1) or [whole for whole in names if name and whole.startswith(name)]
+    return f" (did you mean '{prefix}{close[0]}'?)" if close else ""
+
+
+def available(name: str, known: Iterable[str]) -> str:
+    """What follows a name that is not known: a suggestion, and all known names."""
+    names = list(known)
+    return f"{hint(name, names)}; available: {', '.join(names) or 'none'}"
 
 
 MESSAGE_CHARACTERS = 500

@@ -26,6 +26,8 @@ _FAMILY = {
 """what makes an error of a text: classes, parameters that hold one of them, and methods"""
 _OPTION = "OptionError"
 """its third argument is what was expected of an option"""
+_SUGGESTS = ("available", "did_you_mean", "hint")
+"""what names or folders are alike, and not the name itself"""
 _DEPTH = 4
 """variables and functions that are followed from one text"""
 
@@ -135,6 +137,8 @@ def _field(node: ast.AST) -> str:
     if isinstance(node, ast.GeneratorExp | ast.ListComp):
         return _field(node.generators[0].iter)
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
+        if isinstance(node.func, ast.Name) and node.func.id in _SUGGESTS:
+            return f"{{{node.func.id}}}"
         if isinstance(node.func, ast.Name) and node.func.id == "quoted":
             return f"'{_field(node.args[0])}'"
         if not node.args:

@@ -120,11 +120,10 @@ class _Kinds(Group):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         from relocbench.datasets.importers import KINDS
-        from relocbench.errors import quoted
-        from relocbench.methods.lookup import hint
+        from relocbench.errors import available, quoted
 
         if args[0] not in KINDS and not args[0].startswith("-"):
-            ctx.fail(f"no kind {quoted(args[0])}{hint(args[0], KINDS)}; available: {', '.join(KINDS)}")
+            ctx.fail(f"no kind {quoted(args[0])}{available(args[0], KINDS)}")
         return super().resolve_command(ctx, args)
 
 

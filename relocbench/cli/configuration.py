@@ -9,10 +9,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from relocbench.errors import ConfigError, quoted
+from relocbench.errors import ConfigError, hint, quoted
 from relocbench.execution import Scheduler
 from relocbench.files import first_fault, load_yaml_values, yaml_line
-from relocbench.methods.lookup import hint
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -51,11 +51,11 @@ def preview(
     from relocbench.datasets.core.images import jpeg_bytes, png_bytes
     from relocbench.datasets.synthetic.conditions.presets import SPLITS, previewed
     from relocbench.datasets.synthetic.jobs.contact_sheet import contact_sheet
-    from relocbench.errors import ConfigError
+    from relocbench.errors import ConfigError, available, quoted
     from relocbench.files import atomic_write
 
     if split not in SPLITS:
-        raise ConfigError(f"--split is one of {', '.join(SPLITS)}, got '{split}'")
+        raise ConfigError(f"no --split {quoted(split)}{available(split, SPLITS)}")
     shown = previewed(split_commas(condition), everything=all_, swept=sweep, steps=steps, cameras=cameras, seed=seed)
     with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
         sheet = contact_sheet(shown, seed=seed, split=split, at_m=at, width=size, reporter=reporter(quiet))

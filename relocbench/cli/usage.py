@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
 from typer.exceptions import TyperException
 
+from relocbench.errors import hint
+
 
 def usage_fault(bad: TyperException) -> str:
     """What is wrong, which other commands have an unknown option, and where the usage is explained."""
     message = " ".join(bad.format_message().split()).rstrip(".").replace(": Value error, ", ": ")
+    wrong = re.search("'([^']*)' is not one of (.*)", message)
+    if wrong is not None:
+        message += hint(wrong[1], re.findall("'([^']*)'", wrong[2]))
     context = getattr(bad, "ctx", None)
     if context is None:
         return message

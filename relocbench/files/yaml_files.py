@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
-from relocbench.errors import MOST_QUOTED, RelocbenchError, cut, printable
+from relocbench.errors import MOST_QUOTED, RelocbenchError, cut, hint, printable
 from relocbench.files.text import read_text
 from relocbench.files.yaml_text import YamlFault, YamlPlaces, parse_yaml
 
@@ -82,10 +84,24 @@ def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
         message = f"key '{key}' is missing"
     else:
         plain = _PLAIN.get(first["type"], str(first["msg"]).removeprefix("Value error, "))
-        shown = cut(printable(plain), 2 * MOST_QUOTED)
-        message = f"key '{key}': {shown}, got {_shown(first.get('input'))}" if key else shown
+        shown = cut(printable(_INPUT.sub(_expected, plain)), 2 * MOST_QUOTED)
+        alike = _alike(first) if first["type"] == "literal_error" else ""
+        message = f"key '{key}': {shown}, got {_shown(first.get('input'))}{alike}" if key else shown
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return message + more, location
+
+
+_INPUT = re.compile("^Input should be (?=(greater|less)?)")
+"""how pydantic begins to say what it expected"""
+
+
+def _expected(found: re.Match[str]) -> str:
+    return "expected a number " if found[1] else "expected "
+
+
+def _alike(fault: ErrorDetails) -> str:
+    """The one of the expected words that is like what is there, if any."""
+    return hint(str(fault["input"])[:MOST_QUOTED], re.findall("'([^']*)'", fault["ctx"]["expected"]))
 
 
 def _shown(value: Any) -> str:

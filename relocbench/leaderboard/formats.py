@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from relocbench.errors import ConfigError, quoted
+from relocbench.errors import ConfigError, available, quoted
 from relocbench.files import write_text
 from relocbench.leaderboard.html.manifest import earlier_files
 from relocbench.leaderboard.html.rows import Boards
@@ -83,7 +83,7 @@ def check_formats(names: Sequence[str], html: bool = False) -> tuple[str, ...]:
     """
     for name in names:
         if name not in FORMATS:
-            raise ConfigError(f"--format is one of {', '.join(FORMATS)}, got {quoted(name)}")
+            raise ConfigError(f"no --format {quoted(name)}{available(name, FORMATS)}")
     chosen = [*(names or USUAL), *(["html"] if html else [])]
     return tuple(dict.fromkeys(chosen))
 

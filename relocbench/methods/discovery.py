@@ -24,9 +24,9 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from pydantic import TypeAdapter, ValidationError
 
-from relocbench.errors import MethodError, cut, quoted
+from relocbench.errors import MethodError, available, cut, hint, quoted
 from relocbench.files import YamlFault, check_distinct, check_label, first_fault, parse_yaml_setting, sha256_file
-from relocbench.methods.lookup import call_third_party, entry_points_of, hint, load_dotted
+from relocbench.methods.lookup import call_third_party, entry_points_of, load_dotted
 
 ENTRY_POINT_GROUP = "relocbench.methods"
 SUBPROCESS = "subprocess:"
@@ -263,9 +263,7 @@ def parse_methods(
     for setting in settings:
         wanted = setting_label(setting)
         if wanted is not None and wanted.removesuffix(f".{START}") not in labels:
-            raise MethodError(
-                f"--set {cut(setting)}: no {kind.noun} '{wanted}' in this run; available: {', '.join(labels)}"
-            )
+            raise MethodError(f"--set {cut(setting)}: no {kind.noun} '{wanted}' in this run{available(wanted, labels)}")
     return specs
 
 

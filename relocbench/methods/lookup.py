@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -90,10 +89,3 @@ def call_third_party(failed: str, call: Callable[[], Any]) -> Any:
         last = traceback.extract_tb(bad.__traceback__)[-1]
         place = "" if isinstance(bad, SyntaxError) else f" ({last.filename}, line {last.lineno})"
         raise MethodError(f"{failed}: {raised(bad)}{place}") from bad
-
-
-def hint(name: str, known: Iterable[str], prefix: str = "") -> str:
-    """A suggestion for a mistyped or shortened name, in parentheses; empty if no known name is similar."""
-    names = list(known)
-    close = difflib.get_close_matches(name, names, n=1) or [whole for whole in names if name and whole.startswith(name)]
-    return f" (did you mean '{prefix}{close[0]}'?)" if close else ""

@@ -7,9 +7,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from relocbench.errors import ConfigError, MethodError, cut, quoted
+from relocbench.errors import ConfigError, MethodError, cut, hint, quoted
 from relocbench.files import YamlFault, load_yaml_values, parse_yaml_setting
-from relocbench.methods.lookup import call_third_party, entry_points_of, hint, load_dotted
+from relocbench.methods.lookup import call_third_party, entry_points_of, load_dotted
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
 
 TRAINER_GROUP = "relocbench.trainers"

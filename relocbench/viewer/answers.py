@@ -12,7 +12,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.errors import PredictionError, quoted
+from relocbench.errors import PredictionError, available, quoted
 from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, all_results, check_made_for
 from relocbench.evaluation.tracking.score import read_predictions, score_pair_set
@@ -50,9 +50,9 @@ def results_of(results: Path, dataset: Dataset) -> DatasetResults:
     for folder in found:
         if folder.record.fingerprint == dataset.fingerprint:
             return folder
-    available = ", ".join(quoted(folder.root.name) for folder in found)
+    others = ", ".join(quoted(folder.root.name) for folder in found)
     raise PredictionError(
-        f"holds no results of {dataset.name}@{dataset.fingerprint[:SHORT]}; available: {available}", results
+        f"holds no results of {dataset.name}@{dataset.fingerprint[:SHORT]}; available: {others}", results
     )
 
 
@@ -61,8 +61,7 @@ def chosen_methods(folder: DatasetResults, names: Sequence[str]) -> list[MethodR
     known = {method.label: method for method in folder.methods()}
     for name in names:
         if name not in known:
-            available = ", ".join(known) or "none"
-            raise PredictionError(f"no results of a method {quoted(name)}; available: {available}", folder.root)
+            raise PredictionError(f"no results of a method {quoted(name)}{available(name, known)}", folder.root)
     return [known[name] for name in dict.fromkeys(names)] if names else list(known.values())
 
 

@@ -13,6 +13,7 @@ from relocbench.datasets.checks.faults import Findings, TableRow, read_pair_line
 from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
 from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey, PoseLine
 from relocbench.datasets.core.schema import ELSEWHERE_VERSION, TraversalFile
+from relocbench.errors import available
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.progress import Reporter
 
@@ -136,7 +137,7 @@ def _check_frames(
         return
     unknown = [part for part in parts[:2] if part not in drives]
     if unknown:
-        findings.fault(f"no traversal '{unknown[0]}'; available: {', '.join(drives) or 'none'}", path)
+        findings.fault(f"no traversal '{unknown[0]}'{available(unknown[0], drives)}", path)
         return
     reference, query, camera = drives[parts[0]], drives[parts[1]], parts[2]
     for drive in (reference, query):

@@ -22,7 +22,7 @@ from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
 from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.datasets.core.schema import INTRINSICS_VERSION, POSES_VERSION, DatasetFile, TraversalFile
-from relocbench.errors import DatasetError, RelocbenchError
+from relocbench.errors import DatasetError, RelocbenchError, available
 from relocbench.execution import default_workers
 from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
 from relocbench.progress import Reporter
@@ -168,7 +168,7 @@ def _check_intrinsics(drive: CheckedTraversal, findings: Findings) -> None:
     for camera, cameras in drive.intrinsics.items():
         path = drive.layout.intrinsics(camera)
         if drive.file is not None and camera not in drive.file.cameras:
-            findings.fault(f"no camera '{camera}' in traversal.yaml; available: {', '.join(drive.file.cameras)}", path)
+            findings.fault(f"no camera '{camera}' in traversal.yaml{available(camera, drive.file.cameras)}", path)
         for time in sorted(cameras.keys() - drive.times.get(("images", camera), set())):
             findings.fault(f"has intrinsics of an image at {time}, and camera '{camera}' has no such image", path)
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 from pydantic import Field, model_validator
 
 from relocbench.datasets.core.schema import Condition, Strict
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 
 
 class DatasetOptions(Strict):
@@ -34,7 +34,7 @@ class DatasetOptions(Strict):
         """Raise ConfigError if a condition is given for a traversal that does not exist."""
         for name in self.conditions:
             if name not in traversals:
-                raise ConfigError(f"conditions: no traversal '{name}'; available: {', '.join(traversals)}")
+                raise ConfigError(f"conditions: no traversal '{name}'{available(name, traversals)}")
 
     @property
     def copies_images(self) -> bool:

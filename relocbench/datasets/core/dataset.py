@@ -12,7 +12,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import DatasetFile
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.errors import DatasetError
+from relocbench.errors import DatasetError, available
 from relocbench.files import did_you_mean, load_yaml
 from relocbench.tracking import Query, Reference
 
@@ -76,16 +76,14 @@ class Dataset:
         """One traversal, read on demand. Raises DatasetError on an unknown name."""
         if name not in self._traversals:
             if name not in self.traversal_names:
-                known = ", ".join(self.traversal_names) or "none"
-                raise DatasetError(f"no traversal '{name}'; available: {known}", self.root)
+                raise DatasetError(f"no traversal '{name}'{available(name, self.traversal_names)}", self.root)
             self._traversals[name] = Traversal(self.layout.traversal(name))
         return self._traversals[name]
 
     def pair_set(self, name: str) -> PairSet:
         """One pair set, read on demand. Raises DatasetError on an unknown name."""
         if name not in self.pair_set_names:
-            known = ", ".join(self.pair_set_names) or "none"
-            raise DatasetError(f"no pair set '{name}'; available: {known}", self.root)
+            raise DatasetError(f"no pair set '{name}'{available(name, self.pair_set_names)}", self.root)
         if name not in self._pair_sets:
             self._pair_sets[name] = PairSet(self.layout, name)
         return self._pair_sets[name]
@@ -95,8 +93,7 @@ class Dataset:
         if split is None:
             return [self.pair_set(name) for name in self.pair_set_names]
         if split not in self.splits:
-            known = ", ".join(self.splits) or "none"
-            raise DatasetError(f"no split '{split}'; available: {known}", self.layout.dataset_yaml)
+            raise DatasetError(f"no split '{split}'{available(split, self.splits)}", self.layout.dataset_yaml)
         return [self.pair_set(name) for name in self.splits[split]]
 
     def has_images(self, pair_set: PairSet) -> bool:

@@ -12,7 +12,7 @@ from relocbench.datasets.core.intrinsics import read_intrinsics
 from relocbench.datasets.core.layout import TraversalLayout
 from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
-from relocbench.errors import DatasetError
+from relocbench.errors import DatasetError, available
 from relocbench.files import load_yaml, parse_timestamp, read_table
 from relocbench.geometry import Camera, invert
 from relocbench.tracking import KeyframePoints, Neighbour, Query, Reference
@@ -147,8 +147,8 @@ class Traversal:
             if camera in self.file.frames:
                 message = f"there are poses of '{camera}' and no images"
                 raise DatasetError(message, self.layout.traversal_yaml) from None
-            known = ", ".join([*self.file.cameras, *self.file.frames]) or "none"
-            raise DatasetError(f"no camera '{camera}'; available: {known}", self.layout.traversal_yaml) from None
+            known = [*self.file.cameras, *self.file.frames]
+            raise DatasetError(f"no camera '{camera}'{available(camera, known)}", self.layout.traversal_yaml) from None
 
     def _neighbours(self, camera: str, timestamp_ns: int, count: int) -> Iterator[Neighbour]:
         times = [t for t in self.timestamps(camera) if t in self.poses]

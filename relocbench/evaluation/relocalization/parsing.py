@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from relocbench.errors import ConfigError, cut
+from relocbench.errors import ConfigError, available, cut
 from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.relocalization.rankings import label_of
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
@@ -43,7 +43,7 @@ def parse_pipeline(
     for setting in settings:
         wanted = setting_label(setting)
         if wanted not in labels:
-            raise ConfigError(f"--set {cut(setting)}: no method '{wanted}' in this run; available: {', '.join(labels)}")
+            raise ConfigError(f"--set {cut(setting)}: no method '{wanted}' in this run{available(wanted, labels)}")
     return of_retrievers, of_trackers
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.street_places import StreetPlaces, image_key
-from relocbench.errors import PredictionError, quoted
+from relocbench.errors import PredictionError, available, quoted
 from relocbench.evaluation.common.image_names import listed_name
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
 from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, SetResults, all_sets
@@ -47,14 +47,12 @@ def export_lists(
     """
     rankings, folder = _rankings(dataset, results, retriever)
     tasks = rankings.record.tasks
-    available = [n for n in dataset.pair_set_names if n in tasks and folder.complete(n)]
+    known = [n for n in dataset.pair_set_names if n in tasks and folder.complete(n)]
     for name in pair_sets:
-        if name not in available:
-            raise PredictionError(
-                f"no rankings of pair set '{name}'; available: {', '.join(available) or 'none'}", folder.root
-            )
+        if name not in known:
+            raise PredictionError(f"no rankings of pair set '{name}'{available(name, known)}", folder.root)
     keep = folder.run_record().keep
-    chosen = [name for name in available if not pair_sets or name in pair_sets]
+    chosen = [name for name in known if not pair_sets or name in pair_sets]
     if not chosen:
         raise PredictionError("holds no rankings; relocbench evaluate-retrieval makes them", folder.root)
     for name in chosen:

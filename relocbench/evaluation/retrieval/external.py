@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from relocbench.errors import PredictionError
+from relocbench.errors import PredictionError, available
 from relocbench.evaluation.common.results import PREDICTIONS, adopted_run, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists, write_answers, write_lists
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults
@@ -65,7 +65,7 @@ def _files(
     known = [task.name for task in retrieval_set.tasks()]
     for name, path in files.items():
         if name not in known:
-            raise PredictionError(f"no task '{name}' in {retrieval_set.name}; available: {', '.join(known)}", path)
+            raise PredictionError(f"no task '{name}' in {retrieval_set.name}{available(name, known)}", path)
     chosen = [(task, files[task.name]) for task in tasks if task.name in files]
     if not chosen:
         raise PredictionError(f"answers none of {', '.join(task.name for task in tasks)}", source)

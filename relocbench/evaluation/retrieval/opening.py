@@ -8,7 +8,7 @@ from pathlib import Path
 
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
 from relocbench.datasets.pairs.street_places import Positives, StreetPlaces
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.evaluation.common.opening import check_outside, open_for_evaluation
 from relocbench.evaluation.retrieval.blind_set import WITHHELD, is_blind_set, open_blind_set
 from relocbench.evaluation.retrieval.run import check_task
@@ -163,7 +163,7 @@ def _chosen(tasks: Sequence[RetrievalTask], options: SetOptions, folder: Path) -
     known = [task.name for task in tasks]
     for name in options.tasks:
         if name not in known:
-            raise ConfigError(f"no task '{name}'; available: {', '.join(known)}", folder)
+            raise ConfigError(f"no task '{name}'{available(name, known)}", folder)
     return tuple(task for task in tasks if not options.tasks or task.name in options.tasks)
 
 

@@ -13,7 +13,7 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.pairs.street_places import StreetPlaces
-from relocbench.errors import ConfigError, PredictionError
+from relocbench.errors import ConfigError, PredictionError, available
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import RunRecord
 from relocbench.evaluation.retrieval.blind_export import BlindImages
@@ -219,7 +219,7 @@ def _check_poses(
     known = resolved.dataset.pair_set_names
     for stem, path in files.items():
         if stem not in known:
-            findings.fault(f"no pair set '{stem}' in {name}; available: {', '.join(known)}", path)
+            findings.fault(f"no pair set '{stem}' in {name}{available(stem, known)}", path)
     for path in answer_files(folder, ".csv"):
         if path.stem not in files:
             findings.fault("has no predictions (.txt) of that name beside it", path)
@@ -276,7 +276,7 @@ def _check_lists(
     files = {path.stem: path for path in answer_files(folder)}
     for stem, path in files.items():
         if stem not in tasks:
-            findings.fault(f"no task '{stem}' in {name}; available: {', '.join(tasks)}", path)
+            findings.fault(f"no task '{stem}' in {name}{available(stem, tasks)}", path)
     lists = [read_ranked(files[n], t, resolved, findings) if n in files else TaskLists(t) for n, t in tasks.items()]
     if not files:
         findings.fault("holds no lists of images (TASK.txt)", folder)

@@ -11,7 +11,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.named_poses import write_named_poses
 from relocbench.datasets.core.pairfile import PairKey, PoseLine, pose_fields, pose_line_fields, read_pose_lines
-from relocbench.errors import DatasetError, PredictionError
+from relocbench.errors import DatasetError, PredictionError, available
 from relocbench.evaluation.common.image_names import listed_name
 from relocbench.evaluation.common.results import DatasetResults
 from relocbench.evaluation.tracking.absolute_poses import answered_lines, digits, query_poses
@@ -79,7 +79,7 @@ def _lines_of(dataset: Dataset, pair_set: str, results: Path, method: str | None
     folder = DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
     known = [m.label for m in folder.methods()]
     if method not in known:
-        raise PredictionError(f"no predictions of '{method}'; available: {', '.join(known) or 'none'}", folder.root)
+        raise PredictionError(f"no predictions of '{method}'{available(method, known)}", folder.root)
     poses = read_predictions(folder.method(method).predictions(pair_set), dataset.pair_set(pair_set))
     return [PoseLine(*pair.key, poses[pair.key]) for pair in dataset.pair_set(pair_set).pairs if pair.key in poses]
 

@@ -10,7 +10,7 @@ from relocbench.datasets.checks.faults import Findings, read_pair_lines, read_ya
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
-from relocbench.errors import PredictionError
+from relocbench.errors import PredictionError, available
 from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS
 from relocbench.evaluation.common.dataset_lookup import check_record
 from relocbench.evaluation.common.error_table import ERROR_COLUMNS, read_errors
@@ -165,7 +165,7 @@ def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], expected:
     if pair_sets is None:
         return
     if name not in pair_sets:
-        findings.fault(f"no pair set '{name}' in the dataset; available: {', '.join(pair_sets) or 'none'}", path)
+        findings.fault(f"no pair set '{name}' in the dataset{available(name, pair_sets)}", path)
         return
     if expected.dataset is None:
         return

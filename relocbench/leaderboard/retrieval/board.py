@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.errors import ConfigError, PredictionError
+from relocbench.errors import ConfigError, PredictionError, available
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import folders_with
 from relocbench.evaluation.retrieval.answers import QueryAnswer
@@ -185,7 +185,7 @@ def load_retrieval(
         return None  # the split is one of the trackers' datasets
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
-        raise ConfigError(f"no split '{split}'; available: {', '.join(known) or 'none'}", results)
+        raise ConfigError(f"no split '{split}'{available(split, known)}", results)
     sets = tuple(_set(copies, metric, split, seed, lookup) for copies in _group_copies(chosen))
     return RetrievalBoard(sets, metric, seed, split)
 

@@ -16,7 +16,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import ELSEWHERE
 from relocbench.datasets.cross_view import CrossViewSet
-from relocbench.errors import ConfigError, PredictionError
+from relocbench.errors import ConfigError, PredictionError, available
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup, Truth
 from relocbench.evaluation.common.error_table import ErrorTable, read_errors
 from relocbench.evaluation.common.matching_table import ALL, MatchingRow
@@ -199,7 +199,7 @@ def load_results(
         known = sorted({name for folder in folders for name in folder.record.splits})
         folders = [folder for folder in folders if split in folder.record.splits]
         if not folders:
-            raise ConfigError(f"no split '{split}'; available: {', '.join(known) or 'none'}", results)
+            raise ConfigError(f"no split '{split}'{available(split, known)}", results)
     truths = [lookup.of(folder.record, _yaml(folder)) for folder in folders]
     entries = merge_copies([_dataset(folder, split, truth) for folder, truth in zip(folders, truths, strict=True)])
     if not any(entry.methods for entry in entries):

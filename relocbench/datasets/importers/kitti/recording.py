@@ -20,7 +20,7 @@ from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
 
@@ -137,7 +137,7 @@ def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[st
     """Image files by camera and frame number."""
     for name in cameras or ():
         if name not in CAMERAS:
-            raise ConfigError(f"KITTI has no camera '{name}'; available: {', '.join(CAMERAS)}")
+            raise ConfigError(f"KITTI has no camera '{name}'{available(name, CAMERAS)}")
     found: dict[str, dict[int, Path]] = {}
     for name in CAMERAS if cameras is None else dict.fromkeys(cameras):
         numbers = files.image_frames(name)

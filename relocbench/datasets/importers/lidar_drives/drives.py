@@ -12,7 +12,7 @@ from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
 
@@ -129,5 +129,5 @@ def chosen_of(asked: Sequence[str], known: Sequence[str], default: Sequence[str]
     """The sensors that were asked for, else the default ones. Raises ConfigError if there is no such sensor."""
     for name in asked:
         if name not in known:
-            raise ConfigError(f"{dataset} has no {what} '{name}'; available: {', '.join(known)}")
+            raise ConfigError(f"{dataset} has no {what} '{name}'{available(name, known)}")
     return list(dict.fromkeys(asked or default))

@@ -20,7 +20,7 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.sensors.pose_files import read_pose_file
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.execution import Run
 from relocbench.files import check_distinct, check_name, fitting_name, plain_name
 from relocbench.geometry import invert
@@ -169,7 +169,7 @@ def _trajectory_files(options: Options, names: Sequence[str]) -> dict[str, Path]
         if not equals or not file:
             raise ConfigError(f"--trajectories: '{text}' is not NAME=FILE")
         if name not in names:
-            raise ConfigError(f"--trajectories: no traversal '{name}' in the pairs; available: {', '.join(names)}")
+            raise ConfigError(f"--trajectories: no traversal '{name}' in the pairs{available(name, names)}")
         if name in found:
             raise ConfigError(f"--trajectories gives poses of '{name}' twice")
         found[name] = Path(file)

@@ -18,7 +18,7 @@ from relocbench.datasets.importers.robotcar.velodyne import (
 )
 from relocbench.datasets.sensors.recording import LidarStream
 from relocbench.datasets.sensors.scan_files import ScanFiles
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.progress import Reporter
 
 __all__ = ["LIDARS", "VELODYNES", "chosen", "read_lidars"]
@@ -73,5 +73,5 @@ def chosen(asked: Sequence[str] | None, known: Sequence[str], what: str) -> tupl
     """The sensors that were asked for, else all. Raises ConfigError if RobotCar has no such sensor."""
     for name in asked or ():
         if name not in known:
-            raise ConfigError(f"RobotCar has no {what} '{name}'; available: {', '.join(known)}")
+            raise ConfigError(f"RobotCar has no {what} '{name}'{available(name, known)}")
     return tuple(known if asked is None else dict.fromkeys(asked))

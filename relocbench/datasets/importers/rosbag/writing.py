@@ -19,7 +19,7 @@ from relocbench.datasets.importers.rosbag import kinds
 from relocbench.datasets.importers.rosbag.bag import typestore
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin, latitude_longitude
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 from relocbench.geometry import transform_to_tq
 
 Storage = Literal["rosbag1", "rosbag2", "mcap"]
@@ -44,7 +44,7 @@ def write_bag(recording: FieldRecording, path: Path, storage: Storage = "rosbag1
         ConfigError: the path exists, or there is no such storage.
     """
     if storage not in get_args(Storage):
-        raise ConfigError(f"no storage '{storage}'; available: {', '.join(get_args(Storage))}")
+        raise ConfigError(f"no storage '{storage}'{available(storage, get_args(Storage))}")
     if path.exists():
         raise ConfigError("exists already; expected a new file or folder", path)
     made = _Messages(storage == "rosbag1")

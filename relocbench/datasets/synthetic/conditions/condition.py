@@ -9,7 +9,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from relocbench.datasets.core.schema import Condition, Strict
 from relocbench.datasets.synthetic.conditions.imaging import Imaging
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 
 _OF_THE_IDEAL_CAMERA = ("gamma", "vignetting", "read_noise", "shot_noise")
 """factors that ``imaging`` has in its own way"""
@@ -223,7 +223,7 @@ CONDITIONS: dict[str, NamedCondition] = {
 def condition_named(name: str) -> NamedCondition:
     """The condition of a name in :data:`CONDITIONS`. Raises ConfigError, listing the names, if there is none."""
     if name not in CONDITIONS:
-        raise ConfigError(f"no condition '{name}'; available: {', '.join(CONDITIONS)}")
+        raise ConfigError(f"no condition '{name}'{available(name, CONDITIONS)}")
     return CONDITIONS[name]
 
 
@@ -268,7 +268,7 @@ begin with ``imaging.``."""
 def sweep(name: str, steps: int, base: Factors | None = None) -> Sequence[Factors]:
     """``steps`` conditions that differ only in one swept factor. Raises ConfigError on an unknown name."""
     if name not in SWEEPS:
-        raise ConfigError(f"no sweep '{name}'; available: {', '.join(SWEEPS)}")
+        raise ConfigError(f"no sweep '{name}'{available(name, SWEEPS)}")
     if steps < 2:
         raise ConfigError(f"a sweep needs at least 2 steps, got {steps}")
     base = base if base is not None else CONDITIONS["Sunny"].factors

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 from relocbench.geometry import Camera, make_transform, so3_exp
 
 _R_VEHICLE_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -80,5 +80,5 @@ baselines of the stereo rigs, 0.24 m and 0.54 m, are those of the Bumblebee XB3 
 def rig_named(name: str) -> Rig:
     """The rig of a name in :data:`RIGS`. Raises ConfigError, listing the names, if there is none."""
     if name not in RIGS:
-        raise ConfigError(f"no rig '{name}'; available: {', '.join(RIGS)}")
+        raise ConfigError(f"no rig '{name}'{available(name, RIGS)}")
     return RIGS[name]

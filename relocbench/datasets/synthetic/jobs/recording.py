@@ -36,7 +36,7 @@ from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
 from relocbench.datasets.synthetic.layouts.kitti import KittiLayout
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory, car_tracks
 from relocbench.datasets.synthetic.town.network import LANE_M
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.execution import Run
 from relocbench.files import atomic_write, dump_yaml, read_bytes, remove_parts, write_text
 from relocbench.geometry import make_transform, transform_to_tq
@@ -101,7 +101,7 @@ class DriveOptions:
             ConfigError: the layout or a camera is unknown, or the scale is out of range.
         """
         if self.layout not in LAYOUTS:
-            raise ConfigError(f"no recording layout '{self.layout}'; available: {', '.join(LAYOUTS)}")
+            raise ConfigError(f"no recording layout '{self.layout}'{available(self.layout, LAYOUTS)}")
         if not 0 < self.scale <= 1:
             raise ConfigError(f"the scale of the images must be in (0, 1], got {self.scale}")
         if self.layout == "kitti":
@@ -199,7 +199,7 @@ def _steps(frames: int, layout: str) -> int:
     """Number of steps of the drive, including the time before the first and after the last image."""
     rate = {"robotcar": 16.0, "kitti": 10.0, "boreas": 10.0}
     if layout not in rate:
-        raise ConfigError(f"no recording layout '{layout}'; available: {', '.join(rate)}")
+        raise ConfigError(f"no recording layout '{layout}'{available(layout, rate)}")
     if frames < 2:
         raise ConfigError(f"a recording needs at least 2 frames, got {frames}")
     return int(np.ceil(((frames - 1) / rate[layout] + 2 * LEAD_NS / 1e9) * RATE_HZ)) + 1

@@ -22,7 +22,7 @@ from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
 from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 from relocbench.files import write_bytes, write_text
 from relocbench.geometry import Camera, interpolate_trajectory, invert, make_transform, project_to_rotation
 
@@ -72,7 +72,7 @@ class BoreasLayout(FieldsOnly):
     def __post_init__(self) -> None:
         for name in self.chosen:
             if name not in CAMERAS:
-                raise ConfigError(f"no Boreas camera '{name}'; available: {', '.join(CAMERAS)}")
+                raise ConfigError(f"no Boreas camera '{name}'{available(name, CAMERAS)}")
 
     @property
     def name(self) -> str:

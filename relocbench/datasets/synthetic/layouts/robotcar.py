@@ -24,7 +24,7 @@ from relocbench.datasets.synthetic.drives import odometry
 from relocbench.datasets.synthetic.layouts import robotcar_odometry
 from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.files import plain_file, write_bytes, write_text
 from relocbench.geometry import Camera, invert, make_transform
 
@@ -101,7 +101,7 @@ class RobotCarLayout(FieldsOnly):
     def __post_init__(self) -> None:
         for name in self.chosen:
             if name not in CAMERAS:
-                raise ConfigError(f"no RobotCar camera '{name}'; available: {', '.join(CAMERAS)}")
+                raise ConfigError(f"no RobotCar camera '{name}'{available(name, CAMERAS)}")
 
     @property
     def name(self) -> str:

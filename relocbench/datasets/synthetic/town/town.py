@@ -22,7 +22,7 @@ from relocbench.datasets.synthetic.town.planting import (
 from relocbench.datasets.synthetic.town.rows import PeriodicFront, build, plots_of
 from relocbench.datasets.synthetic.town.shapes import Floats, poses
 from relocbench.datasets.synthetic.town.streets import Block, bays_of, ground, make_blocks, periodic_street
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 
 SPLITS = ("train", "validation", "test")
 SMALLEST_M = 180.0
@@ -66,7 +66,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
         ConfigError: the split is unknown, the seed is negative, or the extent is below 180 m.
     """
     if split not in SPLITS:
-        raise ConfigError(f"no split '{split}'; available: {', '.join(SPLITS)}")
+        raise ConfigError(f"no split '{split}'{available(split, SPLITS)}")
     if seed < 0:
         raise ConfigError(f"the seed of a district must not be negative, got {seed}")
     if not extent_m >= SMALLEST_M:
