@@ -58,6 +58,7 @@ def demo(
     from relocbench.leaderboard.tracking.by_condition import by_condition
     from relocbench.leaderboard.tracking.condition_picture import write_condition_picture
 
+    _check_own(out)
     report = reporter(quiet)
     with locked_output(out):
         town = importer("synthetic")
@@ -78,6 +79,19 @@ def demo(
     print_matrix(found.usual, "demo")
     typer.echo(f"picture: {out / PICTURE}")
     typer.echo(f"page: {page}")
+
+
+def _check_own(out: Path) -> None:
+    """Refuse a folder that holds anything but what an earlier demo, finished or not, has left. Raises ConfigError."""
+    from relocbench.errors import ConfigError
+    from relocbench.evaluation.common.opening import check_in_no_dataset
+
+    check_in_no_dataset(out)
+    if not out.is_dir() or (out / "dataset" / "build.yaml").is_file():
+        return
+    found = next((path.name for path in sorted(out.iterdir()) if not path.name.startswith(".")), None)
+    if found is not None:
+        raise ConfigError(f"holds '{found}' and no earlier demo; expected a new or an empty folder for --out", out)
 
 
 def _able(report: Reporter) -> tuple[str, ...]:

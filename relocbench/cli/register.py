@@ -255,9 +255,9 @@ def _all_pairs(
     if json:
         print_json({"pairs": [_pair_values(pair) for pair in pairs]}, {"pairs": len(pairs), "trusted": trusted})
         return trusted == len(pairs)
-    columns = ["pair", "distance, m", "rotation, deg", "sigma, cm", "sigma, deg", "verdict"]
+    columns = ["pair", "verdict", "distance, m", "rotation, deg", "sigma, cm", "sigma, deg"]
     if poses:
-        columns[5:5] = ["off the poses, cm", "deg"]
+        columns += ["off the poses, cm", "deg"]
     print_table("", columns, [_row(pair, folder, bool(poses)) for pair in pairs])
     print(f"{trusted} of {len(pairs)} pairs trusted")
     return trusted == len(pairs)
@@ -288,6 +288,7 @@ def _row(pair: PairRegistration, folder: Path, compared: bool) -> list[str]:
     names = [str(path.relative_to(folder)) for path in (pair.a, pair.b)]
     row = [
         " - ".join(names),
+        "trusted" if found.trusted else found.reason,
         f"{np.linalg.norm(found.T_a_b[:3, 3]):.2f}",
         f"{np.degrees(rotation_angle(found.T_a_b[:3, :3])):.1f}" if np.isfinite(found.T_a_b).all() else "nan",
         f"{100 * float(found.sigma_m.max()):.2g}",
@@ -296,7 +297,7 @@ def _row(pair: PairRegistration, folder: Path, compared: bool) -> list[str]:
     if compared:
         metres, degrees = pair.difference
         row += [f"{100 * metres:.1f}", f"{degrees:.2f}"]
-    return [*row, "trusted" if found.trusted else found.reason]
+    return row
 
 
 def _tell(found: CloudRegistration, sides: tuple[Side, Side], quiet: bool) -> None:

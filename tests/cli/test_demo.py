@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import Outcome, relocbench
+from refusals import assert_names
 
 from relocbench.cli import demo
 
@@ -66,6 +67,17 @@ def test_the_last_line_names_the_page(ran: tuple[Outcome, Path]) -> None:
     assert word == "page"
     assert Path(page) == out / "leaderboard" / "html" / "index.html"
     assert "orb-pnp" in Path(page).read_text()
+
+
+def test_a_folder_that_holds_something_else_is_refused_before_any_work(
+    ran: tuple[Outcome, Path], tmp_path: Path
+) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    for folder in (tmp_path, ran[1] / "dataset", ran[1] / "dataset" / "inside"):
+        ended = relocbench("demo", "--out", folder)
+        assert ended.status == 2
+        assert_names(ended.complaint, folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_weights_that_are_not_installed_are_one_note_which_says_how_to_get_them(ran: tuple[Outcome, Path]) -> None:

@@ -27,17 +27,20 @@ MARKS: dict[str, tuple[str, ...]] = {
 
 
 def check_recordings(kind: str, sources: Sequence[Path]) -> None:
-    """Say which folder was meant, if a source is no recording of the kind and holds one.
+    """Say what a source looks like that is no recording of the kind: it holds one, or is one of another kind.
 
     What else is wrong with a source, its importer tells.
 
     Raises:
-        DatasetError: with the folder within the source that is a recording.
+        DatasetError: with the folder within the source that is a recording, or the kind that it is one of.
     """
     for source in sources:
         if not source.is_dir() or _has_one(kind, source):
             continue
         suggestion = did_you_mean(source, lambda folder: _has_one(kind, folder))
+        like = " or ".join(other for other in MARKS if _has_one(other, source))
+        if not suggestion and like:
+            suggestion = f"; it looks like one of build-dataset {like}"
         if suggestion:
             raise DatasetError(f"holds no {' or '.join(MARKS[kind][:2])} of a {kind} recording{suggestion}", source)
 

@@ -6,6 +6,7 @@ where only one cloud was measured.
 
 from __future__ import annotations
 
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from relocbench.geometry import apply, robust_sigma
 _PIXELS = 420
 """pixels along the longer side of a view"""
 _MARGIN = 0.04
+_KEPT_ALIKE = 10
+"""characters that long names keep of what they begin with alike"""
 
 
 def write_before_after(path: Path, registration: CloudRegistration, names: tuple[str, str]) -> None:
@@ -45,11 +48,21 @@ def _draw(
     figure: Figure, a: Array, both: tuple[Array, Array], registration: CloudRegistration, names: tuple[str, str]
 ) -> None:
     verdict = "TRUSTED" if registration.trusted else f"NOT TRUSTED: {shortened(registration.reason, 100)}"
-    figure.suptitle(f"A {shortened(names[0], 50)}, B {shortened(names[1], 50)}\n{verdict}", fontsize=10)
+    a_name, b_name = distinct_names(names)
+    figure.suptitle(f"A {a_name}, B {b_name}\n{verdict}", fontsize=10)
     axes = figure.subplots(2, 2)
     for row, (b, when) in enumerate(zip(both, ("before: the frames of the files", "after"), strict=True)):
         for column, (i, j, view) in enumerate(((0, 1, "from above"), (0, 2, "from the side"))):
             _view(axes[row][column], a, b, (i, j), f"{when}, {view}")
+
+
+def distinct_names(names: tuple[str, str], most: int = 50) -> list[str]:
+    """Two names of at most ``most`` characters; where one is longer, without most of what both begin with."""
+    if max(map(len, names)) <= most:
+        return list(names)
+    alike = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(*names, strict=False)))
+    alike = max(alike - _KEPT_ALIKE, 0)
+    return [shortened(f"…{name[alike:]}" if alike else name, most) for name in names]
 
 
 def _view(axes: Axes, a: Array, b: Array, along: tuple[int, int], title: str) -> None:
