@@ -306,7 +306,7 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
         return
     dataset = importer(kind).build(list(sources), chosen, out, reporter(quiet), run)
     if as_json:
-        told = {"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint}
-        print_json(told, of_dataset(dataset))
+        values = {"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint}
+        print_json(values, of_dataset(dataset))
     else:
         print_summary(dataset)

@@ -49,10 +49,10 @@ def check_method(
     asked = [(spec, dataset)]
     findings = next(f for _, f in run_limited(_checked, asked, Run(), on_loss=_lost))
     if json:
-        told = [{"check": f.check, "passed": f.passed, "doubtful": f.doubtful, "detail": f.detail} for f in findings]
+        values = [{"check": f.check, "passed": f.passed, "doubtful": f.doubtful, "detail": f.detail} for f in findings]
         passed, doubtful = (sum(getattr(f, name) for f in findings) for name in ("passed", "doubtful"))
         counts = {"checks": len(findings), "passed": passed, "failed": len(findings) - passed, "doubtful": doubtful}
-        print_json({"method": method, "task": spec.kind.task, "checks": told}, counts)
+        print_json({"method": method, "task": spec.kind.task, "checks": values}, counts)
     else:
         words = {True: "ok", False: "BROKEN"}
         rows = [[f.check, "DOUBTFUL" if f.doubtful else words[f.passed], f.detail] for f in findings]

@@ -46,7 +46,7 @@ def of_recording(recorded: RecordingFolder) -> Counts:
 
 
 def of_evaluation(report: Report) -> Counts:
-    """Answers of all methods to all pairs that were asked, by their status."""
+    """Answers of all methods to all evaluated pairs, by their status."""
     statuses = _statuses(report.folders, [s.name for s in report.pair_sets])
     return {
         "pair_sets": len(report.pair_sets),

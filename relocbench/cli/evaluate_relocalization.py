@@ -12,7 +12,7 @@ from relocbench.cli import options as common
 if TYPE_CHECKING:
     from relocbench.evaluation.relocalization.evaluate import RelocalizationReport
 
-_BASIN = "The trackers' basin of convergence"
+_BASIN = "The trackers' convergence"
 
 
 def evaluate_relocalization(
@@ -45,7 +45,7 @@ def evaluate_relocalization(
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Largest distance of a keyframe in the basin [default: that of the pairs; none beside --heading].",
+            help="Largest distance of a keyframe to converge from [default: that of the pairs; none beside --heading].",
             rich_help_panel=_BASIN,
         ),
     ] = None,
@@ -53,7 +53,7 @@ def evaluate_relocalization(
         float | None,
         typer.Option(
             metavar="DEGREES",
-            help="Largest rotation of a keyframe in the basin [default: that of the pairs; none beside --radius].",
+            help="Largest rotation of a keyframe to converge from [default: that of the pairs; none beside --radius].",
             rich_help_panel=_BASIN,
         ),
     ] = None,
@@ -61,7 +61,7 @@ def evaluate_relocalization(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Results of `relocbench probe`, which measured the basin of each tracker.",
+            help="Results of `relocbench probe`, which measured the convergence of each tracker.",
             rich_help_panel=_BASIN,
         ),
     ] = None,

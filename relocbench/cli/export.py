@@ -160,10 +160,10 @@ def _export_images(dataset: Path, out: Path, radius: float | None, edition: int,
 
     if radius == 0:
         raise ConfigError("--radius is 0, expected metres")
-    told = reporter(quiet)
-    asked = open_set(dataset, out, SetOptions(radius_m=radius), told)
+    progress = reporter(quiet)
+    asked = open_set(dataset, out, SetOptions(radius_m=radius), progress)
     with locked_output(out):
-        file = export_blind_images(asked, dataset, out, edition, told)
+        file = export_blind_images(asked, dataset, out, edition, progress)
     if json:
         queries = sum(task.queries for task in file.tasks.values())
         print_json({"name": file.name, "fingerprint": file.fingerprint}, {"tasks": len(file.tasks), "queries": queries})

@@ -46,7 +46,7 @@ def inspect(
 ) -> None:
     """Say what is in a dataset; with --pictures, draw pairs so that a person can check the ground truth.
 
-    With --ground-truth, a page shows how drives were laid together by lidar: both clouds from above, residuals, and
+    With --ground-truth, a page shows how drives were registered by lidar: both clouds from above, residuals, and
     where and why pairs were rejected.
 
     Of a bag of ROS, the topics are listed with what build-dataset would use each for.
@@ -91,9 +91,9 @@ def inspect(
         with locked_output(ground_truth):
             page = write_ground_truth(opened, chosen, ground_truth, pairs, seed, reporter(quiet))
     if json:
-        told = {**take_inventory(opened).to_dict(), "pictures": [p.to_dict() for p in drawn]}
+        values = {**take_inventory(opened).to_dict(), "pictures": [p.to_dict() for p in drawn]}
         counts = {**of_dataset(opened), "pictures": len(drawn), "pages": int(page is not None)}
-        print_json({**told, "ground_truth": page}, counts)
+        print_json({**values, "ground_truth": page}, counts)
     elif pictures is not None:
         _print_pictures(drawn, pictures)
     if page is not None and not json:
@@ -138,8 +138,8 @@ def _inspect_places(folder: Path, options: list[object], json: bool) -> None:
         print_places(opened)
         return
     folders = [asdict(one) for one in opened.inventory()]
-    told = {"name": opened.name, "fingerprint": opened.fingerprint, "folders": folders, "notes": list(opened.notes)}
-    print_json(told, of_places(opened))
+    values = {"name": opened.name, "fingerprint": opened.fingerprint, "folders": folders, "notes": list(opened.notes)}
+    print_json(values, of_places(opened))
 
 
 def _print_pictures(pictures: list[Picture], folder: Path) -> None:

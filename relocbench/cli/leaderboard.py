@@ -90,7 +90,7 @@ def leaderboard(
         typer.Option(
             min=0,
             metavar="N",
-            help="With --html: where the dataset is at hand, the pages of the N worst pairs of each method and of N "
+            help="With --html: where the dataset is available, the pages of the N worst pairs of each method and of N "
             "drawn at random, in each pair set, show their images; about 0.1 MB a pair. So do those of queries of "
             "retrievers and of retrieval followed by tracking.",
         ),
@@ -109,7 +109,7 @@ def leaderboard(
 ) -> None:
     """Compare methods: CSV, Markdown and error curves; retrievers, and retrievers with trackers, have their own pages.
 
-    Needs the results folder alone. Where the dataset is at hand too, no error is believed that does not follow from it.
+    Needs the results folder alone. Where the dataset is available too, all errors are computed anew from it.
     The same results give the same bytes.
 
     Example: relocbench leaderboard results --out leaderboard
@@ -130,15 +130,15 @@ def leaderboard(
 
     check_in_no_dataset(out)
     ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
-    told, chosen = reporter(quiet), check_formats(formats, html)
-    lookup = DatasetLookup(results, dataset or (), told)
+    progress, chosen = reporter(quiet), check_formats(formats, html)
+    lookup = DatasetLookup(results, dataset or (), progress)
     with locked_output(out):
-        board, found, pipelines = _load(results, lookup, ranked_by, split, seed, told)
+        board, found, pipelines = _load(results, lookup, ranked_by, split, seed, progress)
         if found is not None:
-            note_missing(found, told)
+            note_missing(found, progress)
         if pipelines is not None:
-            note_missing_pipelines(pipelines, told)
-        files = write_formats(Boards(board, found, pipelines), out, chosen, How(plots, pairs, told))
+            note_missing_pipelines(pipelines, progress)
+        files = write_formats(Boards(board, found, pipelines), out, chosen, How(plots, pairs, progress))
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if pipelines is not None:
@@ -183,7 +183,7 @@ def report(
         typer.Option(
             min=0,
             metavar="N",
-            help="Where the dataset is at hand, the pages of the N worst pairs of each method and of N drawn at "
+            help="Where the dataset is available, the pages of the N worst pairs of each method and of N drawn at "
             "random, in each pair set, show their images; about 0.1 MB a pair. So do those of queries of retrievers "
             "and of retrieval followed by tracking.",
         ),
@@ -207,12 +207,12 @@ def report(
     from relocbench.leaderboard.html.site import write_site
 
     ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
-    told = reporter(quiet)
+    progress = reporter(quiet)
     earlier_files(out)  # a folder that is not for pages is refused before the work
-    lookup = DatasetLookup(results, dataset or (), told)
+    lookup = DatasetLookup(results, dataset or (), progress)
     with locked_output(out):
-        boards = Boards(*_load(results, lookup, ranked_by, split, seed, told))
-        start = write_site(boards, out, pairs=pairs, reporter=told)
+        boards = Boards(*_load(results, lookup, ranked_by, split, seed, progress))
+        start = write_site(boards, out, pairs=pairs, reporter=progress)
     if json:
         counts = {
             "sets": boards.sets,
@@ -230,7 +230,7 @@ def _load(
     ranked_by: Mapping[str, str],
     split: str | None,
     seed: int,
-    told: Reporter,
+    progress: Reporter,
 ) -> tuple[Board | None, RetrievalBoard | None, PipelineBoard | None]:
     """The boards of trackers, retrievers and pipelines; None where the folder holds nothing of a task."""
     from relocbench.leaderboard.relocalization.board import load_pipelines
@@ -249,7 +249,7 @@ def _load(
     lookup.check_used()  # before anything is written
     board = None
     if entries is not None:
-        board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=told)
+        board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=progress)
     return board, found, pipelines
 
 

@@ -42,12 +42,12 @@ def methods(
     kind = kind_of(name)
     parameters = parameters_of(name, kind)
     if json:
-        told = {
+        values = {
             p.name: {"type": p.type_name, "default": None if p.required else p.default, "words": p.words}
             for p in parameters
         }
-        shown = {"method": name, "task": kind.task, "weights": _weights(name, kind), "parameters": told}
-        print_json(shown, {"parameters": len(told)})
+        shown = {"method": name, "task": kind.task, "weights": _weights(name, kind), "parameters": values}
+        print_json(shown, {"parameters": len(values)})
         return
     _print_method(name, kind, parameters)
 

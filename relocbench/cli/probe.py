@@ -77,7 +77,7 @@ def probe(
     quiet: common.Quiet = False,
     json: common.Json = False,
 ) -> None:
-    """Measure basins of convergence: start methods at known distances from the truth and count which return to it.
+    """Measure convergence by initial error: start methods at known distances and count which return.
 
     The others are compared with the first method. A killed run continues where it stopped.
 
@@ -113,9 +113,9 @@ def probe(
     with locked_output(options.out):
         report = probe_methods(options, reporter(quiet))
     if json:
-        told = report.to_dict()
-        counts = {"radii": len(told["radii"]), "starts": len(told["starts"]), "files_written": len(report.files)}
-        print_json(told, {**counts, "broke": len(report.crashed)})
+        values = report.to_dict()
+        counts = {"radii": len(values["radii"]), "starts": len(values["starts"]), "files_written": len(report.files)}
+        print_json(values, {**counts, "broke": len(report.crashed)})
     else:
         _print_radii(report)
         _print_starts(report)

@@ -165,11 +165,11 @@ def register(
     reading = Reading(CloudFormat(dtype, columns, tuple(setup)), sensor, files)
     factor = scale if voxel is None else 0.1 / voxel
     options = CloudRegistrationOptions(matcher, icp, seed, factor, _pose(initial) if initial else None)
-    told = reporter(quiet)
+    progress = reporter(quiet)
     if b is None:
-        trusted = _all_pairs(a, poses, reading, options, out, initial, told, json=json)
+        trusted = _all_pairs(a, poses, reading, options, out, initial, progress, json=json)
         raise typer.Exit(0 if trusted else NOT_TRUSTED)
-    sides, found = _register_two((a, b), poses, reading, options, told)
+    sides, found = _register_two((a, b), poses, reading, options, progress)
     written = []
     if out is not None:
         from relocbench.datasets.groundtruth.clouds.writing import write_registration
@@ -212,7 +212,7 @@ def _register_two(
     poses: list[Path],
     reading: Reading,
     options: CloudRegistrationOptions,
-    told: Reporter,
+    progress: Reporter,
 ) -> tuple[tuple[Side, Side], CloudRegistration]:
     from dataclasses import replace
 
@@ -224,11 +224,11 @@ def _register_two(
     if poses and len(folders) != len(poses):
         raise ConfigError(f"--poses is given {len(poses)} times, but {len(folders)} of A and B are folders")
     left = list(poses)
-    sides = [read_side(path, left.pop(0) if left and path.is_dir() else None, reading, told) for path in paths]
+    sides = [read_side(path, left.pop(0) if left and path.is_dir() else None, reading, progress) for path in paths]
     sides[1] = replace(sides[1], cloud=with_one_origin(sides[0].cloud, sides[1].cloud))
     for name, side in zip("AB", sides, strict=True):
-        told.note(f"{name}: {'; '.join(side.notes)}")
-    return (sides[0], sides[1]), register_clouds(sides[0].cloud, sides[1].cloud, options, told)
+        progress.note(f"{name}: {'; '.join(side.notes)}")
+    return (sides[0], sides[1]), register_clouds(sides[0].cloud, sides[1].cloud, options, progress)
 
 
 def _all_pairs(
@@ -238,7 +238,7 @@ def _all_pairs(
     options: CloudRegistrationOptions,
     out: Path | None,
     initial: str,
-    told: Reporter,
+    progress: Reporter,
     *,
     json: bool,
 ) -> bool:
@@ -250,7 +250,7 @@ def _all_pairs(
         raise ConfigError("expected a second cloud: relocbench register A B; only a folder can be given alone")
     if initial or out is not None:
         raise ConfigError(f"{'--initial' if initial else '--out'} is for one pair A B, not for all pairs of a folder")
-    pairs = register_all_pairs(folder, poses[0] if poses else None, reading, options, told)
+    pairs = register_all_pairs(folder, poses[0] if poses else None, reading, options, progress)
     trusted = sum(pair.found.trusted for pair in pairs)
     if json:
         print_json({"pairs": [_pair_values(pair) for pair in pairs]}, {"pairs": len(pairs), "trusted": trusted})

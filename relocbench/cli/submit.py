@@ -29,7 +29,9 @@ Datasets = Annotated[
         show_default=False,
     ),
 ]
-BlindOnly = Annotated[bool, typer.Option("--blind-only", help="Refuse answers to a dataset whose times were at hand.")]
+BlindOnly = Annotated[
+    bool, typer.Option("--blind-only", help="Refuse answers to a dataset whose times were available.")
+]
 Radius = Annotated[
     float | None,
     typer.Option(
@@ -185,7 +187,7 @@ def _print_checked(checked: Checked, *, quiet: bool) -> None:
     for odd in checked.suspicions:
         print(f"odd: {odd}")
     if checked.rows:
-        columns = ["dataset", "of", "asked", "answered", "missing", "unknown", "twice", "unreadable"]
+        columns = ["dataset", "of", "pairs", "answered", "missing", "unknown", "twice", "unreadable"]
         rows = [
             [r.dataset, r.asked, *map(str, (r.pairs, r.answered, r.missing, r.unknown, r.duplicate, r.invalid))]
             for r in checked.rows

@@ -66,7 +66,7 @@ def _pair_set_row(s: PairSetInventory) -> list[str]:
     return [
         s.name,
         s.reference_condition if same else f"{s.reference_condition} → {s.query_condition}",
-        f"{s.pairs}{f' + {s.elsewhere} elsewhere' if s.elsewhere else ''}{'' if s.has_truth else ' (withheld)'}",
+        f"{s.pairs}{f' + {s.elsewhere} negative' if s.elsewhere else ''}{'' if s.has_truth else ' (withheld)'}",
         ", ".join(f"{group} {count}" for group, count in s.groups.items()),
         _cell(s.distance_m, "least", "median", "greatest", digits=2),
         _cell(s.angle_deg, "median", "greatest", digits=1),

@@ -197,8 +197,8 @@ def _draw_pair(
     name = found[0].label if found else None
     write_bytes(target, draw_pair(dataset, of_set, chosen, name, answer))
     if json:
-        told = numbers(dataset, of_set, chosen, name, answer)
-        print_json({"file": str(target), **told}, {"files_written": 1, "pairs": 1})
+        values = numbers(dataset, of_set, chosen, name, answer)
+        print_json({"file": str(target), **values}, {"files_written": 1, "pairs": 1})
     elif not quiet:
         typer.echo(f"written: {target}", err=True)
 
@@ -223,7 +223,7 @@ def _methods(results: Path | None, dataset: Dataset, names: list[str]) -> list[M
 def _answers(
     dataset: Dataset, sets: list[PairSet], method: MethodResults, reporter: Reporter
 ) -> dict[str, MethodAnswers]:
-    """A method's answers by pair set; sets without a complete run are left out and told."""
+    """A method's answers by pair set; sets without a complete run are left out, with a note."""
     from relocbench.viewer.answers import answers_to
 
     found = {s.name: answers_to(dataset, s, method) for s in sets}
