@@ -120,15 +120,16 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     Where it is wider than the terminal, its headings are broken into lines between their words, then long texts are
     wrapped, and then columns are left out, the last ones first; their names stand below the table.
     """
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        # Piped into a file or a pager a table keeps its width instead of being squeezed into 80 columns.
-        console = Console(highlight=False, markup=False, width=max(console.width, 200))
-    if title:
-        console.print(printable(title), style="table.title")
     table = [[printable(cell) for cell in row] for row in rows]
     texts = {i for i in range(len(columns)) if any(len(row[i]) > _SHORT and " " in row[i] for row in table)}
     names, shown = list(columns), list(range(len(columns)))
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        # Piped into a file or a pager a table keeps its width instead of being squeezed into 80 columns.
+        width = max(console.width, len(title), _width(names, table, shown))
+        console = Console(highlight=False, markup=False, width=width)
+    if title:
+        console.print(printable(title), style="table.title")
     if console.is_terminal and _width(names, table, shown) > console.width:
         names = [in_lines(name) for name in columns]
         while len(shown) > 1 and _width(names, table, shown, texts) > console.width:

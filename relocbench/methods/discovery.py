@@ -355,11 +355,8 @@ def parameters_of(target: str, kind: MethodKind = TRACKERS) -> list[Parameter]:
 
 def _argument_words(factory: Any) -> dict[str, str]:
     """What docstrings say of each argument below ``Args:``: those of the function, or of a class and its bases."""
-    documented = (
-        [part for base in inspect.getmro(factory) for part in (base.__init__, base)]
-        if inspect.isclass(factory)
-        else [factory]
-    )
+    bases = inspect.getmro(factory) if inspect.isclass(factory) else ()
+    documented = [part for base in bases for part in (vars(base).get("__init__"), base)] or [factory]
     out: dict[str, str] = {}
     for part in documented:
         lines = inspect.cleandoc(getattr(part, "__doc__", None) or "").split("\n")

@@ -147,7 +147,7 @@ def test_missing_parts_of_a_dataset_are_one_line_each(tmp_path: Path, dataset: D
     for folder, more, words in (
         (bare.root, (), "missing; expected correspondences (build-dataset --correspondences N)"),
         (unsplit.root, (), "no dataset has a split 'validation' to choose weights by"),
-        (unsplit.root, ("--split", "training"), "no split 'training'; available: train"),
+        (unsplit.root, ("--split", "training"), "no split 'training' (did you mean 'train'?); available: train"),
         (tmp_path / "none", (), "no such folder; expected a dataset"),
         (dataset.root, ("--set", "crap=3"), "unknown option 'crap' (did you mean 'crop'?)"),
         (dataset.root, ("--set", "batch=none"), "batch"),

@@ -185,7 +185,7 @@ def load_retrieval(
         return None  # the split is one of the trackers' datasets
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
-        raise ConfigError(f"no split '{split}'{available(split, known)}", results)
+        raise ConfigError(f"no split '{split}'{available(str(split), known)}", results)
     sets = tuple(_set(copies, metric, split, seed, lookup) for copies in _group_copies(chosen))
     return RetrievalBoard(sets, metric, seed, split)
 
