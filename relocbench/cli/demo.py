@@ -49,6 +49,7 @@ def demo(
     from relocbench.cli.console import print_json, reporter
     from relocbench.cli.counts import of_evaluation
     from relocbench.datasets.importers import importer
+    from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
     from relocbench.execution import Run, default_workers
     from relocbench.files import locked_output
@@ -58,9 +59,10 @@ def demo(
     from relocbench.leaderboard.tracking.by_condition import by_condition
     from relocbench.leaderboard.tracking.condition_picture import write_condition_picture
 
-    _check_own(out)
+    check_in_no_dataset(out)
     report = reporter(quiet)
     with locked_output(out):
+        _check_own(out)
         town = importer("synthetic")
         options = town.Options.model_validate({**_STREET, "seed": seed})
         dataset = town.build([], options, out / "dataset", report, Run(workers or default_workers()))
@@ -84,9 +86,7 @@ def demo(
 def _check_own(out: Path) -> None:
     """Refuse a folder that holds anything but what an earlier demo, finished or not, has left. Raises ConfigError."""
     from relocbench.errors import ConfigError
-    from relocbench.evaluation.common.opening import check_in_no_dataset
 
-    check_in_no_dataset(out)
     if not out.is_dir() or (out / "dataset" / "build.yaml").is_file():
         return
     found = next((path.name for path in sorted(out.iterdir()) if not path.name.startswith(".")), None)

@@ -43,7 +43,7 @@ def parse_pipeline(
     for setting in settings:
         wanted = setting_label(setting)
         if wanted not in labels:
-            raise ConfigError(f"--set {cut(setting)}: no method '{wanted}' in this run{available(wanted, labels)}")
+            raise ConfigError(f"--set {cut(setting)}: no method '{wanted}' in this run{available(str(wanted), labels)}")
     return of_retrievers, of_trackers
 
 

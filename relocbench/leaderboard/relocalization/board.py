@@ -161,7 +161,7 @@ def load_pipelines(
     found = [s for s in there if split is None or split in s.record.splits]
     if there and not found and not holds_tracking(results):
         known = sorted({name for s in there for name in s.record.splits})
-        raise ConfigError(f"no split '{split}'{available(split, known)}", results)
+        raise ConfigError(f"no split '{split}'{available(str(split), known)}", results)
     lookup = datasets or DatasetLookup(results)
     named = {(each.record.dataset, each.record.dataset_fingerprint) for each in there}
     lookup.mark_used(lambda one: (one.name, one.fingerprint) in named)
