@@ -79,7 +79,7 @@ def locked_folder(folder: Path, error: type[RelocbenchError] = RelocbenchError) 
     Raises:
         RelocbenchError: (as ``error``) another process holds the lock.
     """
-    taken = "another process is at work here; wait for it to end"
+    taken = "another process holds the lock of this folder; wait for it to end"
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         try:

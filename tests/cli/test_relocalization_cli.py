@@ -140,7 +140,7 @@ def test_a_configuration_file_can_ask_for_pipelines(dataset: Dataset, tmp_path: 
         (("-r", "oracle", "-m", f"t={KNOWS}", "--set", "t.each=2"), "has no parameter 'each'"),
         (("-r", "oracle", "--top", 0), "--top"),
         (("-r", "oracle", "--keep", 5), "No such option: --keep; it is an option of relocbench evaluate-retrieval"),
-        (("-r", "oracle", "--probe", "p", "--radius", 2), "give one of them"),
+        (("-r", "oracle", "--probe", "p", "--radius", 2), "give one or the other"),
         (("-r", "oracle", "--probe", "nowhere"), "radii"),
         (("-r", "oracle", "--pair-set", "summer__summer__cam0"), "is of one traversal"),
     ],

@@ -18,7 +18,7 @@ from relocbench.datasets.importers import KINDS
 from relocbench.errors import DatasetError
 from relocbench.files import locked_folder, locked_output
 
-AT_WORK = "another process is at work here; wait for it to end"
+AT_WORK = "another process holds the lock of this folder; wait for it to end"
 COMMANDS = {
     **{f"build-dataset {kind}": ["build-dataset", kind, "recording"] for kind in KINDS},
     "build-dataset synthetic": ["build-dataset", "synthetic"],

@@ -47,5 +47,5 @@ class ExecutionOptions(LimitOptions):
             where = (
                 "--workers 0 asks in this process" if self.scheduler is None else "--scheduler has workers of its own"
             )
-            raise ValueError(f"{' and '.join(given)} cannot be kept: {where}")
+            raise ValueError(f"{' and '.join(given)} cannot be enforced: {where}")
         return self

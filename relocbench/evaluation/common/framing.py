@@ -93,7 +93,7 @@ def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tupl
 
 def _size(value: Any) -> int:
     if type(value) is not int or value < 0:
-        raise ValueError("a size that is no number of things")
+        raise ValueError("a size that is not a count")
     return value
 
 

@@ -97,7 +97,7 @@ class MethodProcess:
             self._die_like_the_method()
         except FramingFault as bad:
             self.close()
-            raise RelocbenchError(f"the process of the method sent no answer of relocbench's: {bad}") from None
+            raise RelocbenchError(f"the method's process sent an invalid answer: {bad}") from None
 
     def close(self) -> None:
         """End the process."""

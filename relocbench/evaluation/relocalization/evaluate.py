@@ -75,7 +75,9 @@ class RelocalizationOptions(ExecutionOptions):
         if not self.retriever:
             raise ValueError(f"nothing to evaluate: give --retriever NAME (or {ORACLE}, which knows the truth)")
         if self.probe is not None and (self.radius is not None or self.heading is not None):
-            raise ValueError("--probe takes measured basins, --radius and --heading set one: give one of them")
+            raise ValueError(
+                "--probe takes measured basins of convergence, --radius and --heading set one; give one or the other"
+            )
         return self
 
 

@@ -86,7 +86,7 @@ def _repeatable(spec: MethodSpec, images: Sequence[ImageView], values: NDArray[A
     if problem is None and implements(fresh, FittingRetriever):
         _, problem = guarded(lambda: fresh.fit(images, 0))
     if problem is not None:
-        return Finding(name, False, f"constructed again, it raised {problem}")
+        return Finding(name, False, f"constructed a second time, it raised {problem}")
     again, problem = _describe(fresh, images)
     same = problem is None and all(_same(a, b, _EQUAL) for a, b in zip(again, values, strict=True))
     return Finding(name, same, "" if same else problem or "another descriptor than the first time")

@@ -54,7 +54,7 @@ def rerank_top_of(retriever: object) -> tuple[int, str | None]:
     top, crash = guarded(lambda: operator.index(getattr(retriever, "rerank_top", 0)))
     if crash is not None or not 0 <= top <= _MOST_RERANKED:
         shown = crash or str(top)[:30]
-        return 0, f"its attribute 'rerank_top' is no whole number from 0 to {_MOST_RERANKED}: {shown}"
+        return 0, f"its attribute 'rerank_top' is not a whole number from 0 to {_MOST_RERANKED}: {shown}"
     return int(top), None
 
 

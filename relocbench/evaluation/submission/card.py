@@ -48,7 +48,7 @@ def _url(text: str) -> str:
     if _UNFILLED in text:
         raise ValueError("is still the template's text; fill it in")
     if not _URL.fullmatch(text):
-        raise ValueError(f"{quoted(text, 60)} is no address; expected https://...")
+        raise ValueError(f"{quoted(text, 60)} is not an address; expected https://...")
     return text
 
 

@@ -145,7 +145,7 @@ def _repeatable(
     name = "gives the same answer in any order of calls"
     fresh, unmade = guarded(spec.create)
     if unmade is not None:
-        return Finding(name, False, f"constructed again, it raised {unmade}")
+        return Finding(name, False, f"constructed a second time, it raised {unmade}")
     message = None
     for other in (tracker, fresh):
         for i in reversed(usable):
@@ -212,7 +212,7 @@ def _matches_by_pixel(spec: MethodSpec, tracker: Any, question: _Question) -> Fi
     name = "match answers each pixel by itself, and the same again"
     fresh, problem = guarded(spec.create)
     if problem:
-        return Finding(name, False, f"constructed again, it raised {problem}")
+        return Finding(name, False, f"constructed a second time, it raised {problem}")
     whole, problem = _match(tracker, question)
     for other, rows in ((fresh, slice(None)), (tracker, slice(1, None, 2)), (fresh, slice(0, 0))):
         again, fault = _match(other, question, rows)

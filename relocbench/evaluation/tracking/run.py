@@ -90,8 +90,8 @@ def run_method(
         _clear(folder, pair_sets)
     if overwrite == "failed" and (matched := [s.name for s in pair_sets if folder.matching(s.name).exists()]):
         raise PredictionError(
-            "matching quality was measured after these answers, with starts around the true pixels; asking again where "
-            "the method failed would mix answers from before and after: use --overwrite always",
+            "matching quality was measured after these answers, with starts around the true pixels; running the failed "
+            "pairs again would mix answers from before and after: use --overwrite always",
             folder.matching(matched[0]),
         )
     todo = {s.name: _open_pairs(folder, s, overwrite) for s in pair_sets}
@@ -316,7 +316,9 @@ def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool)
             if before.versions.get(k) != v
         ]
     if changed:
-        raise PredictionError(f"holds predictions made differently ({'; '.join(changed)}); {way_out}", folder.run_yaml)
+        raise PredictionError(
+            f"holds predictions made with other settings ({'; '.join(changed)}); {way_out}", folder.run_yaml
+        )
 
 
 def _has_answers(folder: MethodResults) -> bool:

@@ -263,7 +263,7 @@ def _check_scores(
     for name in scores.predictions:
         if not folder.predictions(name).exists():
             if name not in complete:
-                findings.fault(f"scores pair set '{name}', whose predictions are not there", folder.scores_yaml)
+                findings.fault(f"scores pair set '{name}', whose predictions are missing", folder.scores_yaml)
         elif scores.formulas == FORMULAS:
             _check_scored(folder, name, scores, expected.dataset, findings)
         else:

@@ -100,7 +100,7 @@ def matching_of_pair_set(
         raise PredictionError(f"changed since it was scored; {again}", path)
     recorded = scores.matching.get(name, {})
     if any(recorded.get(group) != summarize_matching(rows, group) for group in groups_of(rows)):
-        raise PredictionError(f"is not what {folder.scores_yaml.name} summarises; {again}", path)
+        raise PredictionError(f"differs from what {folder.scores_yaml.name} summarises; {again}", path)
     return rows
 
 
@@ -157,7 +157,7 @@ def rescored(
     difference = _first_difference(rows, errors, _COPY if copy else _SAME)
     if difference is not None:
         raise PredictionError(
-            f"is not what predictions and truth give: {difference}; {again}", folder.errors(pair_set.name)
+            f"does not follow from predictions and truth: {difference}; {again}", folder.errors(pair_set.name)
         )
     return errors
 

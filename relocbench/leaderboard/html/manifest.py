@@ -31,7 +31,7 @@ def earlier_files(site: Path) -> set[Path]:
         )
     first, *names = manifest.read_text(encoding="utf-8", errors="replace").splitlines() or [""]
     if first != _FIRST:
-        raise ConfigError("is no list of the files of a site; expected a new or an empty folder for pages", manifest)
+        raise ConfigError("is not a list of the files of a site; expected a new or an empty folder for pages", manifest)
     return {site / name for name in names if _is_inside(name)}
 
 

@@ -103,7 +103,7 @@ def test_a_row_with_errors_of_its_own_or_another_card_is_refused(town: Dataset, 
     row.predictions(ACROSS).write_text("\n".join([*lines[:-1], " ".join([*lines[-1].split()[:2], *"0000001"])]) + "\n")
     reseal(row)
     outcome = relocbench("leaderboard", tmp_path / "r", "-d", town.root, "--out", tmp_path / "b", "-q")
-    assert (outcome.status, "is not what predictions and truth give" in outcome.complaint) == (2, True)
+    assert (outcome.status, "does not follow from predictions and truth" in outcome.complaint) == (2, True)
 
 
 def test_what_has_a_fault_or_no_truth_is_not_added(town: Dataset, blind: Dataset, tmp_path: Path) -> None:

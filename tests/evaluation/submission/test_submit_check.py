@@ -222,8 +222,8 @@ def test_a_card_of_50_megabytes_is_not_read(town: Dataset, tmp_path: Path) -> No
         ({"label": "Clock"}, "is the label of a trivial baseline"),
         ({"label": "../x"}, "must be letters"),
         ({"label": "dsо"}, "must be letters a to z"),  # a Cyrillic letter
-        ({"links": ["javascript:alert(1)"]}, "is no address"),
-        ({"links": ["https://a.b/<script>"]}, "is no address"),
+        ({"links": ["javascript:alert(1)"]}, "is not an address"),
+        ({"links": ["https://a.b/<script>"]}, "is not an address"),
         ({"what": "a\nb"}, "without line ends"),
         ({"what": "  "}, "is blank"),
         ({"method": "x" * 1001}, "at most 1000"),

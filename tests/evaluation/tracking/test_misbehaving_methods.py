@@ -264,8 +264,8 @@ def task() -> RetrievalTask:
 @pytest.mark.parametrize(
     ("retriever", "words"),
     [
-        (Reordering("many"), "'rerank_top' is no whole number from 0 to 1000000"),
-        (Reordering(-1), "'rerank_top' is no whole number from 0 to 1000000: -1"),
+        (Reordering("many"), "'rerank_top' is not a whole number from 0 to 1000000"),
+        (Reordering(-1), "'rerank_top' is not a whole number from 0 to 1000000: -1"),
         (Reordering(LookupError("no")), "LookupError: no"),
         (Reordering(2, np.zeros(2, dtype=int)), "rerank returned an array of int64"),
         (Reordering(2, np.full(2, np.inf)), "not finite"),

@@ -106,9 +106,9 @@ def stretch_faults(recording: FieldRecording) -> list[DatasetError]:
     if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
         return []
     message = (
-        f"the way by odometry is {ratio.words(1)} than by GNSS (known to {100 * ratio.margin:.1f} %), expected at most "
-        f"{100 * LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the odometry, "
-        "or give --no-use-prior if the GNSS is wrong"
+        f"the path by odometry is {ratio.words(1)} than by GNSS (known to {100 * ratio.margin:.1f} %), expected at "
+        f"most {100 * LARGEST_STRETCH:g} %: no submap would fit those of other drives; correct the scale of the "
+        "odometry, or give --no-use-prior if the GNSS is wrong"
     )
     return [DatasetError(message, recording.folder)]
 

@@ -34,7 +34,7 @@ class Options(FieldOptions, LinkingOptions):
     @classmethod
     def _has_axes(cls, columns: tuple[str, ...]) -> tuple[str, ...]:
         if columns and (not set("xyz") <= set(columns) or len(set(columns)) != len(columns)):
-            raise ValueError("must contain x, y and z, and none twice")
+            raise ValueError("must contain x, y and z, and each once")
         return columns
 
 

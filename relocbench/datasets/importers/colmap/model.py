@@ -132,7 +132,7 @@ def _text_observations(line: str) -> NDArray[np.int64]:
     try:
         return np.array(fields[2::3], dtype=np.int64)
     except (ValueError, OverflowError):
-        raise ValueError("expected POINTS2D as (X, Y, POINT3D_ID); an identifier is no whole number") from None
+        raise ValueError("expected POINTS2D as (X, Y, POINT3D_ID); an identifier is not a whole number") from None
 
 
 def _text_points(path: Path) -> Iterator[tuple[int, list[float]]]:

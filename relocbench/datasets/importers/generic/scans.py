@@ -62,7 +62,7 @@ class GenericLidar(Strict):
     def _has_columns(self) -> Self:
         missing = [name for name in ("x", "y", "z") if name not in self.columns]
         if self.columns and (missing or len(set(self.columns)) != len(self.columns)):
-            raise ValueError("columns must contain x, y and z, and none twice")
+            raise ValueError("columns must contain x, y and z, and each once")
         if self.min_range >= self.max_range:
             raise ValueError("min_range must be below max_range")
         return self

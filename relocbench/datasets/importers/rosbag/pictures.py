@@ -70,7 +70,7 @@ def _plain(message: Any) -> Image:
     data = np.ascontiguousarray(np.asarray(message.data, dtype=np.uint8))
     row, step = width * channels * size, int(message.step) or width * channels * size
     if step < row or len(data) < (height - 1) * step + row:
-        raise ValueError(f"{len(data)} bytes in rows of {step} are no image of {width}x{height} in {encoding}")
+        raise ValueError(f"{len(data)} bytes in rows of {step} are not an image of {width}x{height} in {encoding}")
     pixels: NDArray[Any] = np.ndarray((height, row), np.uint8, data, 0, (step, 1))
     if size == 2:
         # The upper byte, as for PNG files of 16 bits.
@@ -149,7 +149,7 @@ def calibration_of(info: Any, size: tuple[int, int], rectified: bool) -> Calibra
     if not R.any():
         R = np.eye(3)
     if not is_rotation(R, 1e-3):
-        raise ValueError("R of CameraInfo is no rotation")
+        raise ValueError("R of CameraInfo is not a rotation")
     return Calibration(camera, R.T)
 
 
