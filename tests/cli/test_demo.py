@@ -13,8 +13,6 @@ from refusals import assert_names
 
 from relocbench.cli import demo
 
-pytestmark = pytest.mark.slow
-
 METHODS = ("identity", "orb-pnp")
 TINY = {"conditions": ("Sunny", "Night"), "size": "96x72", "steps": 3, "extent": 190.0}
 

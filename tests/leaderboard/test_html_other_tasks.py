@@ -284,7 +284,6 @@ def _open(page: Any, site: Path, pattern: str, state: str = "") -> None:
 
 
 @needs_browser
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "pattern", "charts"),
     [
@@ -311,7 +310,6 @@ def test_pages_open_from_the_disk_fit_their_window_and_are_accessible(
 
 
 @needs_browser
-@pytest.mark.slow
 def test_the_queries_of_a_hostile_method_are_listed_worst_first_and_walked_through(page: Any, site: Path) -> None:
     _open(page, site, "retrieval-views-*.html", f"#table={S2D}")
     page.locator("#methods tbody tr", has_text=HOSTILE).locator("button.cell").first.click()
@@ -338,7 +336,6 @@ def test_the_queries_of_a_hostile_method_are_listed_worst_first_and_walked_throu
 
 
 @needs_browser
-@pytest.mark.slow
 def test_recall_is_drawn_to_the_end_of_each_ranking(page: Any, site: Path) -> None:
     _open(page, site, "retrieval-*pairs*.html")
     page.wait_for_selector("#recall .main-svg")
@@ -349,7 +346,6 @@ def test_recall_is_drawn_to_the_end_of_each_ranking(page: Any, site: Path) -> No
 
 
 @needs_browser
-@pytest.mark.slow
 def test_the_page_of_a_located_query_says_what_it_was_lost_to_and_links_the_pair(page: Any, site: Path) -> None:
     _open(page, site, "relocalization-*.html", f"#table={ACROSS}")
     page.locator("#methods tbody tr", has_text="keyframe-pose").first.locator("button.cell").first.click()

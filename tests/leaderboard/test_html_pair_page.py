@@ -197,7 +197,6 @@ def _alpha(page: Any) -> float:
 
 
 @needs_browser
-@pytest.mark.slow
 def test_a_list_opens_a_pair_whose_warp_at_the_truth_agrees_best(page: Any, site: Path) -> None:
     _open_list(page, site, "wrong")
     page.keyboard.press("ArrowRight")  # the worst one has no pose
@@ -213,7 +212,6 @@ def test_a_list_opens_a_pair_whose_warp_at_the_truth_agrees_best(page: Any, site
 
 
 @needs_browser
-@pytest.mark.slow
 def test_matches_are_drawn_of_methods_that_tell_them(page: Any, site: Path) -> None:
     _open_list(page, site, "wrong")
     page.locator("#matches svg").wait_for()
@@ -229,7 +227,6 @@ def test_matches_are_drawn_of_methods_that_tell_them(page: Any, site: Path) -> N
 
 
 @needs_browser
-@pytest.mark.slow
 def test_the_slider_wipes_and_b_blinks(page: Any, site: Path) -> None:
     _open_list(page, site, "right")
     page.wait_for_selector("#agreement[data-correlation]")
@@ -251,7 +248,6 @@ def test_the_slider_wipes_and_b_blinks(page: Any, site: Path) -> None:
 
 
 @needs_browser
-@pytest.mark.slow
 def test_arrows_walk_the_list_and_the_address_finds_the_pair_again(page: Any, site: Path) -> None:
     _open_list(page, site, "right", WITHIN)
     first = page.url
@@ -275,7 +271,6 @@ def test_arrows_walk_the_list_and_the_address_finds_the_pair_again(page: Any, si
 
 
 @needs_browser
-@pytest.mark.slow
 @pytest.mark.parametrize("page", ["light", "dark"], indirect=True)
 def test_a_message_is_shown_as_text_and_the_page_is_accessible(page: Any, site: Path) -> None:
     _open_list(page, site, "wrong")
@@ -292,7 +287,6 @@ def test_a_message_is_shown_as_text_and_the_page_is_accessible(page: Any, site: 
 
 
 @needs_browser
-@pytest.mark.slow
 def test_without_images_the_page_says_how_to_bring_them(page: Any, numbers_only: Path, site: Path) -> None:
     _open_list(page, numbers_only, "right")
     page.locator("#none", has_text="--dataset FOLDER").wait_for()
@@ -314,7 +308,6 @@ def test_without_images_the_page_says_how_to_bring_them(page: Any, numbers_only:
 
 
 @needs_browser
-@pytest.mark.slow
 def test_what_lies_outside_an_undistorted_image_is_not_compared(page: Any, site: Path) -> None:
     page.goto((site / "pair.html").as_uri())
     share, correlation = page.evaluate(

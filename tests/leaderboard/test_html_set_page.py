@@ -27,7 +27,7 @@ from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 
 HOSTILE = "<img src=x onerror=alert(1)>"
-pytestmark = [needs_browser, pytest.mark.slow]
+pytestmark = needs_browser
 _POINT = """([id, trace, point]) => {
   const chart = document.getElementById(id);
   chart.scrollIntoView({ block: "center" });

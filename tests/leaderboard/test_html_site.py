@@ -125,7 +125,6 @@ def test_pages_of_methods_that_left_are_removed(boards: Boards, tmp_path: Path) 
 
 
 @needs_browser
-@pytest.mark.slow
 @pytest.mark.parametrize("page", ["light", "dark"], indirect=True)
 def test_every_kind_of_page_opens_from_the_disk_and_is_accessible(page: Any, site: Path) -> None:
     kinds = ["index.html", "reading.html", "method-good.html", next(site.glob("set-*.html")).name]
@@ -140,7 +139,6 @@ def test_every_kind_of_page_opens_from_the_disk_and_is_accessible(page: Any, sit
 
 
 @needs_browser
-@pytest.mark.slow
 def test_the_start_page_sorts_and_searches_and_keeps_both_in_its_address(page: Any, site: Path) -> None:
     page.goto((site / "index.html").as_uri())
     methods = page.locator("#table-1 tbody tr td:nth-child(1)")
@@ -156,7 +154,6 @@ def test_the_start_page_sorts_and_searches_and_keeps_both_in_its_address(page: A
 
 
 @needs_browser
-@pytest.mark.slow
 def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boards) -> None:
     assert boards.tracking is not None
     (good,) = [m for m in boards.tracking.datasets[0].entry.methods if m.label == "good"]
@@ -174,7 +171,6 @@ def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boa
 
 
 @needs_browser
-@pytest.mark.slow
 def test_a_method_that_misses_a_pair_set_has_no_curve_of_the_total(page: Any, site: Path) -> None:
     address = next(site.glob("set-*.html")).as_uri()
     drawn = "[...document.getElementById('curves').data].map((each) => each.meta)"

@@ -7,13 +7,11 @@ import json
 from pathlib import Path
 from statistics import median
 
-import pytest
 from command_line import relocbench
 
 from relocbench.evaluation.common.error_table import ErrorTable, read_errors
 from relocbench.evaluation.common.results import all_results
 
-pytestmark = pytest.mark.slow
 METHODS = ("-m", "identity", "-m", "orb-pnp", "-m", "dso")
 
 

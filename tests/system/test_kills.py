@@ -12,7 +12,6 @@ from kitti_wall import write_kitti_recording
 from small_dataset import make_small_dataset
 
 
-@pytest.mark.slow
 def test_a_build_killed_in_its_work_ends_with_the_bytes_of_one_that_was_not(tmp_path: Path) -> None:
     """The short version of ``benchmarks/truth/kills.py``, whose jobs have workers as well."""
     recording = write_kitti_recording(tmp_path / "recording")
@@ -24,7 +23,6 @@ def test_a_build_killed_in_its_work_ends_with_the_bytes_of_one_that_was_not(tmp_
     assert not outcome.broken
 
 
-@pytest.mark.slow
 @pytest.mark.thorough
 @pytest.mark.parametrize("record", ["dataset", "run", "scores"])
 def test_an_evaluation_killed_while_it_writes_a_record_leaves_nothing_unfinished_once_it_is_done(

@@ -122,7 +122,6 @@ def test_mistakes_are_one_line_each(university: Path, tmp_path: Path) -> None:
         assert f"{option} is an option for trainers of retrievers, and 'gn-net' trains trackers" in other.complaint
 
 
-@pytest.mark.slow
 def test_drives_become_weights_that_retrieve_along_streets(tmp_path: Path) -> None:
     """Each dataset is one place, since its drives are shorter than places are apart."""
     roots = [
@@ -140,7 +139,6 @@ def test_drives_become_weights_that_retrieve_along_streets(tmp_path: Path) -> No
     assert np.allclose(np.linalg.norm(described, axis=1), 1)
 
 
-@pytest.mark.slow
 def test_a_folder_becomes_weights_that_evaluate_runs(university: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = train(university, out, "--validation-places", 0.34, "--json")

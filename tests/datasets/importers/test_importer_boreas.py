@@ -25,8 +25,6 @@ from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert
 
-pytestmark = pytest.mark.slow
-
 
 def test_lidar_points_are_where_the_camera_sees_their_surfaces(drives: list[StreetDrive], scene: LidarScene) -> None:
     for index in (4, 13, 22):

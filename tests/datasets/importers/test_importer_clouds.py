@@ -29,8 +29,6 @@ from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, transform_to_tq
 
-pytestmark = pytest.mark.slow
-
 Table = NDArray[np.float64]
 
 

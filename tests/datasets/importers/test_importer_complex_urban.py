@@ -19,8 +19,6 @@ from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import Camera, invert, so3_exp
 
-pytestmark = pytest.mark.slow
-
 R_RECT_CAM = so3_exp(np.array([0.01, -0.02, 0.005]))
 
 

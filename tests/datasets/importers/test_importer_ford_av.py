@@ -32,7 +32,6 @@ from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert
 
-pytestmark = pytest.mark.slow
 NAMES = ("2017-08-04-V2-Log1", "2017-10-26-V2-Log1")
 
 

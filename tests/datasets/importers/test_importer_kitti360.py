@@ -26,8 +26,6 @@ from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform, so3_exp
 
-pytestmark = pytest.mark.slow
-
 T_CAR_IMU = make_transform(np.diag([1.0, -1.0, -1.0]) @ so3_exp(np.array([0.02, -0.01, 0.03])), [-0.4, 0.2, 0.5])
 R_RECT_CAM = so3_exp(np.array([0.01, -0.02, 0.015]))
 

@@ -22,8 +22,6 @@ SMALL = (
     *("--calibration", "given"),
 )
 
-pytestmark = pytest.mark.slow
-
 
 def exact(root: Path, sequence: str) -> np.ndarray:
     """(N, 4, 4) ``T_world_cam0``."""

@@ -21,8 +21,6 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert
 from relocbench.progress import Silent
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> StreetDrive:

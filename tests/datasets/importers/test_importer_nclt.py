@@ -22,8 +22,6 @@ from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform
 
-pytestmark = pytest.mark.slow
-
 T_CAR_BODY = make_transform(np.diag([1.0, -1.0, -1.0]), [0.2, -0.1, 0.6])
 DATE = "2012-08-20"
 

@@ -24,8 +24,6 @@ from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform
 
-pytestmark = pytest.mark.slow
-
 EXTRINSICS = {
     "velodyne_left": "-0.60072 -0.34077 -0.26837 -0.0053948 -0.041998 -3.1337",
     "velodyne_right": "-0.61153 0.55676 -0.27023 0.0027052 -0.041999 -3.1357",

@@ -20,8 +20,6 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
 from relocbench.errors import ConfigError, DatasetError
 
-pytestmark = pytest.mark.slow
-
 
 def test_poses_are_those_of_the_exact_truth_to_centimetres(
     robotcar_street: RobotCarStreet, robotcar_built: Built

@@ -26,8 +26,6 @@ from relocbench.errors import ConfigError
 AS_ROBOTCAR = ("--gnss", "/gnss/pose", "--max-range", 50, "--min-range", 0.1, "--lidar-sigma", 0.012, "--max-gap", 0.5)
 STORAGES: tuple[Storage, ...] = get_args(Storage)
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def recordings(robotcar_street: RobotCarStreet) -> list[FieldRecording]:

@@ -184,7 +184,6 @@ def test_lzf_repeats_what_it_is_still_writing() -> None:
     assert decompress(np.array([0x20, 0], np.uint8), 3) is None  # from before the beginning
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["ply", "pcd"])
 @pytest.mark.parametrize("how", ["ascii", "binary", "compressed"])
 def test_scans_that_open3d_writes_are_read_as_it_reads_them(tmp_path: Path, suffix: str, how: str) -> None:

@@ -36,8 +36,6 @@ from relocbench.geometry import (
     transform_from_tq,
 )
 
-pytestmark = pytest.mark.slow
-
 Array = NDArray[np.float64]
 FRAMES = 64
 RANGE_NOISE_M = 0.012
