@@ -157,6 +157,10 @@ def _scan_of_a_room(folder: Path) -> Path:
     return folder / "room.npy"
 
 
+LONG = ("register",)
+"""commands that take seconds, and that other quick tests run"""
+
+
 def test_the_table_has_every_command() -> None:
     from typer.main import get_command
 
@@ -164,7 +168,10 @@ def test_the_table_has_every_command() -> None:
     assert set(commands) == set(COMMANDS)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(name, marks=pytest.mark.thorough) if name in LONG else name for name in COMMANDS],
+)
 def test_a_command_prints_one_object_with_counts(
     command: str, data: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,6 +53,7 @@ def test_a_trusted_registration_is_printed_and_written_and_exits_0(
     np.testing.assert_allclose(covariance @ np.array(told["information"]), np.eye(6), atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_what_is_not_trusted_exits_1_with_the_reason(tmp_path: Path) -> None:
     apart = unrelated_rooms(2)
     np.save(tmp_path / "a.npy", apart.a.points)
@@ -62,6 +63,7 @@ def test_what_is_not_trusted_exits_1_with_the_reason(tmp_path: Path) -> None:
     assert outcome.out.startswith("verdict: not trusted: ")
 
 
+@pytest.mark.thorough
 def test_a_folder_with_poses_is_put_together(pair: Pair, files: tuple[Path, Path], tmp_path: Path) -> None:
     scans = tmp_path / "scans of a room"
     scans.mkdir()
@@ -75,6 +77,7 @@ def test_a_folder_with_poses_is_put_together(pair: Pair, files: tuple[Path, Path
     np.testing.assert_allclose(json.loads(outcome.out)["T_a_b"], T, atol=5e-3)
 
 
+@pytest.mark.thorough
 def test_all_pairs_of_a_folder_are_compared_with_a_graph(real_data: FindData) -> None:
     folder = real_data("lidar_submaps_with_graph") / "newer_01"
     outcome = relocbench("register", folder, "--files", "planes_0000[01]0.bin", "--json", "-q")

@@ -167,6 +167,7 @@ def test_a_device_among_results_is_refused_and_not_read_without_end(data: Path, 
     assert f"{path.name}: is a link that leads out of the results" in ended.complaint
 
 
+@pytest.mark.thorough
 def test_a_pipe_given_as_a_file_is_refused(made: Path, tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.yaml"
     os.mkfifo(pipe)

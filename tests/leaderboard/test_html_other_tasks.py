@@ -283,6 +283,7 @@ def _open(page: Any, site: Path, pattern: str, state: str = "") -> None:
     page.goto(found.as_uri() + state)
 
 
+@pytest.mark.thorough
 @needs_browser
 @pytest.mark.parametrize(
     ("page", "pattern", "charts"),
@@ -309,6 +310,7 @@ def test_pages_open_from_the_disk_fit_their_window_and_are_accessible(
     assert serious_faults(page) == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_the_queries_of_a_hostile_method_are_listed_worst_first_and_walked_through(page: Any, site: Path) -> None:
     _open(page, site, "retrieval-views-*.html", f"#table={S2D}")
@@ -335,6 +337,7 @@ def test_the_queries_of_a_hostile_method_are_listed_worst_first_and_walked_throu
     assert page.title() != "taken over"
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_recall_is_drawn_to_the_end_of_each_ranking(page: Any, site: Path) -> None:
     _open(page, site, "retrieval-*pairs*.html")

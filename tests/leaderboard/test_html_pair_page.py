@@ -211,6 +211,7 @@ def test_a_list_opens_a_pair_whose_warp_at_the_truth_agrees_best(page: Any, site
     assert page.told == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_matches_are_drawn_of_methods_that_tell_them(page: Any, site: Path) -> None:
     _open_list(page, site, "wrong")
@@ -226,6 +227,7 @@ def test_matches_are_drawn_of_methods_that_tell_them(page: Any, site: Path) -> N
     assert page.told == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_the_slider_wipes_and_b_blinks(page: Any, site: Path) -> None:
     _open_list(page, site, "right")
@@ -247,6 +249,7 @@ def test_the_slider_wipes_and_b_blinks(page: Any, site: Path) -> None:
     assert page.told == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_arrows_walk_the_list_and_the_address_finds_the_pair_again(page: Any, site: Path) -> None:
     _open_list(page, site, "right", WITHIN)
@@ -270,6 +273,7 @@ def test_arrows_walk_the_list_and_the_address_finds_the_pair_again(page: Any, si
     assert page.told == []
 
 
+@pytest.mark.thorough
 @needs_browser
 @pytest.mark.parametrize("page", ["light", "dark"], indirect=True)
 def test_a_message_is_shown_as_text_and_the_page_is_accessible(page: Any, site: Path) -> None:
@@ -286,6 +290,7 @@ def test_a_message_is_shown_as_text_and_the_page_is_accessible(page: Any, site: 
     assert page.told == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_without_images_the_page_says_how_to_bring_them(page: Any, numbers_only: Path, site: Path) -> None:
     _open_list(page, numbers_only, "right")
@@ -307,6 +312,7 @@ def test_without_images_the_page_says_how_to_bring_them(page: Any, numbers_only:
     assert page.told == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_what_lies_outside_an_undistorted_image_is_not_compared(page: Any, site: Path) -> None:
     page.goto((site / "pair.html").as_uri())

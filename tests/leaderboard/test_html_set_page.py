@@ -111,6 +111,7 @@ def _click(page: Any, chart: str, trace: int, point: int) -> None:
     page.mouse.click(x, y)
 
 
+@pytest.mark.thorough
 def test_a_point_of_a_curve_lists_the_pairs_up_to_it_and_beside_them_all_others(page: Any, site: Path) -> None:
     _open(page, site, f"table={ACROSS}&hide=%5B%22identity%22,%22right%22%5D&error=translation")
     _click(page, "curves", 0, 2)
@@ -139,6 +140,7 @@ def test_a_cell_of_the_matrix_lists_its_pairs_found_and_missed(page: Any, site: 
     assert page.locator("#pairs-part button").count() == 0
 
 
+@pytest.mark.thorough
 def test_the_map_of_each_world_shows_its_pairs_and_opens_them(page: Any, site: Path) -> None:
     _open(page, site, f"table={ACROSS}&map=wrong")
     _draw(page, "map")
@@ -157,6 +159,7 @@ def test_the_map_of_each_world_shows_its_pairs_and_opens_them(page: Any, site: P
     assert page.locator("#numbers .chosen .failed").inner_text() == "declined"
 
 
+@pytest.mark.thorough
 def test_errors_depend_on_what_is_recorded_and_a_point_opens_its_pair(page: Any, site: Path, swept: Path) -> None:
     _open(page, site, f"table={ACROSS}&hide=%5B%22identity%22,%22right%22%5D&error=rotation")
     assert "at most 12 d apart" in page.locator("#months-about").text_content()
@@ -174,6 +177,7 @@ def test_errors_depend_on_what_is_recorded_and_a_point_opens_its_pair(page: Any,
     assert page.evaluate("Math.round(document.getElementById('months').data[0].x[0])") == 38
 
 
+@pytest.mark.thorough
 def test_a_sweep_has_intervals_and_says_what_is_not_known(page: Any, swept: Path) -> None:
     _open(page, swept)
     _draw(page, "sweep")
@@ -187,6 +191,7 @@ def test_a_sweep_has_intervals_and_says_what_is_not_known(page: Any, swept: Path
     assert not page.locator("#map-section").is_visible()
 
 
+@pytest.mark.thorough
 def test_matching_and_basins_are_drawn_also_of_methods_without_results(page: Any, site: Path) -> None:
     _open(page, site, f"table={ACROSS}&probe-what=translation")
     _draw(page, "matching")
@@ -201,6 +206,7 @@ def test_matching_and_basins_are_drawn_also_of_methods_without_results(page: Any
     assert "probe-what=pixels" in page.url
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("page", ["dark"], indirect=True)
 def test_paper_has_what_was_chosen_and_light_colours(page: Any, site: Path) -> None:
     _open(page, site, f"table={ACROSS}&hide=%5B%22identity%22%5D&methods-find=wr")
@@ -222,6 +228,7 @@ def test_paper_has_what_was_chosen_and_light_colours(page: Any, site: Path) -> N
     page.wait_for_function(f"({fits})(document.getElementById('curves'))")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("page", ["dark"], indirect=True)
 def test_all_charts_are_accessible_and_fit_a_phone(page: Any, site: Path) -> None:
     page.set_viewport_size({"width": 390, "height": 800})

@@ -170,6 +170,7 @@ def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boa
     assert serious_faults(page) == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_a_method_that_misses_a_pair_set_has_no_curve_of_the_total(page: Any, site: Path) -> None:
     address = next(site.glob("set-*.html")).as_uri()

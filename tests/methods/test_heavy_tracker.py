@@ -76,6 +76,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return make_small_dataset(tmp_path_factory.mktemp("data") / "few", frames=6, keyframes_a_query=5)
 
 
+@pytest.mark.thorough
 def test_pairs_are_answered_in_metres_by_a_model_that_is_loaded_once(tmp_path: Path) -> None:
     dataset = make_small_dataset(tmp_path / "data", frames=8, keyframes_a_query=5, size=(128, 96))
     command, log = example(tmp_path)
@@ -98,6 +99,7 @@ def test_pairs_are_answered_in_metres_by_a_model_that_is_loaded_once(tmp_path: P
     assert np.median(ratios) == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.thorough
 def test_a_crash_of_the_model_costs_its_pair_alone(tmp_path: Path, dataset: Dataset) -> None:
     pair_set = dataset.pair_set(ACROSS)
     lost = pair_set.pairs[-1]
@@ -123,6 +125,7 @@ def test_what_a_model_raises_costs_its_pair_and_loads_nothing_again(tmp_path: Pa
     assert log.count("loaded") == 1
 
 
+@pytest.mark.thorough
 def test_answers_are_the_same_for_any_batch(tmp_path: Path, dataset: Dataset) -> None:
     pair_set = dataset.pair_set(ACROSS)
     asked = [pair for pair in pair_set.pairs if pair.key[0] == pair_set.pairs[0].key[0]]

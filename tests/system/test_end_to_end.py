@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from statistics import median
 
+import pytest
 from command_line import relocbench
 
 from relocbench.evaluation.common.error_table import ErrorTable, read_errors
@@ -39,6 +40,7 @@ def board_rows(board: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.thorough
 def test_the_whole_line_on_a_small_rendered_town(tmp_path: Path) -> None:
     dataset, results, board = tmp_path / "d", tmp_path / "r", tmp_path / "b"
     built = json.loads(run("build-dataset", "synthetic", "--preset", "smoke", "--out", dataset, "--json"))

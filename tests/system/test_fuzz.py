@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from fuzz.catalogue import catalogue_of
 from fuzz.run import Outcome, fuzz
 
@@ -19,6 +20,7 @@ def told(outcome: Outcome) -> str:
     return "\n\n".join(lines)
 
 
+@pytest.mark.thorough
 def test_no_damaged_file_gives_a_traceback_a_hang_or_takes_a_gibibyte(tmp_path: Path) -> None:
     outcome = fuzz(
         KNOWN, tmp_path / "seeds", tmp_path / "work", QUICK, inputs=INPUTS, first=FIRST, keep=tmp_path / "kept"

@@ -17,6 +17,7 @@ from fuzz.parser import Parser, Place
 from fuzz.planted import FAULTS, VALID, write_valid
 from fuzz.run import Outcome, fuzz
 
+pytestmark = pytest.mark.thorough
 INPUTS = 1
 
 

@@ -275,6 +275,7 @@ def look_up(image: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
     return sample(image, u).values
 
 
+@pytest.mark.thorough
 def test_any_number_of_workers_gives_the_same_bytes() -> None:
     batches = Batches(MadePairs(UNEVEN), options(steps=5))
     alone = list(batches_in_order(batches, 0, len(batches), workers=0, pin_memory=False))

@@ -213,6 +213,7 @@ def test_what_was_added_or_changed_is_noticed(made: CrossViewSet, tmp_path: Path
         build(out, seed=1)
 
 
+@pytest.mark.thorough
 def test_an_image_depends_on_nothing_that_was_rendered_before(made: CrossViewSet, tmp_path: Path) -> None:
     """So that it is the same whichever worker renders it, and after what."""
     factors = condition_named("Overcast").factors

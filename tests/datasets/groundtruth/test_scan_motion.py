@@ -65,6 +65,7 @@ class Standing:
         return Scan(points, np.full(len(points), self.times_ns[index]) + offsets)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("count", [20, 4])
 def test_a_lidar_that_stands_or_has_few_scans_tells_nothing(count: int) -> None:
     told = detect_motion(Standing(count), Standing(count, turning=True))  # type: ignore[arg-type]

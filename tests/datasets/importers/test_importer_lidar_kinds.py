@@ -59,6 +59,7 @@ def build(kind: str, out: Path, *arguments: object) -> Outcome:
     return relocbench("build-dataset", kind, *arguments, "--out", out, "-j", 1, *SMALL)
 
 
+@pytest.mark.thorough
 def test_sequences_of_kitti_are_brought_together(kitti_street: Path, tmp_path: Path) -> None:
     out = tmp_path / "dataset"
     chosen = ("--sequence", "00,01", "--odometry", "poses", "--matcher", "fgr")

@@ -412,6 +412,7 @@ def test_a_preview_that_cannot_be_written_is_not_rendered(tmp_path: Path, monkey
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The light of a scene takes longer than its pictures, the more so the larger the district is.
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)

@@ -85,6 +85,7 @@ def test_rejected_pairs_are_never_asked_and_their_number_is_kept(dataset: Datase
     assert DatasetResults(report.results).record.pair_sets[ACROSS].rejected == 1
 
 
+@pytest.mark.thorough
 def test_predictions_do_not_depend_on_the_number_of_workers(dataset: Dataset, tmp_path: Path) -> None:
     none, two = (evaluate(dataset, tmp_path / str(n), "orb-pnp", workers=n).results for n in (0, 2))
     assert predictions(none, "orb-pnp") == predictions(two, "orb-pnp")
