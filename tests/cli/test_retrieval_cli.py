@@ -202,11 +202,11 @@ def test_without_a_command_the_help_is_shown() -> None:
 def test_both_kinds_of_methods_are_listed_and_told_apart() -> None:
     listed = json.loads(relocbench("methods", "--json").out)
     assert "orb-pnp" in listed["tracking"]
-    assert set(listed) == {"tracking", "retrieval", "counts"}
+    assert set(listed) == {"tracking", "retrieval", "weights", "counts"}
     assert listed["counts"]["tracking"] == len(listed["tracking"])
     assert "identity" in relocbench("methods").out
     shown = relocbench("methods", f"{HERE}:Thumbnail", "--json")
-    assert json.loads(shown.out)["parameters"]["side"] == {"type": "int", "default": 8}
+    assert json.loads(shown.out)["parameters"]["side"] == {"type": "int", "default": 8, "words": ""}
     assert (kind_of(f"{HERE}:Thumbnail"), kind_of(TRACKER)) == (RETRIEVERS, TRACKERS)
     assert (kind_of("identity"), kind_of("subprocess:true")) == (TRACKERS, TRACKERS)
 

@@ -290,7 +290,7 @@ def test_the_command_prints_a_table_or_json(one_set: MadeResults, tmp_path: Path
     code, text, _ = run_command(str(one_set.root), "--out", out, "--no-plots")
     assert code == 0
     assert "good" in text
-    assert "t_auc@0.5m" in text
+    assert "winter" in text
     code, text, _ = run_command(str(one_set.root), "--out", out, "--no-plots", "--json", "--quiet")
     rows = json.loads(text)["rows"]
     assert code == 0

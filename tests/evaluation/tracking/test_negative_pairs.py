@@ -139,7 +139,7 @@ def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp
             groups = [row["group"] for row in csv.DictReader(stream) if row["method"] == "mine"]
         assert groups.count(ELSEWHERE) == COUNT
     outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity", "-o", tmp_path / "out", "-j", 0)
-    assert f"{COUNT} of different places" in outcome.out
+    assert f"{COUNT} negative pairs" in outcome.out
     told = json.loads(
         relocbench("evaluate", "-d", dataset.root, "-m", "identity", "-o", tmp_path / "o", "-j", 0, "--json").out
     )
