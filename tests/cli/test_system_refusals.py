@@ -342,6 +342,7 @@ def test_a_program_that_is_being_written_costs_its_pairs_and_is_told(made: Path,
     assert f"cannot start '{program}' (Text file busy)" in told
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["ESTALE", "EIO", "ENXIO", "EFBIG", "EDQUOT", "ENFILE", "EROFS", "ENODEV", "ETXTBSY"])
 def test_what_the_system_refuses_is_one_line_that_names_the_file(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
@@ -380,6 +381,7 @@ def odd_clock(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(time, name, lambda: nanoseconds() / 1e9)
 
 
+@pytest.mark.thorough
 def test_an_odd_clock_changes_no_answer(made: Path, tmp_path: Path, odd_clock: None) -> None:
     ended = relocbench("evaluate", "-d", made / "data", "-m", "identity", "--out", tmp_path / "results", "-j", 1)
     assert ended.status == 0

@@ -214,6 +214,7 @@ def made_values(means: list[float], places: int = 200, seeds: int = 3, scatter: 
     }
 
 
+@pytest.mark.thorough
 def test_the_agreement_of_two_orders_and_its_interval() -> None:
     logged = {"a": 50.0, "b": 60.0, "c": 70.0, "d": 80.0}
     same = order.agreement(made_values([0.1, 0.2, 0.3, 0.4, 0.9]), logged)

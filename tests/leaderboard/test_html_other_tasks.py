@@ -348,6 +348,7 @@ def test_recall_is_drawn_to_the_end_of_each_ranking(page: Any, site: Path) -> No
     assert page.told == []
 
 
+@pytest.mark.thorough
 @needs_browser
 def test_the_page_of_a_located_query_says_what_it_was_lost_to_and_links_the_pair(page: Any, site: Path) -> None:
     _open(page, site, "relocalization-*.html", f"#table={ACROSS}")

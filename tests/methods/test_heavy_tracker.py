@@ -155,6 +155,7 @@ def ask(
     return results, log.read_text().split()
 
 
+@pytest.mark.thorough
 def test_the_example_keeps_the_contract() -> None:
     spec = parse_method(f"heavy=subprocess:{sys.executable} {EXAMPLE / 'tracker.py'} --device cpu")
     assert [finding for finding in check(spec) if not finding.passed] == []

@@ -153,6 +153,7 @@ def test_a_finished_training_is_not_begun_again(tmp_path: Path) -> None:
     assert (tmp_path / "weights.safetensors").read_bytes() == before
 
 
+@pytest.mark.thorough
 def test_the_weights_that_validate_best_are_kept(tmp_path: Path) -> None:
     scores = Scores(0.1, 0.7, 0.2, 0.3)
     report = train(tmp_path, scores, validate_every=2)

@@ -125,6 +125,7 @@ def test_break_of_the_odometry_parts_the_drive(street: FieldRecording) -> None:
     assert not np.any((begin < after) & (end > before))
 
 
+@pytest.mark.thorough
 def test_submap_stays_within_its_segment(tmp_path: Path) -> None:
     recording = drive_street(Street(gap_s=1.0, period_ns=60_000_000))
     nodes = make_nodes(recording)

@@ -90,6 +90,7 @@ def test_a_spline_is_that_of_scipy() -> None:
     assert np.allclose(relief.inverse_depth(np.column_stack([xy, np.ones(50)])), expected, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_what_a_hill_hides_is_hidden_and_what_is_visible_is_hidden_by_nothing() -> None:
     numbers = np.full((9, 9), 0.08)
     numbers[3:6, 4] = 0.4

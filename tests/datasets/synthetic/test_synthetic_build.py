@@ -329,6 +329,7 @@ def test_a_build_renders_one_missing_frame_alone_to_the_same_bytes(town: Dataset
     assert layout.image("front", first).stat().st_mtime_ns == untouched
 
 
+@pytest.mark.thorough
 def test_neither_a_kill_nor_workers_change_the_bytes(town: Dataset, resumed: Dataset) -> None:
     """One process rendered the first images until it was killed, and two workers did the rest."""
     assert resumed.fingerprint == town.fingerprint

@@ -171,6 +171,7 @@ def test_the_kitti_importer_makes_datasets_of_recordings(kitti: Path, tmp_path: 
     assert_names(relocbench(*build, exact, "--sequence", "00", "--out", tmp_path / "none").complaint, "poses/00.txt")
 
 
+@pytest.mark.thorough
 def test_the_boreas_layout_is_written_by_one_command_and_goes_on_where_it_was_cut(tmp_path: Path) -> None:
     options = ("--rings", 16, "--azimuths", 360, "--image-scale", 0.06, "--conditions", "Neutral", "--json")
     arguments = (*SMOKE, "--recording", "boreas", "--workers", 1, *options, "--out", tmp_path / "made")

@@ -92,6 +92,7 @@ def test_who_looks_elsewhere_finds_nothing(asked: dict[str, MethodResults], labe
     assert asked[label].run_record().isolated is True
 
 
+@pytest.mark.thorough
 def test_a_run_in_the_evaluators_process_says_so(dataset: Dataset, tmp_path: Path) -> None:
     (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:StackWalker", workers=0)
     assert any(json.loads(answer.info)["found"] for answer in answers(cheat)), "the walker finds what there is"
@@ -269,6 +270,7 @@ def test_retrievers_find_neither_files_nor_names(tmp_path: Path, name: str) -> N
     assert folder.run_record().info == {"found": []}
 
 
+@pytest.mark.thorough
 def test_a_retriever_in_the_evaluators_process_would_find_files(tmp_path: Path) -> None:
     views = make_small_views(tmp_path / "views")
     options = RetrievalOptions(
@@ -292,6 +294,7 @@ def test_frames_of_the_querys_own_drive_are_not_shown_as_neighbours(dataset: Dat
         assert any(found) is shown
 
 
+@pytest.mark.thorough
 def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp_path: Path) -> None:
     matched = make_small_dataset(tmp_path / "small", frames=4, correspondences=60, size=(160, 120))
     (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:Trilaterator", matching=True)

@@ -150,6 +150,7 @@ def test_a_method_that_stays_at_its_starts_scores_what_the_starts_score(dataset:
     assert set(folder.score_record().matching[WITHIN]) == {"all", "step_1", "step_2"}
 
 
+@pytest.mark.thorough
 def test_any_number_of_workers_measures_the_same(dataset: Dataset, tmp_path: Path) -> None:
     none, two = (evaluate(dataset, tmp_path / str(w), MATCHING, workers=w).folders[0] for w in (0, 2))
     for name in (ACROSS, WITHIN):

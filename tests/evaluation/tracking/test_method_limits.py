@@ -70,6 +70,7 @@ def few_times() -> None:
     assert list(done) == [(0, None)]
 
 
+@pytest.mark.thorough
 def test_a_method_that_ends_its_worker_costs_one_pair_and_what_it_starts_ends_with_the_run(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

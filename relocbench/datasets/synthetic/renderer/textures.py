@@ -342,7 +342,7 @@ def sample(
     dvdx: float,
     dudy: float,
     dvdy: float,
-    most: int,
+    most: int | np.int64,
 ) -> tuple[float, float]:
     """Second colour's share in [0, 1] and brightness of a layer at (u, v) metres, averaged over the pixel's footprint.
 
