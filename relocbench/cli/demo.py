@@ -19,12 +19,13 @@ _STREET: dict[str, Any] = {
     "name": "demo",
     "conditions": ("Sunny", "Rain", "Snow", "Night"),
     "size": "400x300",
-    "steps": 8,
+    "steps": 48,
     "correspondences": 0,
 }
-"""A street small enough for a minute; nothing here measures matching quality, so nothing reads correspondences.
+"""A street small enough for a minute and long enough for ranks, for which drives of 32 pairs are too short; nothing
+here measures matching quality, so nothing reads correspondences. docs/images/demo.png and demo.txt are of this street.
 
-The preset ``demo`` is larger and stays as it is: the published leaderboard has a dataset that is made by it.
+The preset ``demo`` differs and stays as it is: the published leaderboard has a dataset that is made by it.
 """
 PICTURE = "demo.png"
 

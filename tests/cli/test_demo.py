@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import cv2
@@ -10,8 +11,10 @@ import numpy as np
 import pytest
 from command_line import Outcome, relocbench
 from refusals import assert_names
+from repository import ROOT
 
 from relocbench.cli import demo
+from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 
 METHODS = ("identity", "orb-pnp")
 TINY = {"conditions": ("Sunny", "Night"), "size": "96x72", "steps": 3, "extent": 190.0}
@@ -76,6 +79,13 @@ def test_a_folder_that_holds_something_else_is_refused_before_any_work(
         assert ended.status == 2
         assert_names(ended.complaint, folder)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_the_picture_of_the_readme_is_of_the_street_that_the_demo_renders() -> None:
+    """Else run the demo with the weights of aliked-pnp, and keep its picture and what it prints beside each other."""
+    _, made_of, title, *_ = (ROOT / "docs" / "images" / "demo.txt").read_text(encoding="utf-8").splitlines()
+    assert made_of == f"street {json.dumps(demo._STREET)}, renderer {RENDERER_REVISION}"
+    assert title.startswith("demo: pairs found within 0.25 m and 2°")
 
 
 def test_weights_that_are_not_installed_are_one_note_which_says_how_to_get_them(ran: tuple[Outcome, Path]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from relocbench.metrics import CORRECT
 Image = NDArray[np.uint8]
 
 _FOUND, _MISSED, _TEXT, _FAINT, _BAND = "#0072B2", "#8A8A8A", "#1A1A1A", "#5F5F5F", "#F3F3F3"
-"""a found pair is a full disc and a missed one an empty ring, so that the marks are told apart without colours"""
+"""a found pair is a full disc or a long stroke, a missed one an empty ring or a short stroke: colours are not needed"""
 _WIDTH = 11.0
 """inches, as all lengths here; at the width of a README the smallest text is about 11 pixels high"""
 _EDGE, _GAP = 0.08, 0.1
@@ -31,8 +31,10 @@ _HEADING, _UNDER_IMAGES, _LINE, _LEGEND = 0.52, 0.14, 0.38, 0.38
 _SHARE = 0.68
 """for the number at the right of a cell"""
 _RADIUS = 0.062
-_MOST_MARKS = 12
-"""pairs of a cell that are marked one by one; of more the cell has the number alone"""
+_MOST_DISCS, _MOST_MARKS = 12, 96
+"""pairs of a cell that are marked by discs, and by strokes; of more the cell has the number alone"""
+_STROKE, _LONG, _SHORT = 0.028, 0.24, 0.06
+"""width of the widest stroke, and heights"""
 _LONGEST = 24
 """characters of a name or a condition"""
 
@@ -101,7 +103,8 @@ def _figure(picture: ConditionPicture) -> Figure:
         axes.text(lefts[0] + 0.05, y, _short(line.label), va="center_baseline", size=12, color=colour)
         for left, found in zip(lefts[1:], line.found, strict=True):
             _cell(axes, found, left, wide, y)
-    _legend(axes, lefts, tall - _LEGEND / 2)
+    discs = all(len(found.right) <= _MOST_DISCS for line in results.lines for found in line.found)
+    _legend(axes, _mark if discs else _stroke, lefts, tall - _LEGEND / 2)
     axes.set_xlim(0, _WIDTH)
     axes.set_ylim(tall, 0)
     axes.set_axis_off()
@@ -114,24 +117,32 @@ def _cell(axes: Axes, found: ConditionRecall, left: float, wide: float, y: float
     axes.text(left + wide - 0.05, y, text, va="center_baseline", ha="right", size=11.5, color=_TEXT)
     if len(found.right) <= _MOST_MARKS:
         step = min((wide - _SHARE) / max(len(found.right), 1), 2.7 * _RADIUS)
+        draw = _mark if len(found.right) <= _MOST_DISCS else _stroke
         for number, right in enumerate(found.right):
-            _mark(axes, left + 0.03 + step / 2 + number * step, y, right=bool(right), radius=min(_RADIUS, 0.42 * step))
+            draw(axes, left + 0.03 + step / 2 + number * step, y, right=bool(right), step=step)
 
 
-def _mark(axes: Axes, x: float, y: float, *, right: bool, radius: float = _RADIUS) -> None:
+def _stroke(axes: Axes, x: float, y: float, *, right: bool, step: float = _STROKE) -> None:
+    width, height = min(_STROKE, 0.72 * step), _LONG if right else _SHORT
+    colour = _FOUND if right else _MISSED
+    axes.add_patch(Rectangle((x - width / 2, y - height / 2), width, height, facecolor=colour, linewidth=0))
+
+
+def _mark(axes: Axes, x: float, y: float, *, right: bool, step: float = 2.7 * _RADIUS) -> None:
+    radius = min(_RADIUS, 0.42 * step)
     if right:
         axes.add_patch(Circle((x, y), radius, facecolor=_FOUND, edgecolor=_FOUND, linewidth=1.1))
     else:
         axes.add_patch(Circle((x, y), radius, facecolor="white", edgecolor=_MISSED, linewidth=1.1))
 
 
-def _legend(axes: Axes, lefts: Sequence[float], y: float) -> None:
+def _legend(axes: Axes, draw: Callable[..., None], lefts: Sequence[float], y: float) -> None:
     metres, degrees = CORRECT
-    _mark(axes, lefts[1] + 0.1, y, right=True)
+    draw(axes, lefts[1] + 0.1, y, right=True)
     axes.text(
         lefts[1] + 0.27, y, f"within {metres:g} m and {degrees:g}°", va="center_baseline", size=10.3, color=_FAINT
     )
-    _mark(axes, lefts[2] + 0.1, y, right=False)
+    draw(axes, lefts[2] + 0.1, y, right=False)
     axes.text(lefts[2] + 0.27, y, "not found", va="center_baseline", size=10.3, color=_FAINT)
     axes.text(_WIDTH - _EDGE - 0.05, y, "a mark is a query", va="center_baseline", ha="right", size=10.3, color=_FAINT)
 
