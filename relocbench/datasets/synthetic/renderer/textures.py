@@ -359,7 +359,8 @@ def sample(
     area = abs(ax * by - ay * bx)
     if long2 < short2:
         ax, ay, long2 = bx, by, short2
-    size, blend, probes, step = SIZE, 0, 1, 1.0
+    size, blend, step = SIZE, 0, 1.0
+    probes: int | np.int64 = 1
     if long2 * (SIZE * SIZE) > 1.0:
         longer = long2 / area
         probes = min(most, int(min(longer, SIZE * math.sqrt(long2))) + 1)
