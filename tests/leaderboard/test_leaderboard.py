@@ -15,6 +15,7 @@ import pytest
 from board_pages import board_pages
 from forgery import reseal
 from numpy.typing import NDArray
+from refusals import refused
 
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
@@ -428,9 +429,9 @@ def test_groups_have_rows_of_their_own_in_natural_order(two_sets: MadeResults) -
 
 def test_another_metric_can_rank_and_one_that_is_no_mean_cannot(two_sets: MadeResults) -> None:
     assert two_sets.board(metric="recall@(1m,5deg)").metric.name == "recall@(1m,5deg)"
-    with pytest.raises(ConfigError, match="no mean over pairs"):
+    with refused(ConfigError, "", None, "median_translation_error_m"):
         two_sets.board(metric="median_translation_error_m")
-    with pytest.raises(ConfigError, match="unknown metric"):
+    with refused(ConfigError, "", None, "best"):
         two_sets.board(metric="best")
 
 

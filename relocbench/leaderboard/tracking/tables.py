@@ -57,7 +57,9 @@ def ranking_metric(name: str) -> Metric:
     metric = metric_named(name)
     if metric.per_pair is None:
         able = ", ".join(m.name for m in METRICS if m.per_pair is not None)
-        raise ConfigError(f"methods cannot be ranked by '{name}', which is no mean over pairs; expected one of {able}")
+        raise ConfigError(
+            f"methods cannot be ranked by '{name}', which is not a mean over pairs; expected one of {able}"
+        )
     return metric
 
 
@@ -79,7 +81,7 @@ def make_board(
         reporter: receives the number of tables that are done.
 
     Raises:
-        ConfigError: an unknown metric, or one that is no mean over pairs.
+        ConfigError: an unknown metric, or one that is not a mean over pairs.
     """
     ranking = ranking_metric(metric)
     plans = [_plan(entry) for entry in entries]
@@ -234,7 +236,7 @@ def _of_group(method: Method, pair_set: str, group: str) -> ErrorTable | None:
 
 def _per_pair(metric: Metric, rows: ErrorTable) -> Array:
     if metric.per_pair is None:
-        raise ValueError(f"{metric.name} is no mean over pairs")
+        raise ValueError(f"{metric.name} is not a mean over pairs")
     return metric.per_pair(rows.errors)
 
 
