@@ -63,7 +63,7 @@ def _print_list(found: Mapping[MethodKind, Mapping[str, EntryPoint]]) -> None:
         for kind, points in found.items()
         for n, p in points.items()
     ]
-    rows.append([CLOCK, TRACKERS.task, Weights.NONE, "baseline: poses from timestamps alone", "relocbench"])
+    rows.append([CLOCK, TRACKERS.task, Weights.NONE, "the timestamp-only baseline", "relocbench"])
     print_table("", ["method", "task", "weights", "class", "package"], rows)
     if any(row[2] == Weights.MISSING for row in rows):
         print(f"weights {Weights.MISSING}: relocbench fetch-weights METHOD")

@@ -20,21 +20,22 @@ def print_summary(dataset: Dataset) -> None:
     from relocbench.datasets.inspect.summary import take_inventory
 
     found = take_inventory(dataset)
+    place = {name: i for i, name in enumerate(name for names in found.splits.values() for name in names)}
     print(f"{found.name}: {dataset.root}")
     print(f"licence {found.licence}, fingerprint {found.fingerprint[:SHORT]}, made by {found.made_by.get('kind', '?')}")
     print_table(
         "Traversals",
-        ["name", "condition", "location", "cameras", "images", "keyframes", "poses", "length m"],
+        ["name", "condition", "images", "keyframes", "poses", "length m", "cameras", "location"],
         [
             [
                 t.name,
                 t.condition,
-                t.location,
-                ", ".join(f"{name} ({what})" for name, what in t.cameras.items()),
                 str(t.images),
                 str(t.keyframes),
                 str(t.poses),
                 f"{t.length_m:.1f}",
+                ", ".join(f"{name} ({what})" for name, what in t.cameras.items()),
+                t.location,
             ]
             for t in found.traversals
         ],
@@ -45,14 +46,14 @@ def print_summary(dataset: Dataset) -> None:
             "name",
             "conditions",
             "pairs",
-            "groups",
+            "rejected",
+            "overlap\nmin / median",
             "distance m\nmin / median / max",
             "angle deg\nmedian / max",
-            "overlap\nmin / median",
             "sigma\nm / deg",
-            "rejected",
+            "groups",
         ],
-        [_pair_set_row(s) for s in found.pair_sets],
+        [_pair_set_row(s) for s in sorted(found.pair_sets, key=lambda s: place.get(s.name, len(place)))],
     )
     for pair_set in found.pair_sets:
         for same in by_kind(Counter(pair_set.rejected).elements()).values():
@@ -67,12 +68,12 @@ def _pair_set_row(s: PairSetInventory) -> list[str]:
         s.name,
         s.reference_condition if same else f"{s.reference_condition} → {s.query_condition}",
         f"{s.pairs}{f' + {s.elsewhere} negative' if s.elsewhere else ''}{'' if s.has_truth else ' (withheld)'}",
-        ", ".join(f"{group} {count}" for group, count in s.groups.items()),
+        str(sum(s.rejected.values())),
+        _cell(s.overlap, "least", "median", digits=2),
         _cell(s.distance_m, "least", "median", "greatest", digits=2),
         _cell(s.angle_deg, "median", "greatest", digits=1),
-        _cell(s.overlap, "least", "median", digits=2),
         f"{_cell(s.sigma_translation_m, 'median', digits=3)} / {_cell(s.sigma_rotation_deg, 'median', digits=3)}",
-        str(sum(s.rejected.values())),
+        ", ".join(f"{group} {count}" for group, count in s.groups.items()),
     ]
 
 
