@@ -59,11 +59,11 @@ def main() -> None:
                     command, cwd=scratch, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
                 )
             )
-        for process in running:
-            said, _ = process.communicate()
-            if process.returncode:
-                print(f"kernels are compiled when they are called, since this failed:\n{said}", file=sys.stderr)
-                return
+        outputs = [process.communicate()[0] for process in running]
+    for process, output in zip(running, outputs, strict=True):
+        if process.returncode:
+            print(f"kernels are compiled when they are called, since this failed:\n{output}", file=sys.stderr)
+            return
     marker.touch()
     print(f"compiled kernels in {time.monotonic() - began:.0f} s")
 

@@ -13,11 +13,13 @@ fail() {
 }
 
 # An installation in place of another checkout would be pointed to this one without a word.
-installed=$(cat "$venv"/lib/python*/site-packages/relocbench-*.dist-info/direct_url.json 2>/dev/null || true)
-owner=$(sed -n 's|.*"url": *"file://\([^"]*\)".*|\1|p' <<<"$installed")
-if [ -d "$owner" ] && [ ! "$owner" -ef . ]; then
-  fail "the virtual environment '$venv' belongs to the checkout in '$owner'; set VENV to another folder"
-fi
+for installed in "$venv"/lib/python*/site-packages/relocbench-*.dist-info/direct_url.json; do
+  [ -f "$installed" ] || continue
+  owner=$(sed -n 's|.*"url": *"file://\([^"]*\)".*|\1|p' "$installed")
+  if [ -d "$owner" ] && [ ! "$owner" -ef . ]; then
+    fail "the virtual environment '$venv' belongs to the checkout in '$owner'; set VENV to another folder"
+  fi
+done
 
 command -v "$python" >/dev/null || fail "no '$python'; relocbench needs Python 3.11 to 3.13 (set PYTHON=/path/to/python)"
 "$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' ||

@@ -6,13 +6,16 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from relocbench.leaderboard.tracking.tables import RANKING
+
 if TYPE_CHECKING:
     from relocbench.leaderboard.tracking.by_condition import ByCondition, Column
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
 
-RECALL = "recall@(0.25m,2deg)"
+COLUMNS = (RANKING, "median_translation_error_m", "median_rotation_error_deg", "coverage", "median_seconds")
+"""the metrics that the terminal shows of trackers, in this order"""
 SHORT_HEADINGS = {
-    RECALL: "found, %",
+    RANKING: "found, %",
     "median_translation_error_m": "median m",
     "median_rotation_error_deg": "median deg",
     "coverage": "answered, %",
@@ -104,7 +107,7 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.metrics import metric_named
 
     ranking = board.metric
-    shown = [metric_named(name) for name in SHORT_HEADINGS if name != ranking.name]
+    shown = [metric_named(name) for name in COLUMNS if name != ranking.name]
     rejected = f", {table.rejected} rejected" if table.rejected else ""
     over = total_words(table) if table.is_total else table.pair_set
     heads = [METHOD, RANK, short_heading(ranking.name, ranking.unit), *(short_heading(m.name, m.unit) for m in shown)]

@@ -112,9 +112,7 @@ def _print_report(report: Report, progress: Reporter, *, matching: bool) -> None
         entry = load_methods(DatasetResults(folders[0].root.parent), [f.label for f in folders], scored)
         entry = replace(entry, dataset=dataset, truth_checks=check_truth(dataset, scored, progress))
         print_matrix(by_condition([DatasetBoard(entry, ())]))
-    in_order = [name for names in dataset.splits.values() for name in names]
-    place = {name: number for number, name in enumerate(in_order)}
-    for pair_set in sorted(report.pair_sets, key=lambda one: place.get(one.name, len(place))):
+    for pair_set in report.pair_sets:
         name = f"{dataset.name}: {pair_set.name}"
         if pair_set.name in scored:
             _print_scores(name, pair_set, folders)
@@ -128,7 +126,7 @@ def _print_report(report: Report, progress: Reporter, *, matching: bool) -> None
 
 def _print_scores(name: str, pair_set: PairSet, folders: list[MethodResults]) -> None:
     """The scores of all pairs of a pair set; those of its groups are in ``scores.yaml`` and ``--json``."""
-    from relocbench.cli.boards import SHORT_HEADINGS, short_heading
+    from relocbench.cli.boards import COLUMNS, short_heading
     from relocbench.cli.console import print_table
     from relocbench.evaluation.common.matching_table import ALL
     from relocbench.leaderboard.common.headings import METHOD
@@ -137,7 +135,7 @@ def _print_scores(name: str, pair_set: PairSet, folders: list[MethodResults]) ->
 
     rejected = f", {len(pair_set.rejected)} rejected" if pair_set.rejected else ""
     negative = f", {len(pair_set.negative_pairs)} negative pairs" if pair_set.negative_pairs else ""
-    metrics = [metric_named(name) for name in SHORT_HEADINGS]
+    metrics = [metric_named(name) for name in COLUMNS]
     rows = []
     for folder in folders:
         values = folder.score_record().pair_sets.get(pair_set.name, {}).get(ALL)

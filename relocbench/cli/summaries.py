@@ -20,7 +20,6 @@ def print_summary(dataset: Dataset) -> None:
     from relocbench.datasets.inspect.summary import take_inventory
 
     found = take_inventory(dataset)
-    place = {name: i for i, name in enumerate(name for names in found.splits.values() for name in names)}
     print(f"{found.name}: {dataset.root}")
     print(f"licence {found.licence}, fingerprint {found.fingerprint[:SHORT]}, made by {found.made_by.get('kind', '?')}")
     print_table(
@@ -53,7 +52,7 @@ def print_summary(dataset: Dataset) -> None:
             "sigma\nm / deg",
             "groups",
         ],
-        [_pair_set_row(s) for s in sorted(found.pair_sets, key=lambda s: place.get(s.name, len(place)))],
+        [_pair_set_row(s) for s in found.pair_sets],
     )
     for pair_set in found.pair_sets:
         for same in by_kind(Counter(pair_set.rejected).elements()).values():

@@ -33,6 +33,14 @@ def published_files(method: MethodSpec) -> dict[Path, PublishedFile]:
     Raises:
         MethodError: it needs none.
     """
+    files = _published(method)
+    if not files:
+        raise MethodError(f"method '{method.label}' needs no files that others publish")
+    return files
+
+
+def _published(method: MethodSpec) -> dict[Path, PublishedFile]:
+    """The same, and nothing for a method that needs none. Raises MethodError where ``published()`` breaks."""
     tell = getattr(method_class(method.target, method.kind), "published", None)
     files: Any = {}
     if callable(tell):
@@ -41,8 +49,6 @@ def published_files(method: MethodSpec) -> dict[Path, PublishedFile]:
         )
     if not isinstance(files, Mapping) or not all(isinstance(file, PublishedFile) for file in files.values()):
         raise MethodError(f"method '{method.label}': published() returned no files by their paths")
-    if not files:
-        raise MethodError(f"method '{method.label}' needs no files that others publish")
     return {Path(path): file for path, file in files.items()}
 
 
@@ -61,7 +67,10 @@ def weights_of(method: MethodSpec) -> Weights:
     """Where the weights are that a method needs with its parameters. Raises MethodError."""
     factory = method_class(method.target, method.kind)
     if callable(getattr(factory, "published", None)):
-        return Weights.FETCHED if all(path.is_file() for path in published_files(method)) else Weights.MISSING
+        files = _published(method)
+        if not files:
+            return Weights.NONE
+        return Weights.FETCHED if all(path.is_file() for path in files) else Weights.MISSING
     if "weights" not in method.parameters:
         return Weights.NONE
     return Weights.INCLUDED if method.files() else Weights.TRAINED

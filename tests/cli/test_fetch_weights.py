@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from command_line import relocbench
 
+from relocbench.methods.discovery import parse_method
+from relocbench.methods.fetching import Weights, weights_of
 from relocbench.weights import PublishedFile, SupportsFetching
 
 CONTENT = b"numbers of a network" * 40_000
@@ -72,6 +74,14 @@ class Published:
 
 
 METHOD = "test_fetch_weights:Published"
+
+
+def test_a_method_that_needs_no_published_file_needs_no_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.path", [str(Path(__file__).parent), *sys.path])
+    method = parse_method(METHOD)
+    assert weights_of(method) is Weights.NONE
+    monkeypatch.setattr(Published, "files", {Path("small"): PublishedFile("small", "http://absent", "them", "MIT")})
+    assert weights_of(method) is Weights.MISSING
 
 
 @pytest.fixture

@@ -114,10 +114,12 @@ def test_the_wheel_holds_all_templates_and_fills_them_from_there(tmp_path: Path)
 @pytest.mark.parametrize("of_this_checkout", [True, False])
 def test_set_up_refuses_the_environment_of_another_checkout(of_this_checkout: bool, tmp_path: Path) -> None:
     owner = ROOT if of_this_checkout else tmp_path / "other"
-    installed = tmp_path / "env" / "lib" / "python3.11" / "site-packages" / "relocbench-0.1.0.dist-info"
-    installed.mkdir(parents=True)
     (tmp_path / "other").mkdir()
-    (installed / "direct_url.json").write_text(f'{{"url": "{owner.as_uri()}", "dir_info": {{"editable": true}}}}')
+    for version, checkout in (("0.1.0", owner), ("0.2.0", ROOT)):  # an interrupted installation leaves both
+        installed = tmp_path / f"env/lib/python3.11/site-packages/relocbench-{version}.dist-info"
+        installed.mkdir(parents=True)
+        url = f'{{"url": "{checkout.as_uri()}", "dir_info": {{"editable": true}}}}'
+        (installed / "direct_url.json").write_text(url)
     # Without a Python, set-up ends after the question whose environment it is.
     environment = os.environ | {"VENV": str(tmp_path / "env"), "PYTHON": "no-python"}
     done = subprocess.run([ROOT / "tools" / "setup.sh"], env=environment, capture_output=True, text=True, check=False)

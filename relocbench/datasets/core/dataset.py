@@ -89,9 +89,10 @@ class Dataset:
         return self._pair_sets[name]
 
     def pair_sets(self, split: str | None = None) -> list[PairSet]:
-        """All pair sets, or those of one split. Raises DatasetError on an unknown split."""
+        """All pair sets in the order of the splits, or those of one split. Raises DatasetError on an unknown split."""
         if split is None:
-            return [self.pair_set(name) for name in self.pair_set_names]
+            of_splits = [name for names in self.splits.values() for name in names if name in self.pair_set_names]
+            return [self.pair_set(name) for name in dict.fromkeys([*of_splits, *self.pair_set_names])]
         if split not in self.splits:
             raise DatasetError(f"no split '{split}'{available(split, self.splits)}", self.layout.dataset_yaml)
         return [self.pair_set(name) for name in self.splits[split]]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer, errors_of
 from relocbench.metrics import METRICS, mean_interval, metric_named, summarize
 
@@ -46,11 +46,12 @@ def per_query(answers: Sequence[PipelineAnswer], metric: str) -> Array:
         "right_among_K": np.array([a.right_rank is not None for a in answers]),
         **{name: np.array([f"failed_{a.outcome}" == name for a in answers]) for name in FAILURES},
     }
-    if metric.startswith("basin_recall"):
+    if metric.startswith("basin_recall@"):
         count = int(metric.partition("@")[2])
         shares[metric] = np.array([a.hit_rank is not None and a.hit_rank <= count for a in answers])
     if metric not in shares:
-        raise ConfigError(f"pipelines have no metric '{metric}'; expected one of {', '.join((*POSE_METRICS, *shares))}")
+        known = (*POSE_METRICS, *shares, basin_recall(1))
+        raise ConfigError(f"pipelines have no metric '{metric}'{available(metric, known)}")
     out: Array = shares[metric].astype(np.float64)
     return out
 

@@ -98,6 +98,8 @@ def test_where_a_pipeline_is_lost(dataset: Dataset, tmp_path: Path) -> None:
         set=("t.reach=0", "far.reach=0", "far.sure=far"),
     )  # fmt: skip
     near = rows(report, "t")
+    with refused(ConfigError, "", None, "basin_recall", "basin_recall@1"):
+        per_query(near, "basin_recall")
     assert [r.outcome for r in near] == [
         "right", "right", "retrieval", "tracking", "right", "retrieval", "retrieval", "right",
     ]  # fmt: skip
