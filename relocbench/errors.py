@@ -115,10 +115,10 @@ def hint(name: str, known: Iterable[str], prefix: str = "") -> str:
     return f" (did you mean '{prefix}{close[0]}'?)" if close else ""
 
 
-def available(name: str, known: Iterable[str]) -> str:
+def available(name: str, known: Iterable[str], prefix: str = "") -> str:
     """What follows a name that is not known: a suggestion, and all known names."""
     names = list(known)
-    return f"{hint(name, names)}; available: {', '.join(names) or 'none'}"
+    return f"{hint(name, names, prefix)}; available: {', '.join(names) or 'none'}"
 
 
 MESSAGE_CHARACTERS = 500

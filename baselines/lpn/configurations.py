@@ -15,7 +15,7 @@ from baselines.lpn.losses import LossOptions
 from baselines.lpn.options import NetworkOptions
 from baselines.lpn.partition_loss import PartitionLossOptions
 from baselines.lpn.stages import FROM_LPN, INDUCED, Stage, one_stage
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 
 
 class Logged(NamedTuple):
@@ -67,7 +67,7 @@ def configuration(name: str) -> Configuration:
         ConfigError: there is no configuration of that name.
     """
     if name not in CONFIGURATIONS:
-        raise ConfigError(f"no configuration '{name}'; available: {', '.join(CONFIGURATIONS)}")
+        raise ConfigError(f"no configuration '{name}'{available(name, CONFIGURATIONS)}")
     return CONFIGURATIONS[name]
 
 

@@ -111,20 +111,20 @@ class Pool:
         failed_starts = 0
         with memory_watched(lambda: list(self.workers), None if limits is None else limits.memory_bytes):
             while busy := self._assign_units(function, source, again, workers):
-                for worker, index, unit, reports in self._poll_workers(busy, limits):
-                    if isinstance(reports, Raised):
-                        raise reports.exception from RemoteTraceback(reports.traceback)
-                    if not isinstance(reports, Loss):
-                        yield index, reports.result
+                for worker, index, unit, report in self._poll_workers(busy, limits):
+                    if isinstance(report, Raised):
+                        raise report.exception from RemoteTraceback(report.traceback)
+                    if not isinstance(report, Loss):
+                        yield index, report.result
                         continue
                     self.workers.remove(worker)
                     if not worker.ready:
                         failed_starts += 1
                         if failed_starts >= _TRIES:
-                            raise _none_starts(reports)
+                            raise _none_starts(report)
                         again.append((index, unit))
                         continue
-                    results = list(on_loss(index, unit, reports))
+                    results = list(on_loss(index, unit, report))
                     if not results:
                         again.append((index, unit))
                     for result in results:

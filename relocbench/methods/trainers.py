@@ -7,7 +7,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from relocbench.errors import ConfigError, MethodError, cut, hint, quoted
+from relocbench.errors import ConfigError, MethodError, available, cut, hint, quoted
 from relocbench.files import YamlFault, load_yaml_values, parse_yaml_setting
 from relocbench.methods.lookup import call_third_party, entry_points_of, load_dotted
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
@@ -58,22 +58,16 @@ def chosen_options(trainer: Trainer | PlaceTrainer, config: str | None, settings
     if config is not None and config not in trainer.configurations:
         path = Path(config)
         if not path.exists():
-            meant = hint(config, trainer.configurations)
-            raise ConfigError(f"no configuration and no file '{config}'{meant}; available: {_listed(trainer)}")
+            others = available(config, trainer.configurations)
+            raise ConfigError(f"no configuration and no file '{config}'{others}")
         named = named or [str(load_yaml_values(path, _OPTIONS, ConfigError)[0].get(_CONFIGURATION, ""))]
     elif config is not None:
         named = named or [config]
     for name in named:
         if name and name not in trainer.configurations:
-            raise ConfigError(
-                f"no configuration '{name}'{hint(name, trainer.configurations)}; available: {_listed(trainer)}"
-            )
+            raise ConfigError(f"no configuration '{name}'{available(name, trainer.configurations)}")
     usual = trainer.options_of(named[-1]) if named and named[-1] else trainer.default_options()
     return trainer_options(usual, path, settings)
-
-
-def _listed(trainer: ConfiguredTrainer) -> str:
-    return ", ".join(trainer.configurations)
 
 
 def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: Sequence[str]) -> dict[str, Any]:
@@ -104,8 +98,7 @@ def _merge(
     for key, value in values.items():
         name = f"{prefix}{key}"
         if key not in into and usual:
-            meant = hint(str(key), into, prefix)
-            raise ConfigError(f"unknown option '{name}'{meant}; available: {', '.join(into)}", path)
+            raise ConfigError(f"unknown option '{name}'{available(str(key), into, prefix)}", path)
         if isinstance(into.get(key), dict):
             if not isinstance(value, Mapping):
                 names = ", ".join(into[key]) or "NAME=VALUE"

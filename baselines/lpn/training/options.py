@@ -129,7 +129,7 @@ class TrainOptions(Options):
             self, "versions", lambda versions: all(count >= 1 for count in versions.values()), "1 or more of each view"
         )
         if self.frozen == "nothing" and self.frozen_blocks:
-            raise OptionError("frozen_blocks", self.frozen_blocks, "0 where frozen is not set")
+            raise OptionError("frozen_blocks", self.frozen_blocks, "0 where frozen is 'nothing'")
         if self.frozen != "nothing" and not (self.backbone_weights or self.start):
             raise OptionError("frozen", self.frozen, "nothing, unless backbone_weights or start names trained weights")
         share(self, "decay_after decay flip")

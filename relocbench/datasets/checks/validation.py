@@ -153,8 +153,7 @@ def _check_cameras(drive: CheckedTraversal, findings: Findings) -> None:
         return
     for kind, camera in sorted(drive.times):
         if camera not in drive.file.cameras:
-            known = ", ".join(drive.file.cameras) or "none"
-            message = f"no camera '{camera}' in traversal.yaml; available: {known}"
+            message = f"no camera '{camera}' in traversal.yaml{available(camera, drive.file.cameras)}"
             if camera in drive.file.frames:
                 message = f"'{camera}' is a frame without images in traversal.yaml; expected no files of it"
             findings.fault(message, drive.layout.root / kind / camera)

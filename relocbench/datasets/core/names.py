@@ -20,15 +20,15 @@ def read_names(path: Path) -> dict[int, str]:
     """
     if not path.exists() and not path.is_symlink():
         return {}
-    by_line: dict[int, str] = {}
+    by_time: dict[int, str] = {}
     names: set[str] = set()
     for line, (time, name) in read_table(path, NAME_COLUMNS, "names of images", DatasetError):
         timestamp_ns = parse_timestamp(time, path, line, DatasetError)
-        if timestamp_ns in by_line or name in names:
+        if timestamp_ns in by_time or name in names:
             raise DatasetError(f"{quoted(name)} at {timestamp_ns} occurs again", path, line)
-        by_line[timestamp_ns] = name
+        by_time[timestamp_ns] = name
         names.add(name)
-    return by_line
+    return by_time
 
 
 def write_names(path: Path, names: Mapping[int, str]) -> None:

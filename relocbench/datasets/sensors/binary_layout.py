@@ -84,7 +84,7 @@ def detect_layout(data: bytes, path: Path, number: Number | None = None, columns
     if len(counts) == 1:
         return BinaryLayout(chosen, counts[0])
     if len(data) < _FEWEST_POINTS * max(counts) * np.dtype(chosen).itemsize:
-        raise DatasetError(f"holds too few points to distinguish {_listed(counts)} columns apart; name them", path)
+        raise DatasetError(f"holds too few points to tell whether it has {_listed(counts)} columns; name them", path)
     values = _first(data, chosen)
     differences = {count: _lag_difference(values, count) for count in counts}
     best = min(counts, key=lambda count: differences[count])

@@ -78,8 +78,8 @@ def _rows(path: Path) -> Iterator[TableRow]:
 
 def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: Path) -> None:
     """Raise PredictionError unless there is one row for each pair of the set and each offset."""
-    available = sorted((row.key, row.found.offset_px) for row in rows)
-    if available != sorted((key, offset) for key in keys for offset in OFFSETS_PX):
+    present = sorted((row.key, row.found.offset_px) for row in rows)
+    if present != sorted((key, offset) for key in keys for offset in OFFSETS_PX):
         raise PredictionError(
             f"expected one row for each of the {len(keys)} pairs and each offset "
             f"({', '.join(map(str, OFFSETS_PX))} px); remove the file and measure again",

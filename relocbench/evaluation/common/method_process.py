@@ -132,7 +132,7 @@ class MethodProcess:
 
 
 def crash_of(told: Any) -> str | None:
-    """How the method broke, of an answer that says so under ``crash``."""
+    """How the method crashed, of an answer that says so under ``broke``."""
     crash = told.get("broke") if isinstance(told, dict) else FORGED
     return None if crash is None else one_line(crash)
 

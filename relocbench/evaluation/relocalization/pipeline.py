@@ -129,7 +129,7 @@ def most_confident(confidence: Sequence[float | None], answered: Sequence[bool])
 
     An answer without a confidence is kept only where no answer has one.
     """
-    known = [index for index, rank in enumerate(answered) if rank]
+    known = [index for index, given in enumerate(answered) if given]
     if not known:
         return None
     return max(known, key=lambda i: (-np.inf if (c := confidence[i]) is None else c, -i))
@@ -152,5 +152,5 @@ def _why_not(retrieved: Retrieved, answers: Sequence[Answer]) -> tuple[str, str]
     if not answers:
         status = "error" if retrieved.status == "error" else "failed"
         return status, f"retrieval: {retrieved.message or 'nothing was retrieved'}"
-    crash = [a for a in answers if a.status == "error"]
-    return ("error", crash[0].message) if crash else ("failed", answers[0].message)
+    crashed = [a for a in answers if a.status == "error"]
+    return ("error", crashed[0].message) if crashed else ("failed", answers[0].message)

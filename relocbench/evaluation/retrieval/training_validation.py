@@ -109,9 +109,9 @@ class PlaceValidation:
 
 def _complaints(spread: float, described: dict[str, NDArray[np.floating]]) -> list[str]:
     out = []
-    crashed = sum(int(np.sum(~np.isfinite(rows).all(axis=1))) for rows in described.values())
-    if crashed:
-        out.append(f"{crashed} of {sum(map(len, described.values()))} images have no finite descriptor")
+    undescribed = sum(int(np.sum(~np.isfinite(rows).all(axis=1))) for rows in described.values())
+    if undescribed:
+        out.append(f"{undescribed} of {sum(map(len, described.values()))} images have no finite descriptor")
     if spread < _ALL_ALIKE:
         out.append(f"all images are described alike (variance {spread:.1e}): nothing was learnt, or the wrong weights")
     return out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import difflib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, Validati
 
 from relocbench.datasets.checks.faults import Findings, single_errors
 from relocbench.datasets.core.schema import Fingerprint, JoinedName, Label, Strict
-from relocbench.errors import PredictionError, quoted
+from relocbench.errors import PredictionError, available, quoted
 from relocbench.files import YamlFault, YamlPlaces, first_fault, parse_yaml, read_bytes, read_text, yaml_line
 
 CARD = "card.yaml"
@@ -154,7 +153,7 @@ def _faults(bad: ValidationError) -> Iterator[tuple[str, tuple[str | int, ...]]]
 
 
 def _suggestion(location: tuple[str | int, ...]) -> str:
-    """The key that was meant, or all that there are."""
+    """What follows a key that is not known: the key that was probably meant, and all that are allowed there."""
     model: Any = Card
     for part in location[:-1]:
         field = model.model_fields.get(part) if _is_model(model) else None
@@ -162,8 +161,7 @@ def _suggestion(location: tuple[str | int, ...]) -> str:
         if field is not None:
             model = inner[0] if inner else field.annotation
     known = list(model.model_fields) if _is_model(model) else []
-    near = difflib.get_close_matches(str(location[-1])[:100], known, n=1)
-    return f"; did you mean '{near[0]}'?" if near else f"; available: {', '.join(known)}"
+    return available(str(location[-1])[:100], known)
 
 
 def _is_model(thing: Any) -> bool:

@@ -170,9 +170,9 @@ def check_submission(root: Path, options: SubmissionOptions, reporter: Reporter)
     if checked.card is None or places is None or not may_open:
         return checked
     _check_folders(root, checked.card, places, findings)
-    available = [(name, one) for name, one in checked.card.datasets.items() if (root / name).is_dir()]
-    with reporter.stage("checking answers", len(available)) as advance:
-        for name, answered in available:
+    in_folders = [(name, one) for name, one in checked.card.datasets.items() if (root / name).is_dir()]
+    with reporter.stage("checking answers", len(in_folders)) as advance:
+        for name, answered in in_folders:
             place = root / CARD, places.line(("datasets", name, "fingerprint"))
             try:
                 if retrieval:
@@ -204,7 +204,7 @@ def _check_folders(root: Path, card: Card, places: YamlPlaces, findings: Finding
             findings.fault(message, root / CARD, places.line(("datasets", name)))
     for folder in answer_folders(root):
         if folder.name not in card.datasets:
-            findings.fault(f"is not among the datasets of {CARD}; available: {', '.join(card.datasets)}", folder)
+            findings.fault(f"is not among the datasets of {CARD}{available(folder.name, card.datasets)}", folder)
 
 
 def _check_poses(

@@ -150,9 +150,9 @@ def _columns(header: list[str], path: Path) -> list[str]:
     """The columns of a table. Raises PredictionError unless they are pairs and what may be said of them."""
     unknown = [name for name in header if name not in ANSWER_COLUMNS]
     if unknown or header[:2] != list(KEY_COLUMNS) or len(set(header)) != len(header):
-        message = f", found {quoted(unknown[0])}" if unknown else ""
+        instead = f", found {quoted(unknown[0])}" if unknown else ""
         wanted = f"{','.join(KEY_COLUMNS)} and any of {','.join(_OPTIONAL)}"
-        raise PredictionError(f"expected the header {wanted}, each once{message}", path, 1)
+        raise PredictionError(f"expected the header {wanted}, each once{instead}", path, 1)
     return header
 
 

@@ -9,7 +9,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.errors import PredictionError
+from relocbench.errors import PredictionError, available
 from relocbench.evaluation.common.blind_names import BlindName, blind_name
 from relocbench.evaluation.retrieval.blind_export import BlindImages
 from relocbench.evaluation.retrieval.opening import OpenedSet
@@ -94,8 +94,7 @@ def resolve(name: str, fingerprint: str, question: str, datasets: Sequence[Datas
         return ResolvedDataset(source, keys)
     if own is not None:
         return ResolvedDataset(own)
-    available = ", ".join(d.name for d in datasets) or "none"
-    raise PredictionError(f"no dataset '{name}' was given (--dataset); available: {available}")
+    raise PredictionError(f"no dataset '{name}' was given (--dataset){available(name, [d.name for d in datasets])}")
 
 
 def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, OpenedSet]]) -> ResolvedRetrievalSet:
@@ -120,12 +119,11 @@ def resolve_lists(name: str, fingerprint: str, sets: Mapping[str, tuple[str, Ope
         return ResolvedRetrievalSet(source, keys)
     if name in sets:
         return ResolvedRetrievalSet(sets[name][1])
-    available = ", ".join(sets) or "none"
     if blind is not None:
         of = ", ".join(images.name for _, images in sets.values())
         message = f"an export of '{blind.dataset}', and the datasets given are {of} (along drives, --radius chooses)"
         raise PredictionError(f"no dataset '{name}' was given (--dataset): it is {message}")
-    raise PredictionError(f"no dataset '{name}' was given (--dataset); available: {available}")
+    raise PredictionError(f"no dataset '{name}' was given (--dataset){available(name, sets)}")
 
 
 def _check_export(named: BlindName, own: BlindName, fingerprint: str) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
-from relocbench.errors import PredictionError
+from relocbench.errors import PredictionError, available
 from relocbench.evaluation.common.answer_table import Answer, read_answers, write_answers
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
@@ -77,8 +77,8 @@ def _in_folder(dataset: Dataset, pair_sets: list[PairSet], source: Path) -> list
         raise PredictionError("holds no prediction file (PAIRSET.txt)", source)
     for path in files:
         if path.stem not in dataset.pair_set_names:
-            names = ", ".join(dataset.pair_set_names)
-            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; available: {names}", path)
+            others = available(path.stem, dataset.pair_set_names)
+            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}{others}", path)
     wanted = {s.name: s for s in pair_sets}
     return [(wanted[path.stem], path) for path in files if path.stem in wanted]
 

@@ -36,8 +36,8 @@ _BESIDE = ("coverage", "median_translation_error_m", "median_rotation_error_deg"
 
 def front_page(board: Board) -> str:
     """The page that links the others."""
-    lookup = [d for d in board.datasets if any(m.rescored for m in d.entry.methods)]
-    datasets = {0: "", 1: " --dataset DATASET"}.get(len(lookup), " --dataset DATASETS")
+    rescored = [d for d in board.datasets if any(m.rescored for m in d.entry.methods)]
+    datasets = {0: "", 1: " --dataset DATASET"}.get(len(rescored), " --dataset DATASETS")
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
     methods = [method for dataset in board.datasets for method in dataset.entry.methods]
     return render(

@@ -115,8 +115,8 @@ def test_every_fault_is_found_and_counted(town: Dataset, tmp_path: Path) -> None
     assert [f.partition(":")[0] for f in faults(check(root, town))] == ["card.yaml"] * 6
     told = "\n".join(faults(check(root, town)))
     for words in (
-        "unknown key 'hardwear'; did you mean 'hardware'?",
-        "unknown key 'weights.file'; did you mean 'files'?",
+        "unknown key 'hardwear' (did you mean 'hardware'?)",
+        "unknown key 'weights.file' (did you mean 'files'?)",
     ):
         assert words in told
     assert "key 'authors': is empty, expected at least one" in told

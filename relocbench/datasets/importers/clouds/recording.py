@@ -146,8 +146,8 @@ def _cloud_files(folder: Path) -> list[Path]:
             continue
         kinds = Counter(p.suffix.lower() for p in files)
         if len(kinds) > 1:
-            message = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-            raise DatasetError(f"holds clouds of several kinds ({message}); expected one", place)
+            counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+            raise DatasetError(f"holds clouds of several kinds ({counts}); expected one", place)
         for path in files:
             check_file(path)
         return files

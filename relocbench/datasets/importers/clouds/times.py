@@ -30,8 +30,8 @@ def clouds_with_times(files: list[Path], folder: Path, rate_hz: float | None) ->
         DatasetError: with file and line: the times do not fit the clouds, are no times, or do not increase.
     """
     ordered = sorted(files, key=_natural)
-    available = [place / name for place in (folder, ordered[0].parent) for name in TIME_FILES]
-    table = next((path for path in available if path.is_file()), None)
+    candidates = [place / name for place in (folder, ordered[0].parent) for name in TIME_FILES]
+    table = next((path for path in candidates if path.is_file()), None)
     if table is not None:
         return _from_table(ordered, table)
     values = [path.stem for path in ordered]

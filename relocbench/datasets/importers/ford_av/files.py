@@ -135,7 +135,7 @@ def _calibration_of(bag: Path, vehicle: str, given: Path | None) -> Path:
         if len(found) > 1 and not vehicle:
             names = ", ".join(p.name for p in found)
             raise DatasetError(
-                f"the vehicle is not known of {bag.name}, and there are calibrations of several ({names}); name one "
+                f"the vehicle of {bag.name} is not known, and there are calibrations of several ({names}); name one "
                 "by --calibration-folder",
                 base,
             )

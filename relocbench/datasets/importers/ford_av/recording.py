@@ -185,15 +185,15 @@ def _turned(
     """The lidars under the axes that the calibration means."""
     axes: LidarAxes
     if how.axes != "auto":
-        axes, message = how.axes, "as --lidar-axes says"
+        axes, evidence = how.axes, "as --lidar-axes says"
     else:
         by_scans, shares = (None, {}) if poses is None else axes_by_scans(lidars, poses)
         agreed = ", ".join(f"{100 * share:.0f} % under {name}" for name, share in shares.items())
         if by_scans is None:
             why = f"scans do not tell ({agreed})" if agreed else "there are no poses by which scans could tell"
             raise DatasetError(f"{why} which axes of the lidars the calibration means; {_AXES}", reading.source)
-        axes, message = by_scans, f"told by scans, of which agree {agreed}"
-    reading.note(f"azimuth 0 of the lidars is along {'x' if axes == 'ros' else 'y'} ({axes}): {message}")
+        axes, evidence = by_scans, f"told by scans, of which agree {agreed}"
+    reading.note(f"azimuth 0 of the lidars is along {'x' if axes == 'ros' else 'y'} ({axes}): {evidence}")
     return tuple(replace(lidar, T_rig_lidar=lidar.T_rig_lidar @ TURNS[axes]) for lidar in lidars)
 
 

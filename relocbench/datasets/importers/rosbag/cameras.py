@@ -41,8 +41,8 @@ def _read_camera(reading: Reading, camera: CameraTopic) -> CameraStream:
     entry, pose = known if known is not None else (None, None)
     if isinstance(entry, CameraEntry):
         if entry.camera.size != size:
-            message = "x".join(map(str, entry.camera.size))
-            raise DatasetError(f"{topic} has images of {size[0]}x{size[1]}, expected {message} (--extrinsics)", path)
+            expected = "x".join(map(str, entry.camera.size))
+            raise DatasetError(f"{topic} has images of {size[0]}x{size[1]}, expected {expected} (--extrinsics)", path)
         assert pose is not None
         return BagCamera(camera.name, messages, entry.camera, pose, times)
     if not camera.info:

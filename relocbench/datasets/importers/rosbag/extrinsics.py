@@ -14,7 +14,7 @@ from pydantic import Field
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import CameraEntry, Strict, Transform
 from relocbench.datasets.importers.rosbag.roles import CameraTopic, Roles
-from relocbench.errors import ConfigError, DatasetError
+from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.files import load_yaml
 from relocbench.geometry import make_transform
 
@@ -72,7 +72,7 @@ class Extrinsics(Strict):
             (n, cameras, "camera") for n in self.cameras
         ]:
             if name not in known:
-                raise ConfigError(f"no {what} {name!r} is read; available: {', '.join(sorted(known)) or 'none'}", path)
+                raise ConfigError(f"no {what} {name!r} is read{available(name, sorted(known))}", path)
 
 
 def read_extrinsics(path: Path | None) -> Extrinsics:

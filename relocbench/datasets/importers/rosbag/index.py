@@ -108,8 +108,8 @@ def read_index(found: Survey, topics: Sequence[str], kept: Path | None, reporter
 def _mark(found: Survey, topics: Sequence[str]) -> dict[str, Any]:
     """What an index was made from: the files, by name, size and time, and the topics."""
     files = [p for part in found.parts for p in (sorted(part.path.iterdir()) if part.path.is_dir() else [part.path])]
-    available = [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in files]
-    return {"format": _FORMAT, "files": available, "topics": sorted(topics)}
+    marks = [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in files]
+    return {"format": _FORMAT, "files": marks, "topics": sorted(topics)}
 
 
 class _Rows:

@@ -15,7 +15,7 @@ from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.importers.rosbag.stamps import times_of
 from relocbench.datasets.importers.rosbag.streams import Messages
 from relocbench.datasets.importers.rosbag.survey import Survey
-from relocbench.errors import DatasetError
+from relocbench.errors import DatasetError, available
 from relocbench.progress import Reporter
 
 
@@ -82,8 +82,8 @@ class Reading:
         if named:
             known = {*self.frames.names(), first, poses.child if poses else ""}
             if named not in known:
-                available = ", ".join(sorted(known - {""})) or "none"
-                raise DatasetError(f"--base-frame: no frame {named!r}; available: {available}", self.source)
+                others = available(named, sorted(known - {""}))
+                raise DatasetError(f"--base-frame: no frame {named!r}{others}", self.source)
             return named
         given = self.settings.extrinsics.lidar(name, topic) is not None
         for frame in (*BASES, poses.child if poses else ""):

@@ -71,12 +71,12 @@ def survey(source: Path, paths: Sequence[Path]) -> Survey:
     found = Survey(source, tuple(parts), {})
     names = sorted({name for part in parts for name in part.counts})
     for name in names:
-        available = [part for part in parts if name in part.types]
-        message_type = available[0].types[name]
-        for part in available:
+        having = [part for part in parts if name in part.types]
+        message_type = having[0].types[name]
+        for part in having:
             if part.types[name] != message_type:
-                raise part.fault(name, part.begin_ns, f"is of another type than in {available[0].path.name}")
-        count = sum(part.counts[name] for part in available)
+                raise part.fault(name, part.begin_ns, f"is of another type than in {having[0].path.name}")
+        count = sum(part.counts[name] for part in having)
         rate = (count - 1) / ((end - begin) / 1e9) if count > 1 and end > begin else 0.0
         found.topics[name] = _peek(found, Topic(name, message_type, count, rate))
     return found

@@ -119,11 +119,11 @@ def chosen_pairs(methods: Sequence[Method], pair_set: str, count: int) -> list[i
 
 def middle_picture(dataset: DatasetBoard, pair_set: str) -> str | None:
     """The key of the picture of the query in the middle of a pair set; None where there is none."""
-    at_hand, methods = dataset.entry.dataset, _methods(dataset, pair_set)
-    if at_hand is None or not methods or not _has_images(at_hand, pair_set):
+    known, methods = dataset.entry.dataset, _methods(dataset, pair_set)
+    if known is None or not methods or not _has_images(known, pair_set):
         return None
     keys = methods[0].errors[pair_set].keys
-    folder = _folders(at_hand.pair_set(pair_set))["query"]
+    folder = _folders(known.pair_set(pair_set))["query"]
     return f"images/{id_of(dataset)}/{folder}/{int(keys[len(keys) // 2, 1])}"
 
 
@@ -136,15 +136,15 @@ def _answers_payload(
 ) -> dict[str, Any]:
     """The poses of the rows that are kept, (3, 4) each and NaN where there is none, and what methods said."""
     keys = [(int(ref), int(query)) for ref, query in methods[0].errors[name].keys[list(kept)].tolist()]
-    lookup = dataset.entry.dataset
-    pair_set = None if lookup is None else lookup.pair_set(name)
+    known = dataset.entry.dataset
+    pair_set = None if known is None else known.pair_set(name)
     only = None if len(keys) == len(methods[0].errors[name]) else frozenset(keys)
     places = {row: place for place, row in enumerate(kept)}
-    pictured = lookup is not None and _has_images(lookup, name)
+    pictured = known is not None and _has_images(known, name)
     shown = [places[row] for row in chosen] if pictured else []
-    cameras = {} if lookup is None or pair_set is None else _cameras(lookup, pair_set, keys, shown)
-    alone = lookup is not None and pair_set is not None and not pictured
-    axes = _camera_axes(lookup, pair_set) if lookup is not None and pair_set is not None and alone else None
+    cameras = {} if known is None or pair_set is None else _cameras(known, pair_set, keys, shown)
+    alone = known is not None and pair_set is not None and not pictured
+    axes = _camera_axes(known, pair_set) if known is not None and pair_set is not None and alone else None
     truth = None if pair_set is None else _poses([pair_set.by_key[key].T_query_ref for key in keys], axes)
     return {
         "rows": None if only is None else list(kept),
@@ -157,8 +157,8 @@ def _answers_payload(
     }
 
 
-def _has_images(lookup: Dataset, name: str) -> bool:
-    return lookup.has_images(lookup.pair_set(name))
+def _has_images(known: Dataset, name: str) -> bool:
+    return known.has_images(known.pair_set(name))
 
 
 def _answers(
@@ -191,17 +191,17 @@ def _answers(
 
 
 def _cameras(
-    lookup: Dataset, pair_set: PairSet, keys: Sequence[PairKey], shown: Sequence[int]
+    known: Dataset, pair_set: PairSet, keys: Sequence[PairKey], shown: Sequence[int]
 ) -> dict[int, tuple[Camera, Camera]]:
     """The cameras of the keyframe and the query of pairs with pictures, by their places."""
-    reference, query = lookup.traversal(pair_set.reference), lookup.traversal(pair_set.query)
+    reference, query = known.traversal(pair_set.reference), known.traversal(pair_set.query)
     camera = pair_set.camera
     return {p: (reference.camera(camera, keys[p][0]), query.camera(camera, keys[p][1])) for p in shown}
 
 
-def _camera_axes(lookup: Dataset, pair_set: PairSet) -> Array:
+def _camera_axes(known: Dataset, pair_set: PairSet) -> Array:
     """(4, 4) from the axes of a camera, in which the page draws poses from above, to those of a frame."""
-    reference = lookup.traversal(pair_set.reference)
+    reference = known.traversal(pair_set.reference)
     poses = np.array(list(reference.poses.values())).reshape(-1, 4, 4) @ reference.T_rig_cam(pair_set.camera)
     return make_transform(R_frame_camera(poses), np.zeros(3))
 
@@ -224,14 +224,14 @@ def _folders(pair_set: PairSet) -> dict[str, str]:
     }
 
 
-def _jobs(dataset: DatasetBoard, lookup: Dataset, name: str, keys: Iterable[PairKey], site: Path) -> dict[Path, _Job]:
+def _jobs(dataset: DatasetBoard, known: Dataset, name: str, keys: Iterable[PairKey], site: Path) -> dict[Path, _Job]:
     """The pictures of some pairs, by the first file that each writes; one that is also a keyframe has its depth."""
-    of_set, pair_set = id_of(dataset), lookup.pair_set(name)
+    of_set, pair_set = id_of(dataset), known.pair_set(name)
     wanted: set[_Picture] = set()
     for reference_ns, query_ns in keys:
         wanted.add(_Picture(pair_set.reference, pair_set.camera, reference_ns, True))
         wanted.add(_Picture(pair_set.query, pair_set.camera, query_ns, False))
-    jobs = [_Job(lookup, site, of_set, picture) for picture in sorted(wanted)]
+    jobs = [_Job(known, site, of_set, picture) for picture in sorted(wanted)]
     return {site / links.data_file(_key(job, "depths" if job.picture.is_keyframe else "images")): job for job in jobs}
 
 
