@@ -15,7 +15,7 @@ from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, boxe
 
 NDInts = NDArray[np.uint32]
 _FRAME_M = 0.06
-_REVEAL_NORMAL = ((0, 1), (1, 2), (2, 3), (3, 0))
+_NEXT = [1, 2, 3, 0]
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,16 @@ class FrontStyle:
 def ring_quads(outer: Floats, inner: Floats, y_outer: Floats, y_inner: Floats) -> Floats:
     """Four quads (N, 4, 4, 3) between rectangles (N, 4) = (x0, x1, z0, z1) at depths (N,), facing -y or inwards."""
     a, b = _corners(outer, y_outer), _corners(inner, y_inner)
-    return np.stack([np.stack([a[:, i], a[:, j], b[:, j], b[:, i]], axis=1) for i, j in _REVEAL_NORMAL], axis=1)
+    return np.stack([a, a[:, _NEXT], b[:, _NEXT], b], axis=2)
 
 
 def _corners(rect: Floats, y: Floats) -> Floats:
     """Corners (N, 4, 3) of rectangles, counter-clockwise seen from -y."""
-    x0, x1, z0, z1 = rect.T
-    return np.stack([np.stack(p, axis=1) for p in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))], axis=1)
+    corners = np.empty((len(rect), 4, 3))
+    corners[..., 0] = rect[:, [0, 1, 1, 0]]
+    corners[..., 1] = y[:, None]
+    corners[..., 2] = rect[:, [2, 2, 3, 3]]
+    return corners
 
 
 def pane(rect: Floats, y: float, material: Material, variant: NDInts | int = 0) -> Shape:

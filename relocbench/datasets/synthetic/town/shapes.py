@@ -38,7 +38,20 @@ def cross(a: Floats, b: Floats) -> Floats:
     """Cross products (N, 3); faster than numpy's for the many small arrays here."""
     x, y, z = a.T
     u, v, w = b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+    return _columns(y * w - z * v, z * u - x * w, x * v - y * u)
+
+
+def _columns(*columns: Floats) -> Floats:
+    """Arrays (N,) side by side (N, C)."""
+    result = np.empty((len(columns[0]), len(columns)))
+    for k, column in enumerate(columns):
+        result[:, k] = column
+    return result
+
+
+def _lengths(vectors: Floats) -> Floats:
+    """Lengths (N, 1) of vectors (N, 3)."""
+    return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, axis=1, keepdims=True)))
 
 
 def planar_uv(corners: Floats) -> Floats:
@@ -47,13 +60,15 @@ def planar_uv(corners: Floats) -> Floats:
     Triangles in the same plane have the same coordinate system, so that a texture continues across them.
     """
     normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    across = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
-    level = np.linalg.norm(across, axis=1) < 1e-3
+    normal /= np.maximum(_lengths(normal), 1e-12)
+    across = _columns(-normal[:, 1], normal[:, 0], np.zeros(len(normal)))
+    level = _lengths(across)[:, 0] < 1e-3
     across[level] = (1.0, 0.0, 0.0)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    up = cross(normal, across)
-    return np.stack([np.einsum("tci,ti->tc", corners, across), np.einsum("tci,ti->tc", corners, up)], axis=2)
+    across /= _lengths(across)
+    uv = np.empty((len(corners), 3, 2))
+    uv[..., 0] = np.einsum("tci,ti->tc", corners, across)
+    uv[..., 1] = np.einsum("tci,ti->tc", corners, cross(normal, across))
+    return uv
 
 
 def triangle_shape(
@@ -72,9 +87,9 @@ def triangle_shape(
         points,
         rows,
         planar_uv(points[rows]) if uv is None else uv,
-        np.broadcast_to(np.asarray(material, dtype=np.uint8), (count,)).copy(),
-        np.broadcast_to(np.asarray(variant, dtype=np.uint32), (count,)).copy(),
-        np.broadcast_to(np.asarray(rank, dtype=np.float32), (count,)).copy(),
+        np.full(count, material, dtype=np.uint8),
+        np.full(count, variant, dtype=np.uint32),
+        np.full(count, rank, dtype=np.float32),
     )
 
 
@@ -90,9 +105,9 @@ def quads(
     count = len(corners)
     split = np.array([[0, 1, 2], [0, 2, 3]])
     rows = (4 * np.arange(count)[:, None, None] + split).reshape(-1, 3)
-    per_triangle = [np.repeat(np.broadcast_to(np.asarray(a), (count,)), 2) for a in (material, variant, rank)]
+    look, other, order = (np.repeat(a, 2) if np.ndim(a) else a for a in (material, variant, rank))
     corner_uv = None if uv is None else uv.reshape(count, 4, 2)[:, split].reshape(-1, 3, 2)
-    return triangle_shape(corners.reshape(-1, 3), rows, per_triangle[0], corner_uv, per_triangle[1], per_triangle[2])
+    return triangle_shape(corners.reshape(-1, 3), rows, look, corner_uv, other, order)
 
 
 def join(shapes: Sequence[Shape]) -> Shape:
@@ -144,13 +159,13 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bo
     radius = np.broadcast_to(np.asarray(radii, dtype=float), (len(axis),))
     along = np.gradient(axis, axis=0)
     chord = axis[-1] - axis[0]
-    if np.linalg.norm(np.cross(axis - axis[0], chord)) < 1e-9:
+    if np.linalg.norm(cross(axis - axis[0], chord[None])) < 1e-9:
         along[:] = chord  # the profile of a solid of revolution may go back and forth along its axis
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along /= _lengths(along)
     start = np.eye(3)[np.abs(along).max(axis=0).argmin()]
-    side = np.cross(along, start)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    other = np.cross(along, side)
+    side = cross(along, start[None])
+    side /= _lengths(side)
+    other = cross(along, side)
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * other[:, None]
     vertices = (axis[:, None] + radius[:, None, None] * ring).reshape(-1, 3)
