@@ -18,6 +18,9 @@ from hypothesis import HealthCheck, settings
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# No test cuts the power, and waiting for the disk is a tenth of the run.
+os.fsync = lambda descriptor: None
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts a job in the background so, and Python leaves it so; the tests press Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -31,6 +34,12 @@ def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         config.stash[_built] = tempfile.TemporaryDirectory(prefix="relocbench-tests-")
         os.environ[FOLDER] = config.stash[_built].name
+    elif hasattr(os, "sched_setaffinity"):
+        # Each of pytest's processes keeps to one core, so that a command without --workers starts one worker and not
+        # one for each core, which all the other tests use as well.
+        cores = sorted(os.sched_getaffinity(0))
+        number = int(config.workerinput["workerid"].removeprefix("gw"))
+        os.sched_setaffinity(0, {cores[number % len(cores)]})
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

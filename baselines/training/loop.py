@@ -34,6 +34,8 @@ from relocbench.training import TrainingReport, TrainingRun, ValidationScores
 
 Network = TypeVar("Network", bound=nn.Module)
 Batch = TypeVar("Batch")
+_DRAW_EVERY_S = 10.0
+"""the curves of a long training are drawn at its validations, but no more often than this"""
 
 
 class LoopOptions(Protocol):
@@ -98,6 +100,7 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         self._identity = {**identity, "validated": validate is not None}
         self.step, self.seconds, self.window = 0, 0.0, Window()
         self.best: Best | None = None
+        self._drawn = time.monotonic()
 
     # What a trainer adds.
 
@@ -268,7 +271,9 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         validates = ends or (self.step - stage.start) % self._validate_every == 0
         if validates:
             self._keep_if_better()
-            self.draw_curves(self.run.out / "curves.png", self.log.rows, self.validation.rows)
+            if self.step == self.steps or time.monotonic() - self._drawn > _DRAW_EVERY_S:
+                self.draw_curves(self.run.out / "curves.png", self.log.rows, self.validation.rows)
+                self._drawn = time.monotonic()
             self.seconds = time.monotonic() - since
         if validates or self.step % self.options.checkpoint_every == 0:
             self._save_checkpoint()

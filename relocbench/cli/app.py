@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
@@ -78,10 +79,16 @@ app.command("fetch-weights", cls=Command)(fetch_weights)
 app.command(cls=Command)(export)
 
 
+@cache
+def _commands() -> Any:
+    """All commands with their options, which takes typer longer to make than many a command takes."""
+    return typer.main.get_command(app)
+
+
 def run() -> int:
     """Run what the command line says and return the exit status. What is raised passes through."""
     try:
-        return int(app(prog_name="relocbench", standalone_mode=False) or 0)
+        return int(_commands()(prog_name="relocbench", standalone_mode=False) or 0)
     except TyperException as bad:
         if bad.format_message():  # without one, the help was shown since no command was given
             typer.echo(f"relocbench: {usage_fault(bad)}", err=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import typing
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -141,6 +142,7 @@ def _build_dataset() -> None:
     pass
 
 
+@cache
 def _command(kind: str) -> TyperCommand:
     """The sub-command of one kind; its options are the fields of the importer's ``Options``."""
     from relocbench.datasets.importers import KINDS, options_of
