@@ -56,6 +56,7 @@ def _alike(columns: Sequence[Column]) -> list[list[int]]:
 def _print_part(results: ByCondition, columns: Sequence[int], name: str) -> None:
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import METHOD, RANK
+    from relocbench.leaderboard.common.ranks import NO_RANK
     from relocbench.leaderboard.common.text import number
     from relocbench.leaderboard.tracking.by_condition import UNKNOWN
 
@@ -64,12 +65,12 @@ def _print_part(results: ByCondition, columns: Sequence[int], name: str) -> None
     found = f"pairs found within {first.metres:g} m and {first.degrees:g}°, in %"
     of_map = "" if first.map_condition == UNKNOWN else f". Map: {first.map_condition}"
     title = f"{name or first.dataset.entry.record.name}{of_split}: {found}{of_map}"
-    ranked = any(line.rank is not None for line in results.lines)
+    ranked = any(line.rank not in ("", NO_RANK) for line in results.lines)
     heads = [METHOD, *([RANK] if ranked else []), *(_heading(results.columns[i]) for i in columns)]
     rows = [
         [
             line.label,
-            *([("" if line.rank is None else str(line.rank))] if ranked else []),
+            *([line.rank] if ranked else []),
             *(number(line.found[i].share, "share") or "–" for i in columns),
         ]
         for line in results.lines
@@ -80,10 +81,8 @@ def _print_part(results: ByCondition, columns: Sequence[int], name: str) -> None
 
 def _heading(column: Column) -> str:
     """A word of the condition a line, so that many columns fit a narrow terminal; the number of pairs last."""
-    from relocbench.leaderboard.tracking.doubt import doubts_of
-
     same = ["(same drive)"] if column.same_drive else []
-    doubt = ["TRUTH IN", "DOUBT"] if doubts_of(column.dataset.entry.truth_checks, column.pair_sets) else []
+    doubt = ["TRUTH IN", "DOUBT"] if column.doubt else []
     return "\n".join((*column.title.split(", "), *same, *doubt, f"{column.pairs} pairs"))
 
 

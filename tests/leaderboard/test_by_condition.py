@@ -10,6 +10,7 @@ import pytest
 from test_leaderboard import Made, MadeResults
 
 from relocbench.evaluation.common.error_table import ErrorTable
+from relocbench.leaderboard.common.ranks import NO_RANK
 from relocbench.leaderboard.tracking.by_condition import ByCondition, by_condition
 from relocbench.leaderboard.tracking.thresholds import FinerThresholds, finer_thresholds
 
@@ -29,6 +30,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> ByCondition:
         "far", {OWN: good, SNOW: Made([0.1] * 4, [0.1] * 4), NIGHT: Made([0.1, 0.1, BAD, BAD], [1, 3, BAD, BAD])}
     )
     results.add("identity", {OWN: good, SNOW: good_of(4), NIGHT: good_of(4)})
+    results.add("timed", {OWN: good, SNOW: good_of(4), NIGHT: good_of(4)}, uses_times=True)
     return by_condition(results.board().datasets)
 
 
@@ -42,12 +44,13 @@ def test_the_maps_own_drive_is_first_and_trivial_baselines_are_last(found: ByCon
     assert [(line.label, line.baseline) for line in found.lines] == [
         ("far", False),
         ("close", False),
+        ("timed", False),
         ("identity", True),
     ]
 
 
 def test_an_answer_is_found_within_both_thresholds(found: ByCondition) -> None:
-    far, close, _ = found.lines
+    far, close, *_ = found.lines
     assert close.found[1].right.tolist() == [True, False, False, False]
     assert close.found[1].share == pytest.approx(0.25)
     assert far.found[2].right.tolist() == [True, False, False, False]
@@ -61,8 +64,9 @@ def test_a_missing_result_has_neither_share_nor_marks(found: ByCondition) -> Non
     assert len(close.found[2].right) == 0
 
 
-def test_methods_that_the_data_cannot_tell_apart_have_no_rank(found: ByCondition) -> None:
-    assert [line.rank for line in found.lines] == [None, None, None]
+def test_a_dash_is_a_rank_that_all_share_and_who_is_not_ranked_has_none(found: ByCondition) -> None:
+    """Of the ranked method alone; one misses a pair set, one uses times, and one is a trivial baseline."""
+    assert [line.rank for line in found.lines] == [NO_RANK, "", "", ""]
 
 
 def test_pair_sets_of_one_condition_share_a_column_and_count_the_same(tmp_path: Path) -> None:

@@ -23,11 +23,6 @@ def share_a_rank(rows: Iterable[HasRank]) -> bool:
     return all(row.rank in (1, None) for row in rows)
 
 
-def shown_rank(row: HasRank, rows: Iterable[HasRank]) -> int | None:
-    """The rank of a row; None without one, and where all rows share one."""
-    return None if share_a_rank(rows) else row.rank
-
-
 def rank_text(row: HasRank, rows: Iterable[HasRank]) -> str:
     """The rank as text: empty for a row that is not ranked, a dash where all rows share a rank."""
     if row.rank is None:

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
-from relocbench.leaderboard.common.ranks import NO_RANK
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.colours import share_style
 from relocbench.leaderboard.html.pair_page.write import middle_picture
 from relocbench.leaderboard.html.payloads import id_of, marks_of
 from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall, Line, by_condition
-from relocbench.leaderboard.tracking.doubt import doubts_of
 from relocbench.leaderboard.tracking.model import DatasetBoard, short_title
 
 
@@ -34,27 +32,27 @@ def matrix_of(datasets: Sequence[DatasetBoard], *, pictures: bool) -> dict[str, 
         ],
         "columns": [_column(results, column, pictures) for column in results.columns],
         "lines": [_line(results, line) for line in results.lines],
-        "total": ranked and sum(not column.is_finer for column in results.columns) > 1,
-        "across": sum(column.pairs for column in results.columns if not (column.same_drive or column.is_finer)),
+        "total": ranked and results.has_total,
+        "across": results.across_pairs,
     }
 
 
 def matrix_columns(dataset: DatasetBoard) -> list[dict[str, Any]]:
     """The columns as the script of a set's page takes them: a link to a cell names one by its place among them."""
+    results = by_condition([dataset])
     return [
         {
-            "title": _words(column),
+            "title": _words(results, column),
             "pair_sets": list(column.pair_sets),
             "metres": column.metres,
             "degrees": column.degrees,
         }
-        for column in by_condition([dataset]).columns
+        for column in results.columns
     ]
 
 
-def _words(column: Column) -> str:
-    words = [column.title, *(["same drive"] if column.same_drive else []), *([column.split] if column.split else [])]
-    return ", ".join(words)
+def _words(results: ByCondition, column: Column) -> str:
+    return ", ".join([column.title, *results.details(column)])
 
 
 def _set(dataset: DatasetBoard, datasets: Sequence[DatasetBoard], span: int) -> dict[str, Any]:
@@ -64,13 +62,8 @@ def _set(dataset: DatasetBoard, datasets: Sequence[DatasetBoard], span: int) -> 
 def _column(results: ByCondition, column: Column, pictures: bool) -> dict[str, Any]:
     return {
         "title": column.title,
-        "map": results.map_of(column),
-        "same_drive": column.same_drive,
-        "split": column.split,
-        "pairs": column.pairs,
-        "thresholds": f"{column.metres:g} m, {column.degrees:g}°" if results.has_finer(column) else "",
-        "dagger": column.is_finer_than_truth,
-        "doubt": "; ".join(words for _, words in doubts_of(column.dataset.entry.truth_checks, column.pair_sets)),
+        "details": [*results.details(column), f"{column.pairs} pairs"],
+        "doubt": column.doubt,
         "image": middle_picture(column.dataset, column.pair_sets[0]) if pictures else None,
     }
 
@@ -80,11 +73,11 @@ def _line(results: ByCondition, line: Line) -> dict[str, Any]:
         "method": line.label,
         "page": links.method_page(line.label),
         "baseline": line.baseline,
-        "marks": marks_of(line.method),
-        "rank": "" if line.baseline else NO_RANK if line.rank is None else str(line.rank),
+        "marks": list(dict.fromkeys(mark for method in line.methods for mark in marks_of(method))),
+        "rank": line.rank,
         "share": number(line.share, "share"),
         "style": "" if line.share is None else share_style(line.share),
-        "cells": [_cell(column, place, line.label, found) for column, place, found in _placed(results, line)],
+        "cells": [_cell(results, column, place, line.label, found) for column, place, found in _placed(results, line)],
     }
 
 
@@ -98,7 +91,7 @@ def _placed(results: ByCondition, line: Line) -> list[tuple[Column, int, Conditi
     return out
 
 
-def _cell(column: Column, place: int, label: str, found: ConditionRecall) -> dict[str, str]:
+def _cell(results: ByCondition, column: Column, place: int, label: str, found: ConditionRecall) -> dict[str, str]:
     if found.share is None:
         return {"text": "", "style": "", "link": "", "words": ""}
     state = {"method": label, "column": str(place)}
@@ -106,5 +99,5 @@ def _cell(column: Column, place: int, label: str, found: ConditionRecall) -> dic
         "text": number(found.share, "share"),
         "style": share_style(found.share),
         "link": f"{links.set_page(id_of(column.dataset))}#{links.hash_of(state)}",
-        "words": f"{int(found.right.sum())} of {len(found.right)} pairs found by {label}: {_words(column)}",
+        "words": f"{int(found.right.sum())} of {len(found.right)} pairs found by {label}: {_words(results, column)}",
     }

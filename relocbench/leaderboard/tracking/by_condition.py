@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.leaderboard.common.ranks import shown_rank
+from relocbench.leaderboard.common.ranks import rank_text
+from relocbench.leaderboard.tracking.cells import DAGGER
+from relocbench.leaderboard.tracking.doubt import doubts_of
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.marks import is_ranked
 from relocbench.leaderboard.tracking.model import DatasetBoard
 from relocbench.leaderboard.tracking.thresholds import finer_thresholds
 from relocbench.metrics import CORRECT, within
-from relocbench.metrics.pose.registry import SIGMA_FACTOR
+from relocbench.metrics.pose.registry import finer_than_truth
 
 UNKNOWN = "unknown"
 """the condition of drives of which none is recorded"""
@@ -60,8 +62,13 @@ class Column:
     def is_finer_than_truth(self) -> bool:
         """Whether the thresholds are finer than the ground truth allows."""
         records = [self.dataset.entry.pair_sets[name] for name in self.pair_sets]
-        sigmas = [(r.median_sigma_translation_m or 0.0, r.median_sigma_rotation_deg or 0.0) for r in records]
-        return any(self.metres < SIGMA_FACTOR * m or self.degrees < SIGMA_FACTOR * deg for m, deg in sigmas)
+        sigmas = [(record.median_sigma_translation_m, record.median_sigma_rotation_deg) for record in records]
+        return any(finer_than_truth(self.metres, self.degrees, *sigma) for sigma in sigmas)
+
+    @property
+    def doubt(self) -> str:
+        """By how much truth and images of the pair sets whose truth is in doubt are apart, in words; empty if none."""
+        return "; ".join(words for _, words in doubts_of(self.dataset.entry.truth_checks, self.pair_sets))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +86,10 @@ class Line:
     """One method, from the first column to the last."""
 
     label: str
-    method: Method
-    """its results on the first dataset that has any"""
-    rank: int | None
-    """in the first total of the only dataset; None over several, and where no rank is shown"""
+    methods: tuple[Method, ...]
+    """its results on each dataset that has any"""
+    rank: str
+    """in the first total of the only dataset, as :func:`rank_text` says it; empty over several datasets"""
     baseline: bool
     """whether it is a trivial baseline"""
     share: float | None
@@ -100,14 +107,28 @@ class ByCondition:
     lines: tuple[Line, ...]
     """the method that finds most across conditions first, trivial baselines last"""
 
-    def map_of(self, column: Column) -> str:
-        """The condition of a column's keyframes; empty where its dataset has one map alone, or it is not recorded."""
-        maps = {c.map_condition for c in self.columns if c.dataset is column.dataset}
-        return column.map_condition if len(maps) > 1 and column.map_condition != UNKNOWN else ""
+    @property
+    def has_total(self) -> bool:
+        """Whether the share of a line is the mean of several columns, and so more than one of them."""
+        return sum(not column.is_finer for column in self.columns) > 1
 
-    def has_finer(self, column: Column) -> bool:
-        """Whether the column's dataset has finer thresholds beside the usual ones."""
-        return any(c.is_finer for c in self.columns if c.dataset is column.dataset)
+    @property
+    def across_pairs(self) -> int:
+        """The pairs across conditions, of which the share of a line is where there are any."""
+        return sum(column.pairs for column in self.columns if not (column.same_drive or column.is_finer))
+
+    def details(self, column: Column) -> list[str]:
+        """What tells a column from others beside its title: keyframes, split and thresholds, where they differ."""
+        of_dataset = [other for other in self.columns if other.dataset is column.dataset]
+        maps = {other.map_condition for other in of_dataset}
+        out = ["same drive"] if column.same_drive else []
+        if not column.same_drive and len(maps) > 1 and column.map_condition != UNKNOWN:
+            out.append(f"map: {column.map_condition}")
+        if column.split:
+            out.append(f"split {column.split}")
+        if any(other.is_finer for other in of_dataset):
+            out.append(f"{column.metres:g} m, {column.degrees:g}°{DAGGER if column.is_finer_than_truth else ''}")
+        return out
 
     @property
     def usual(self) -> ByCondition:
@@ -126,12 +147,12 @@ def by_condition(datasets: Sequence[DatasetBoard]) -> ByCondition:
     within the finer ones that fit.
     """
     columns = [column for dataset in datasets for column in _columns(dataset)]
-    methods: dict[str, Method] = {}
+    methods: dict[str, list[Method]] = {}
     for dataset in datasets:
         for method in dataset.entry.methods:
-            methods.setdefault(method.label, method)
+            methods.setdefault(method.label, []).append(method)
     ranks = _ranks(datasets)
-    lines = [_line(label, method, ranks.get(label), columns) for label, method in methods.items()]
+    lines = [_line(label, own, ranks.get(label, ""), columns) for label, own in methods.items()]
     return ByCondition(tuple(columns), tuple(sorted(lines, key=_place)))
 
 
@@ -157,15 +178,15 @@ def _columns(dataset: DatasetBoard) -> list[Column]:
     return columns
 
 
-def _ranks(datasets: Sequence[DatasetBoard]) -> dict[str, int | None]:
+def _ranks(datasets: Sequence[DatasetBoard]) -> dict[str, str]:
     """The ranks in the first total, which is that across conditions where there is one."""
     if len(datasets) != 1 or not datasets[0].totals:
         return {}
     first = datasets[0].totals[0]
-    return {row.method.label: shown_rank(row, first.rows) for row in first.rows}
+    return {row.method.label: rank_text(row, first.rows) for row in first.rows}
 
 
-def _line(label: str, method: Method, rank: int | None, columns: Sequence[Column]) -> Line:
+def _line(label: str, methods: Sequence[Method], rank: str, columns: Sequence[Column]) -> Line:
     found = tuple(_found(label, column) for column in columns)
     usual = [(column, own) for column, own in zip(columns, found, strict=True) if not column.is_finer]
     counted = [each for each in usual if not each[0].same_drive] or usual
@@ -173,13 +194,14 @@ def _line(label: str, method: Method, rank: int | None, columns: Sequence[Column
     shares = [None if own.share is None else own.share * len(column.pair_sets) for column, own in counted]
     known = [share for share in shares if share is not None]
     share = sum(known) / sets if known and len(known) == len(shares) else None
-    return Line(label, method, rank, method.is_floor or method.is_clock, share, found)
+    baseline = any(method.is_floor or method.is_clock for method in methods)
+    return Line(label, tuple(methods), rank, baseline, share, found)
 
 
 def _place(line: Line) -> tuple[bool, bool, int, float, float, str]:
     known = [own.share for own in line.found if own.share is not None]
     missing = len(line.found) - len(known)
-    return line.baseline, not is_ranked(line.method), missing, -(line.share or 0.0), -sum(known), line.label
+    return line.baseline, not all(map(is_ranked, line.methods)), missing, -(line.share or 0.0), -sum(known), line.label
 
 
 def _found(label: str, column: Column) -> ConditionRecall:

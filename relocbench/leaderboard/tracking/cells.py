@@ -53,7 +53,7 @@ def name(row: Row) -> str:
         told.append("(timestamp-only baseline)")
     elif row.method.run.uses_times:
         told.append("(uses times)")
-    return " ".join([*told, *(["(missing)"] if row.missing else []), *signs(row.method).split()])
+    return " ".join([*told, *(["(missing)"] if row.missing else []), *signs(row.method)])
 
 
 def cell(metric: Metric, row: Row, table: Table, *, interval: bool = True) -> str:

@@ -65,6 +65,6 @@ MARKS = (
 )
 
 
-def signs(method: Method) -> str:
-    """The signs of the marks that apply to a method, in their order."""
-    return " ".join(mark.sign for mark in MARKS if mark.applies(method))
+def signs(*methods: Method) -> list[str]:
+    """The signs of the marks that apply to a method, or to any of several of one name, in their order."""
+    return [mark.sign for mark in MARKS if any(map(mark.applies, methods))]

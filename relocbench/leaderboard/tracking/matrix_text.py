@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from urllib.parse import quote
 
 from relocbench.leaderboard.common.headings import METHOD, RANK
-from relocbench.leaderboard.common.ranks import NO_RANK
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall, Line, by_condition
 from relocbench.leaderboard.tracking.cells import DAGGER
-from relocbench.leaderboard.tracking.doubt import doubts_of
 from relocbench.leaderboard.tracking.marks import signs
 from relocbench.leaderboard.tracking.model import DatasetBoard, short_title
 from relocbench.pages.markdown import escaped, table_text
@@ -29,7 +27,7 @@ def matrix_text(datasets: Sequence[DatasetBoard], pages: Sequence[str] = ()) -> 
     linked = [f"[{name}]({quote(page)})" for name, page in zip(named, pages, strict=True)] if pages else []
     links = dict(zip(map(id, datasets), linked, strict=False))
     heads = [_head(results, column, links.get(id(column.dataset), "")) for column in results.columns]
-    names = [_name(line, datasets) for line in results.lines]
+    names = [_name(line) for line in results.lines]
     cells = [[_cell(c, f) for c, f in zip(results.columns, line.found, strict=True)] for line in results.lines]
     if len(datasets) == 1:
         return _one(results, heads, names, cells)
@@ -41,41 +39,23 @@ def matrix_text(datasets: Sequence[DatasetBoard], pages: Sequence[str] = ()) -> 
 
 def _one(results: ByCondition, heads: list[str], names: list[str], cells: list[list[str]]) -> str:
     """The matrix of one dataset, with the ranks and the mean across its conditions."""
-    total = sum(not column.is_finer for column in results.columns) > 1
-    across = any(not column.same_drive for column in results.columns)
-    columns = [METHOD, RANK, *([f"{'across conditions' if across else 'all'}, %"] if total else []), *heads]
+    total = [f"{'across conditions' if results.across_pairs else 'all'}, %"] if results.has_total else []
+    columns = [METHOD, RANK, *total, *heads]
     rows = [
-        [name, _rank(line), *([number(line.share, "share")] if total else []), *row]
+        [name, line.rank, *([number(line.share, "share")] if total else []), *row]
         for name, line, row in zip(names, results.lines, cells, strict=True)
     ]
     return table_text(columns, rows, left=1)
 
 
-def _rank(line: Line) -> str:
-    return "" if line.baseline else NO_RANK if line.rank is None else str(line.rank)
-
-
-def _name(line: Line, datasets: Sequence[DatasetBoard]) -> str:
-    own = [m for dataset in datasets for m in dataset.entry.methods if m.label == line.label]
+def _name(line: Line) -> str:
     label = f"*{escaped(line.label)}*" if line.baseline else escaped(line.label)
-    return " ".join([label, *dict.fromkeys(sign for method in own for sign in signs(method).split())])
+    return " ".join([label, *signs(*line.methods)])
 
 
 def _head(results: ByCondition, column: Column, link: str) -> str:
-    parts = [link] if link else []
-    parts.append(escaped(column.title))
-    if column.same_drive:
-        parts.append("same drive")
-    elif keyframes := results.map_of(column):
-        parts.append(f"map: {escaped(keyframes)}")
-    if column.split:
-        parts.append(f"split {escaped(column.split)}")
-    parts.append(f"{column.pairs} pairs")
-    if results.has_finer(column):
-        parts.append(f"{column.metres:g} m, {column.degrees:g}°{DAGGER if column.is_finer_than_truth else ''}")
-    if doubts_of(column.dataset.entry.truth_checks, column.pair_sets):
-        parts.append("**truth in doubt**")
-    return "<br>".join(parts)
+    parts = [*([link] if link else []), escaped(column.title), *map(escaped, results.details(column))]
+    return "<br>".join([*parts, f"{column.pairs} pairs", *(["**truth in doubt**"] if column.doubt else [])])
 
 
 def _cell(column: Column, found: ConditionRecall) -> str:

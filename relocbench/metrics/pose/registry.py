@@ -72,8 +72,20 @@ class Metric:
         Tables print such a number in grey. ``sigma_m`` and ``sigma_deg`` are standard deviations of the pair set's
         ground truth; a threshold is never too fine for an unknown one (None).
         """
-        limits = ((self.translation_threshold_m, sigma_m), (self.rotation_threshold_deg, sigma_deg))
-        return any(t is not None and sigma is not None and t < factor * sigma for t, sigma in limits)
+        thresholds = self.translation_threshold_m, self.rotation_threshold_deg
+        return finer_than_truth(*thresholds, sigma_m, sigma_deg, factor)
+
+
+def finer_than_truth(
+    metres: float | None,
+    degrees: float | None,
+    sigma_m: float | None,
+    sigma_deg: float | None,
+    factor: float = SIGMA_FACTOR,
+) -> bool:
+    """Whether a threshold is below ``factor`` times the ground truth's sigma; never where one of the two is None."""
+    limits = ((metres, sigma_m), (degrees, sigma_deg))
+    return any(t is not None and sigma is not None and t < factor * sigma for t, sigma in limits)
 
 
 def within(errors: PoseErrors, metres: float, degrees: float) -> NDArray[np.bool_]:
