@@ -100,7 +100,7 @@ def print_board(board: Board) -> None:
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import METHOD, RANK
-    from relocbench.leaderboard.common.ranks import rank_text, share_a_rank
+    from relocbench.leaderboard.common.ranks import rank_text
     from relocbench.leaderboard.common.text import number
     from relocbench.leaderboard.tracking.cells import total_words, why_no_ranks
     from relocbench.metrics import metric_named
@@ -120,5 +120,5 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
         for row in table.rows
     ]
     print_table(f"{dataset.entry.record.name}, {over} ({table.pairs} pairs{rejected})", heads, rows)
-    if share_a_rank(table.rows) and (why := why_no_ranks(board, table)):
+    if why := why_no_ranks(board, table):
         print(why)

@@ -287,25 +287,29 @@ def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None
 def _print_retrieval(board: RetrievalBoard) -> None:
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import METHOD, RANK, heading
+    from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
     from relocbench.leaderboard.common.text import number
 
     for asked in board.sets:
         for table in asked.tables:
             title = f"{asked.title}: {table.name} ({table.queries} queries)"
             rows = [
-                ["" if row.rank is None else str(row.rank), *(number(row.values[m], "share") for m in board.shown)]
+                [rank_text(row, table.rows), *(number(row.values[m], "share") for m in board.shown)]
                 for row in table.rows
             ]
             names = [row.method.label for row in table.rows]
             chance = ["(chance)", "", *(number(table.chance[m], "share") for m in board.shown)]
             columns = [METHOD, RANK, *map(heading, board.shown)]
             print_table(title, columns, [*([name, *row] for name, row in zip(names, rows, strict=True)), chance])
+            if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
+                print(why)
 
 
 def _print_pipelines(board: PipelineBoard) -> None:
     from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import RANK, RETRIEVER, TOP, TRACKER
+    from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
     from relocbench.leaderboard.common.text import number
 
     median = "median_translation_error_m"
@@ -318,7 +322,7 @@ def _print_pipelines(board: PipelineBoard) -> None:
                     row.pipeline.run.retriever,
                     row.pipeline.run.tracker,
                     str(row.pipeline.run.top),
-                    "" if row.rank is None else str(row.rank),
+                    rank_text(row, table.rows),
                     *(number(row.values.get(m), "share") for m in dict.fromkeys(metrics)),
                     number(row.values.get(median), "m"),
                 ]
@@ -327,3 +331,5 @@ def _print_pipelines(board: PipelineBoard) -> None:
             print_table(
                 title, [RETRIEVER, TRACKER, TOP, RANK, *map(short_heading, dict.fromkeys((*metrics, median)))], rows
             )
+            if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
+                print(why)

@@ -82,9 +82,9 @@ def test_pair_sets_of_one_condition_share_a_column_and_count_the_same(tmp_path: 
     ("distances", "expected"),
     [
         ([0.2, 0.3, 0.4], None),
-        ([0.2, 0.2, 0.4], FinerThresholds(0.1, 1.0, 2 / 3)),
-        ([0.06, 0.06, 0.2], FinerThresholds(0.05, 0.5, 1.0)),
-        ([0.01, 0.01, 0.01], FinerThresholds(0.025, 0.25, 1.0)),
+        ([0.2, 0.2, 0.4], FinerThresholds(0.1, 1.0, 2 / 3, 0.0)),
+        ([0.06, 0.06, 0.2], FinerThresholds(0.05, 0.5, 1.0, 0.0)),
+        ([0.01, 0.01, 0.01], FinerThresholds(0.025, 0.25, 1.0, 1.0)),
         ([0.01, 0.01, None], None),
     ],
 )
@@ -100,4 +100,6 @@ def test_the_finer_default_is_the_first_that_standing_still_does_not_solve(
         replace(row, distance_m=far, angle_deg=0.0) for row, far in zip(method.errors[SNOW], distances, strict=True)
     ]
     apart = replace(method, errors={SNOW: ErrorTable.of(rows)})
-    assert finer_thresholds(replace(entry, methods=(apart,))) == expected
+    finer = finer_thresholds(replace(entry, methods=(apart,)))
+    assert finer == expected
+    assert finer is None or finer.fits == (finer.metres > 0.025)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
+
+from relocbench.metrics import MIN_EFFECTIVE, Interval
 
 NO_RANK = "–"
 """in place of the rank that all methods of a table share"""
@@ -17,6 +19,11 @@ class HasRank(Protocol):
         """Among the rows of its table; None for a row that is not ranked."""
         ...
 
+    @property
+    def intervals(self) -> Mapping[str, Interval | None]:
+        """By metric."""
+        ...
+
 
 def share_a_rank(rows: Iterable[HasRank]) -> bool:
     """Whether all ranked rows share the first rank."""
@@ -28,3 +35,26 @@ def rank_text(row: HasRank, rows: Iterable[HasRank]) -> str:
     if row.rank is None:
         return ""
     return NO_RANK if share_a_rank(rows) else str(row.rank)
+
+
+def without_intervals(rows: Iterable[HasRank], metric: str) -> bool:
+    """Whether too few pairs or queries are independent for any ranked method to have an interval of a metric."""
+    shown = list(rows)
+    return any(row.rank is not None for row in shown) and not any(row.intervals.get(metric) for row in shown)
+
+
+def why_no_ranks(rows: Sequence[HasRank], metric: str, of: str) -> str:
+    """Why a table shows no ranks, in a sentence without its full stop; empty where it has some, and without methods.
+
+    Args:
+        metric: the one that ranks.
+        of: what the rows are over, with their number, such as ``24 pairs``.
+    """
+    ranked = sum(row.rank is not None for row in rows)
+    if not ranked or not share_a_rank(rows):
+        return ""
+    if without_intervals(rows, metric):
+        return f"No ranks: too few of the {of} are independent (effective sample size below {MIN_EFFECTIVE:g})"
+    if ranked == 1:
+        return "No ranks: there is one method alone"
+    return "No ranks: no significant difference between the methods"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from relocbench.evaluation.common.matching_table import ALL
+from relocbench.leaderboard.common import ranks
 from relocbench.leaderboard.common.ranks import HasRank, rank_text
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
@@ -75,6 +76,8 @@ def _retrievers(board: RetrievalBoard) -> dict[str, Any]:
                 continue
             rows += [retriever_line(board, asked, table, row) for row in table.rows]
             rows.append(_chance(asked, table, board.metric))
+            if why := ranks.why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
+                notes.append(f"{asked.title}, {table.name}: {why}")
             level = [row.method.label for row in table.rows if not_above_chance(board, table, row)]
             if level:
                 notes.append(f"{asked.title}, {table.name}: no significant gain over chance: {', '.join(level)}")
@@ -83,19 +86,19 @@ def _retrievers(board: RetrievalBoard) -> dict[str, Any]:
 
 def _pipelines(board: PipelineBoard) -> dict[str, Any]:
     """The means of each dataset."""
-    rows = [
-        pipeline_line(board, asked, table, row)
-        for asked in board.sets
-        for table in asked.tables
-        if _is_first(table, asked.tables)
-        for row in table.rows
+    first = [(asked, table) for asked in board.sets for table in asked.tables if _is_first(table, asked.tables)]
+    rows = [pipeline_line(board, asked, table, row) for asked, table in first for row in table.rows]
+    notes = [
+        f"{asked.title}, {table.name}: {why}"
+        for asked, table in first
+        if (why := ranks.why_no_ranks(table.rows, board.metric, f"{table.queries} queries"))
     ]
     return {
         "title": "Full pipeline: retrieval, then tracking",
         "metric": board.metric,
         "what": "queries",
         "rows": rows,
-        "notes": [],
+        "notes": notes,
     }
 
 

@@ -13,7 +13,7 @@ from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, Pipel
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, RANKING
 from relocbench.leaderboard.common.commands import labelled_target, settings_of
 from relocbench.leaderboard.common.headings import BASIN, COUNTS, RANK, RETRIEVER, SECONDS, TOP, TRACKER, heading
-from relocbench.leaderboard.common.ranks import rank_text
+from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.relocalization.board import (
     Pipeline,
@@ -24,7 +24,7 @@ from relocbench.leaderboard.relocalization.board import (
 )
 from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere, not_isolated
-from relocbench.metrics import LEVEL, MIN_EFFECTIVE
+from relocbench.metrics import LEVEL
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
@@ -44,7 +44,6 @@ def relocalization_page(board: PipelineBoard) -> str:
         "page.md.j2",
         metric=board.metric,
         level=f"{LEVEL:.0%}",
-        min_effective=f"{MIN_EFFECTIVE:g}",
         oracle=ORACLE,
         keyframe=KEYFRAME,
         right=f"{metres:g} m and {degrees:g}°",
@@ -137,7 +136,7 @@ def _section(board: PipelineBoard, table: PipelineTable) -> dict[str, object]:
         "table": table,
         "poses": _pose_table(board, table),
         "losses": _loss_table(table),
-        "without_intervals": all(row.intervals.get(board.metric) is None for row in table.rows),
+        "why_no_ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
         "coarse": SIGMA_FACTOR * sigma > RIGHT[0],
         "sigma": f"{sigma:.2f}",
         "finest": f"{SIGMA_FACTOR * sigma:.2f}",

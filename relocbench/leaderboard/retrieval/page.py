@@ -11,11 +11,11 @@ from relocbench.leaderboard.common.cards import add_command, shown_cards
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.headings import COUNTS, METHOD, RANK, RESCORED, SECONDS, heading
-from relocbench.leaderboard.common.ranks import rank_text
+from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.tracking.load import machine_words
-from relocbench.metrics import LEVEL, MIN_EFFECTIVE
+from relocbench.metrics import LEVEL
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
@@ -32,7 +32,6 @@ def retrieval_page(board: RetrievalBoard) -> str:
         "page.md.j2",
         metric=board.metric,
         level=f"{LEVEL:.0%}",
-        min_effective=f"{MIN_EFFECTIVE:g}",
         sets=[_set(board, asked) for asked in board.sets],
         commands=[
             (asked.title, [evaluate_command(asked.record, m.run) for m in asked.methods]) for asked in board.sets
@@ -92,7 +91,7 @@ def _section(board: RetrievalBoard, table: RetrievalTable) -> dict[str, object]:
         "table": table,
         "numbers": table_text(columns, [*(_row(board, table, row) for row in table.rows), chance], left=2),
         "at_chance": [row.method.label for row in table.rows if not_above_chance(board, table, row)],
-        "without_intervals": all(not row.intervals.get(board.metric) for row in table.rows if not row.missing),
+        "why_no_ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
     }
 
 

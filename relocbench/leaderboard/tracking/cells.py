@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from relocbench.leaderboard.common import headings
-from relocbench.leaderboard.common.ranks import share_a_rank
+from relocbench.leaderboard.common import headings, ranks
 from relocbench.leaderboard.common.text import number, with_bounds
 from relocbench.leaderboard.tracking.marks import signs
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
-from relocbench.metrics import MIN_EFFECTIVE, Metric, metric_named
+from relocbench.metrics import Metric, metric_named
 from relocbench.pages.markdown import code, escaped
 
 SHOWN = (
@@ -102,7 +101,7 @@ def level_with_identity(board: Board, dataset: DatasetBoard, table: Table) -> li
 
     None where that was not run, and where the pairs hold too few independent ones to show a gain of any method.
     """
-    if without_intervals(board, table):
+    if ranks.without_intervals(table.rows, board.metric.name):
         return []
     if not any(row.method is dataset.entry.floor and not row.missing for row in table.rows):
         return []
@@ -111,21 +110,8 @@ def level_with_identity(board: Board, dataset: DatasetBoard, table: Table) -> li
 
 
 def why_no_ranks(board: Board, table: Table) -> str:
-    """Why a table shows no ranks, in a sentence without its full stop; empty where it has some, and without methods."""
-    if not share_a_rank(table.rows) or all(row.rank is None for row in table.rows):
-        return ""
-    if without_intervals(board, table):
-        few = f"too few of the {table.pairs} pairs are independent (effective sample size below {MIN_EFFECTIVE:g})"
-        return f"No ranks: {few}"
-    if sum(row.rank is not None for row in table.rows) == 1:
-        return "No ranks: there is one method alone"
-    return "No ranks: no significant difference between the methods"
-
-
-def without_intervals(board: Board, table: Table) -> bool:
-    """Whether the pairs are worth too few independent ones for any ranked method to have an interval."""
-    shown = [row for row in table.rows if not row.missing]
-    return any(row.rank is not None for row in shown) and not any(row.intervals.get(board.metric.name) for row in shown)
+    """The sentence of :func:`ranks.why_no_ranks` for a table of trackers."""
+    return ranks.why_no_ranks(table.rows, board.metric.name, f"{table.pairs} pairs")
 
 
 def _beats(row: Row) -> bool:

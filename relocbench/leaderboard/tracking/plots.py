@@ -206,12 +206,12 @@ def _curve(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> Curve
     value = row.values[board.metric.name]
     name = _shown(method.label)
     label = f"{name}  {100 * value:.1f} %" if value is not None else name
-    floor = method.is_floor or method.is_clock
-    label = f"{label} (floor)" if floor else label
+    baseline = "trivial baseline" if method.is_floor else "timestamp-only baseline" if method.is_clock else ""
+    label = f"{label} ({baseline})" if baseline else label
     metres = _steps(errors.translation_error_m, LIMIT_M)
     degrees = _steps(errors.rotation_error_deg, LIMIT_DEG)
     look = _look(dataset, method)
-    return Curve(label, metres[0], degrees[0], metres[1], degrees[1], *look, 1.6 if floor else 1.8)
+    return Curve(label, metres[0], degrees[0], metres[1], degrees[1], *look, 1.6 if baseline else 1.8)
 
 
 def _steps(error: Array, limit: float) -> tuple[Array, Array]:

@@ -14,12 +14,16 @@ def reservations(dataset: DatasetBoard) -> list[str]:
     finer = finer_thresholds(entry)
     out = []
     if finer is not None:
-        tried = ", ".join(f"{_words(*each)}" for each in FINER)
+        tried = ", ".join(_words(*each) for each in FINER)
+        chosen = (
+            f"the first of {tried} within which that pose is right for less than half"
+            if finer.fits
+            else f"the finest of {tried}, within which that pose is still right for {100 * finer.still_here:.0f} %"
+        )
         out.append(
             f"Within {_words(*CORRECT)}, {entry.record.name} is nearly solved by standing still: the keyframe's own "
             f"pose is right for {100 * finer.still:.0f} % of the pairs. Beside it stands the finer default, "
-            f"{_words(finer.metres, finer.degrees)}: the first of {tried} within which that pose is right for less "
-            "than half."
+            f"{_words(finer.metres, finer.degrees)}: {chosen}."
         )
     for pair_set, words in doubts_of(entry.truth_checks, entry.used):
         where = entry.record.name if len(entry.used) == 1 else f"{entry.record.name}, {pair_set},"

@@ -28,6 +28,13 @@ class FinerThresholds:
     degrees: float
     still: float
     """share of all pairs that are at most :data:`CORRECT` apart, so that the keyframe's own pose is right"""
+    still_here: float
+    """the same share within these thresholds"""
+
+    @property
+    def fits(self) -> bool:
+        """Whether standing still finds less than half of the pairs here; otherwise none of :data:`FINER` fits."""
+        return self.still_here < _HALF
 
 
 def finer_thresholds(entry: DatasetEntry) -> FinerThresholds | None:
@@ -49,4 +56,4 @@ def finer_thresholds(entry: DatasetEntry) -> FinerThresholds | None:
     if still(*CORRECT) < _HALF:
         return None
     metres, degrees = next((each for each in FINER if still(*each) < _HALF), FINER[-1])
-    return FinerThresholds(metres, degrees, still(*CORRECT))
+    return FinerThresholds(metres, degrees, still(*CORRECT), still(metres, degrees))

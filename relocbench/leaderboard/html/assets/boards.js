@@ -10,6 +10,7 @@ relocbench.boards = (() => {
   /** How DataTables shows text and numbers; what there is none of sorts behind everything else. */
   const text = (value, type) => (type === "display" ? escape(value ?? "") : value ?? "");
   const numeric = (unit) => (value, type) => (type === "display" ? escape(number(value, unit)) : Number.isFinite(Number(value ?? NaN)) ? Number(value) : Number(value) === Infinity ? 1e300 : -1);
+  const answerColumn = { title: "answer", data: "status", className: "text", render: (value, type) => text(relocbench.STATUS[value] ?? value, type) };
   const rank = (value, type) => (type === "display" ? (value ?? "") : Number.parseInt(value, 10) || 1e9);
 
   /** A table that is drawn anew, with other rows. */
@@ -34,6 +35,13 @@ relocbench.boards = (() => {
   function named(label, marks) {
     const page = relocbench.payload("site").pages[label], name = escape(label);
     return (page ? `<a href="${escape(page)}">${name}</a>` : name) + marks.map((mark) => ` <span class="tag">${escape(mark)}</span>`).join("");
+  }
+
+  /** Sentences below a table, those that are not empty. */
+  function notes(id, ...sentences) {
+    const said = sentences.filter(Boolean);
+    $(id).hidden = !said.length;
+    $(id).textContent = said.map((sentence) => `${sentence}.`).join(" ");
   }
 
   /** A list over the page: rows, worst first, in pages of fifty. */
@@ -105,5 +113,5 @@ relocbench.boards = (() => {
   /** The end of an image's path: its file and folder, which tell images of a list apart. */
   const shortName = (key) => key.split("/").slice(-2).join("/");
 
-  return { shortName, $, option, text, numeric, rank, redraw, cell, named, openList, line, aside, cumulative, middle, curve, upright, stacked, chooseTable };
+  return { shortName, $, option, text, numeric, rank, redraw, cell, named, notes, openList, answerColumn, line, aside, cumulative, middle, curve, upright, stacked, chooseTable };
 })();

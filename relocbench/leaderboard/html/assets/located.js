@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { element, number, state, load, floats, integers, bytes } = relocbench;
+  const { element, number, state, load, floats, integers, bytes, STATUS } = relocbench;
   const { $, findQuery, fact, picture, walk, place } = relocbench.queries;
   const site = relocbench.payload("site");
   const decoded = new Map();
@@ -110,14 +110,14 @@
 
   function drawAsked() {
     const { of, row, label } = now, c = of.chains[label], list = told(), [metres, degrees] = of.set.right, { tracker } = of.set.chains[label];
-    $("asked-about").textContent = list === null ? "Which keyframes were retrieved, and where they are, is shown where the dataset is at hand with rankings and answers beside the pipeline." : "Distance and angle are those of the true pose. A keyframe whose pair is among the results of trackers is linked to it.";
+    $("asked-about").textContent = list === null ? "Which keyframes were retrieved, and where they are, is shown where the dataset is available with rankings and answers beside the pipeline." : "Distance and angle are those of the true pose. A keyframe whose pair is among the results of trackers is linked to it.";
     const rows = list ?? [];
     $("asked").replaceChildren(...rows.map(([keyframe, distance, angle, near, status, confidence, t, r], i) => {
       const link = pairLink(of, keyframe, of.queries[row], tracker), is = Number(t) <= metres && Number(r) <= degrees, kept = String(c.keyframe[row]) === keyframe;
       return element("tr", { class: kept ? "chosen" : null },
         element("td", {}, String(i + 1)), element("td", { class: "text" }, link ? element("a", { href: link }, keyframe) : keyframe),
         element("td", {}, number(distance, "m")), element("td", {}, number(angle, "deg")), element("td", { class: "text" }, distance === null ? "not known" : near ? "yes" : "no"),
-        element("td", { class: "text" }, status), element("td", {}, number(confidence, "")), element("td", {}, number(t, "m")), element("td", {}, number(r, "deg")),
+        element("td", { class: "text" }, STATUS[status] ?? status), element("td", {}, number(confidence, "")), element("td", {}, number(t, "m")), element("td", {}, number(r, "deg")),
         element("td", { class: "text" }, element("span", { class: is ? "yes" : "no" }, is ? "✓ right" : "✗ wrong"), kept ? ", kept" : ""));
     }));
     if (!rows.length) $("asked").replaceChildren(element("tr", {}, element("td", { class: "text muted", colspan: 10 }, list === null ? "not known" : "none")));

@@ -131,7 +131,7 @@
   relocbench.parts.push((page) => {
     last = page;
     if (!page.extra.worlds) {
-      $("map-about").textContent = "Results hold no positions: there is a map where the dataset is at hand. Write the pages again with --dataset FOLDER.";
+      $("map-about").textContent = "Results hold no positions: there is a map where the dataset is available. Write the pages again with --dataset FOLDER.";
       return;
     }
     $("map-about").textContent = "From above. Queries stand where the truth puts them beside their keyframe. "

@@ -54,6 +54,13 @@
   const answerOf = (of, row, label) => poseAt(of.methods[label].poses, of.places.get(row));
   const messageOf = (of, row, label) => of.methods[label].messages[of.places.get(row)] || "";
 
+  /** Greatest errors of a found pair, metres and degrees: those of the list that the page was opened from. */
+  function thresholds() {
+    const given = state.get("within").split(",").map(Number);
+    return given.length === 2 && given.every((value) => value > 0) ? given : site.correct;
+  }
+  const isFound = (m, row) => m.t[row] <= now.within[0] && m.r[row] <= now.within[1];
+
   /** The rows of a method's list, worst first. */
   function listOf(of, label) {
     const both = of.methods[label].both;
@@ -85,7 +92,7 @@
     const label = labels.includes(wanted.method) ? wanted.method : labels.find((l) => !of.methods[l].floor) || labels[0];
     tell();
     $("pair").hidden = false;
-    now = { of, row, label, labels, pictures: null };
+    now = { of, row, label, labels, pictures: null, within: thresholds() };
     $("title").textContent = `${of.record.title}: pair ${row + 1} of ${of.pairs}`;
     document.title = `${$("title").textContent} – relocbench`;
     const fact = (name, ...value) => element("div", {}, element("dt", {}, name), element("dd", {}, ...value));
@@ -97,7 +104,7 @@
     $("pictured").disabled = !of.pictured.size;
     if (!of.pictured.size) $("pictured").checked = false;
     const m = of.methods[label], far = site.statuses[m.status[row]] === "ok" ? `${number(m.t[row], "m")} m and ${number(m.r[row], "deg")}° off` : relocbench.STATUS[site.statuses[m.status[row]]];
-    $("verdict").innerHTML = `${relocbench.verdict(m.both[row] <= 1)} by ${relocbench.escape(label)}: ${far}`;
+    $("verdict").innerHTML = `${relocbench.verdict(isFound(m, row))} by ${relocbench.escape(label)} within ${now.within[0]} m and ${now.within[1]}°: ${far}`;
     place();
     drawNumbers();
     drawPlan();
@@ -166,7 +173,7 @@
       const m = of.methods[l], failed = site.statuses[m.status[row]] !== "ok";
       return element("tr", { class: `${l === label ? "chosen" : ""} ${m.floor ? "floor" : ""}` },
         element("td", { class: "text" }, key(l), element("button", { type: "button", class: "cell", "aria-current": l === label ? "true" : null, onclick: () => choose(l) }, l)),
-        verdict(m.both[row] <= 1), element("td", {}, number(m.t[row], "m")), element("td", {}, number(m.r[row], "deg")), element("td", {}, number(m.confidence[row], "")),
+        verdict(isFound(m, row)), element("td", {}, number(m.t[row], "m")), element("td", {}, number(m.r[row], "deg")), element("td", {}, number(m.confidence[row], "")),
         element("td", {}, number(m.seconds[row], "s")), element("td", { class: failed ? "text failed" : "text" }, relocbench.STATUS[site.statuses[m.status[row]]]),
         element("td", { class: "text message" }, messageOf(of, row, l)));
     }));
@@ -211,7 +218,7 @@
     if (!shown) {
       const why = of.alone ? "The dataset holds poses alone, without images."
         : of.truth ? "No images were written for this pair. Write the pages again with a larger --pairs N: the N worst pairs of each method, and N drawn at random, have images in each pair set."
-        : "No images and no true poses: the dataset was not at hand when these pages were written. Write them again with --dataset FOLDER; --pairs N says how many pairs get images.";
+        : "No images and no true poses: the dataset was not available when these pages were written. Write them again with --dataset FOLDER; --pairs N says how many pairs get images.";
       $("none").append(element("p", { class: "empty" }, why));
       return;
     }

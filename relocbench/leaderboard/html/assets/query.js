@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { element, number, state, load, floats, integers, bytes } = relocbench;
+  const { element, number, state, load, floats, integers, bytes, STATUS } = relocbench;
   const { $, findQuery, fact, named, picture, walk, place } = relocbench.queries;
   const site = relocbench.payload("site");
   const decoded = new Map();
@@ -94,7 +94,7 @@
       return element("tr", { class: l === label ? "chosen" : null },
         element("td", { class: "text" }, choose), element("td", {}, rankOf(m.first[row])),
         element("td", { class: "text" }, element("span", { class: "flags", role: "img", "aria-label": words || "nothing" }, ...flags)),
-        element("td", {}, number(m.seconds[row], "s")), element("td", { class: "text" }, site.statuses[m.status[row]]), element("td", { class: "text message" }, (at === undefined ? "" : m.messages[at]) || ""));
+        element("td", {}, number(m.seconds[row], "s")), element("td", { class: "text" }, STATUS[site.statuses[m.status[row]]]), element("td", { class: "text message" }, (at === undefined ? "" : m.messages[at]) || ""));
     }));
   }
 

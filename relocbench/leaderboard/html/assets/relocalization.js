@@ -3,7 +3,7 @@
 
 (async () => {
   const { escape, number, state, load, floats, integers, bytes, chart, heat, legend, hiddenLabels } = relocbench;
-  const { $, option, text, numeric, rank, redraw, cell, named, openList, cumulative, middle, curve, upright, stacked, chooseTable } = relocbench.boards;
+  const { $, option, text, numeric, rank, redraw, cell, named, notes, openList, answerColumn, cumulative, middle, curve, upright, stacked, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
   const set = await load(`chains/${$("set").dataset.set}`);
   const labels = Object.keys(set.chains);
@@ -64,7 +64,7 @@
       { title: "first in basin", data: "hit", render: ranked },
       { title: "confidence", data: "confidence", render: numeric("") },
       { title: "seconds", data: "seconds", render: numeric("s") },
-      { title: "status", data: "status", className: "text", render: text },
+      answerColumn,
     ]);
   }
 
@@ -85,7 +85,8 @@
       columns: [{ title: "rank", data: "rank", className: "rank", render: rank }, ...head, ...columns(set.shown), { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) }],
     }, "methods");
     const stages = set.stages.filter((name) => !name.startsWith("failed_") || table.rows.some((row) => row.values[indexOf[name]]));
-    redraw("stages", { data: table.rows, createdRow, columns: [...head, { title: "basin_m / basin_deg", data: "basin", className: "text", render: text }, ...columns(stages)] }, "stages");
+    redraw("stages", { data: table.rows, createdRow, first: head.length + 1 + stages.length, columns: [...head, { title: "basin_m / basin_deg", data: "basin", className: "text", render: text }, ...columns(stages)] }, "stages");
+    notes("level", table.ranks);
     const missing = table.rows.filter((row) => row.missing.length).map((row) => `${row.method} on ${row.missing.join(", ")}`);
     const finest = table.tasks.map((name) => set.tasks[name].finest_m).filter((value) => value !== null && value > metres);
     $("about").textContent = `${table.tasks.length > 1 ? `Mean over ${table.tasks.length} tasks, each of which counts the same. ` : ""}${table.queries} queries.` + (missing.length ? ` Missing: ${missing.join("; ")}.` : "") + (finest.length ? ` The truth is too coarse for thresholds below ${number(Math.max(...finest), "m")} m.` : "");
@@ -143,7 +144,7 @@
       return curve(label, found, { both: "", translation: " m", rotation: "°" }[what]);
     });
     const mark = { both: 1, translation: metres, rotation: degrees }[what];
-    const title = { both: `error, 1 is ${metres} m and ${degrees}°`, translation: "translation error, m", rotation: "rotation error, °" }[what];
+    const title = { both: `error / threshold (${metres} m, ${degrees}°)`, translation: "translation error, m", rotation: "rotation error, °" }[what];
     chart("curves", curves, {
       xaxis: { title: { text: title }, range: [0, Math.max(2 * mark, Math.min(10 * mark, middle(limits)))] }, yaxis: { title: { text: "share of all queries, %" }, range: [0, 101] }, shapes: [upright(mark)],
     }, (event) => { const label = event.points[0].data.meta; openQueries(label, table.tasks, table.title); });

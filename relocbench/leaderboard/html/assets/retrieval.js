@@ -3,7 +3,7 @@
 
 (async () => {
   const { escape, number, state, load, floats, integers, bytes, chart, heat, legend, hiddenLabels } = relocbench;
-  const { shortName, $, option, text, numeric, rank, redraw, cell, named, openList, line, aside, cumulative, curve, upright, chooseTable } = relocbench.boards;
+  const { shortName, $, option, text, numeric, rank, redraw, cell, named, notes, openList, answerColumn, line, aside, cumulative, curve, upright, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
   const set = await load(`retrieval/${$("set").dataset.set}`);
   const labels = Object.keys(set.methods);
@@ -53,7 +53,7 @@
       { title: "right images", data: "positives" },
       ...(rows.some((row) => !Number.isNaN(row.distance)) ? [{ title: "first keyframe, m", data: "distance", render: numeric("m") }] : []),
       { title: "seconds", data: "seconds", render: numeric("s") },
-      { title: "status", data: "status", className: "text", render: text },
+      answerColumn,
     ]);
   }
 
@@ -79,8 +79,7 @@
     const without = table.without_positives ? ` ${table.without_positives} queries have no right image in the gallery, and count as not found.` : "";
     const missing = table.rows.filter((row) => row.missing.length).map((row) => `${row.method} on ${row.missing.join(", ")}`);
     $("about").textContent = `${several}${table.queries} queries, ${table.gallery} images in the galler${table.tasks.length > 1 ? "ies" : "y"}.${without}${missing.length ? ` Missing: ${missing.join("; ")}.` : ""}`;
-    $("level").hidden = !table.at_chance.length;
-    $("level").textContent = `No significant gain over chance: ${table.at_chance.join(", ")}.`;
+    notes("level", table.ranks, table.at_chance.length ? `No significant gain over chance: ${table.at_chance.join(", ")}` : "");
   }
 
   /** How many of ascending values are at most x. */

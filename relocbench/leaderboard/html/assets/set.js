@@ -60,9 +60,10 @@
     return out;
   }
 
-  /** As pair_link of links.py has it. */
-  const pairLink = (pair, label) => "pair.html#" + Object.entries({ set: set.id, pairset: pair.set, pair: `${pair.reference}-${pair.query}`, method: label })
-    .map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
+  /** The link to a pair as links.py says it, with the thresholds of the list it stands in where they are not the usual ones. */
+  const pairLink = (pair, label, [m, deg] = [metres, degrees]) => "pair.html#" + Object.entries({
+    set: set.id, pairset: pair.set, pair: `${pair.reference}-${pair.query}`, method: label, ...(m === metres && deg === degrees ? {} : { within: `${m},${deg}` }),
+  }).map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
 
   /** List pairs of a method. A limit {field, value, words} splits them into those within it, which come first, and others. */
   function openPairs(label, pairs, where, limit = null, thresholds = [metres, degrees]) {
@@ -102,7 +103,7 @@
       const known = pictures.get(row.set);
       return known?.rows.has(row.row) ? `<img class="thumb" alt="" data-image="${escape(`images/${set.id}/${known.images[side]}/${row[side]}`)}">` : "";
     };
-    const link = (row, inner) => `<a href="${escape(pairLink(row, label))}">${inner}</a>`;
+    const link = (row, inner) => `<a href="${escape(pairLink(row, label, [m, deg]))}">${inner}</a>`;
     const named = (row) => (names.length > 1 ? `${set.pair_sets[row.set].title}, pair ${row.row + 1}` : `pair ${row.row + 1}`);
     const seen = [...pictures.values()].some((known) => known.rows.size);
     relocbench.table($("pair-list"), {

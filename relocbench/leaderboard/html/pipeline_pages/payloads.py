@@ -14,7 +14,7 @@ from relocbench.evaluation.relocalization.pipeline import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineTask
 from relocbench.evaluation.relocalization.score import FAILURES, HIT
 from relocbench.leaderboard.common.headings import SECONDS, heading
-from relocbench.leaderboard.common.ranks import rank_text
+from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds
@@ -90,7 +90,7 @@ def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: M
         "right": list(RIGHT),
         "chains": {pipeline.label: _pipeline(pipeline, rows[pipeline.label]) for pipeline in asked.pipelines},
         "tasks": {name: _task(asked, name, asked.record.tasks[name], trackers.get(name)) for name in used},
-        "tables": [_table(table, [name for name, _ in metrics]) for table in asked.tables],
+        "tables": [_table(board, table, [name for name, _ in metrics]) for table in asked.tables],
     }
 
 
@@ -129,11 +129,12 @@ def _task(asked: PipelineSetBoard, name: str, task: PipelineTask, trackers: str 
     }
 
 
-def _table(table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
+def _table(board: PipelineBoard, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
     return {
         "title": table.name,
         "tasks": list(table.tasks),
         "queries": table.queries,
+        "ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
         "rows": [_row(row, table, names) for row in table.rows],
     }
 

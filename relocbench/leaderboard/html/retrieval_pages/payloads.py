@@ -11,7 +11,7 @@ from relocbench.arrays import Array
 from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.retrieval.records import TaskRecord
 from relocbench.leaderboard.common.headings import heading
-from relocbench.leaderboard.common.ranks import rank_text
+from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.retrieval_pages.distances import Distances
@@ -116,6 +116,7 @@ def _table(board: RetrievalBoard, table: RetrievalTable, names: Sequence[str]) -
         "queries": table.queries,
         "gallery": sum(r.gallery for r in table.records),
         "without_positives": table.without_positives,
+        "ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
         "at_chance": [row.method.label for row in table.rows if not_above_chance(board, table, row)],
         "chance": [table.chance.get(name) for name in names],
         "rows": [_row(row, table, names) for row in table.rows],
