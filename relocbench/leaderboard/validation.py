@@ -14,7 +14,7 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, folders_with
-from relocbench.evaluation.relocalization.records import SET_FILE as CHAIN_FILE
+from relocbench.evaluation.relocalization.records import SET_FILE as PIPELINE_FILE
 from relocbench.evaluation.relocalization.records import PipelineSetResults
 from relocbench.evaluation.relocalization.rescoring import PipelineTruth
 from relocbench.evaluation.retrieval.records import SET_FILE as RETRIEVAL_FILE
@@ -26,7 +26,7 @@ from relocbench.leaderboard.relocalization.board import load_pipeline
 from relocbench.leaderboard.retrieval.board import load_retriever
 from relocbench.progress import Reporter
 
-_RECORDS = (RETRIEVAL_FILE, CHAIN_FILE)
+_RECORDS = (RETRIEVAL_FILE, PIPELINE_FILE)
 
 
 def is_results_folder(path: Path) -> bool:
@@ -80,7 +80,7 @@ def _other_rows(top: Path, dataset: Dataset | None, found: Findings) -> list[tup
         with found.catching():
             asked, truth = folder.record, None if lookup is None else truth_of(folder, lookup)
             rows += [(partial(load_retriever, row, asked, asked.tasks, truth), row.root) for row in folder.methods()]
-    for pipelines in map(PipelineSetResults, folders_with(CHAIN_FILE, top)):
+    for pipelines in map(PipelineSetResults, folders_with(PIPELINE_FILE, top)):
         with found.catching():
             record = pipelines.record
             of_it = dataset is not None and dataset.fingerprint == record.dataset_fingerprint

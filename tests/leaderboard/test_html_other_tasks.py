@@ -1,4 +1,4 @@
-"""The pages of retrievers and of chains: what is written for them, and how they behave in a browser."""
+"""The pages of retrievers and of pipelines: what is written for them, and how they behave in a browser."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ def test_the_keyframes_of_a_pipeline_and_their_errors_are_those_of_its_table(
 ) -> None:
     (asked,) = pipelines.sets
     pipeline: Pipeline = next(c for c in asked.pipelines if c.label == NEAR)
-    told = _payload(site, f"candidates/{id_of_pipelines(asked)}/{ACROSS}")["chains"][NEAR]
+    told = _payload(site, f"candidates/{id_of_pipelines(asked)}/{ACROSS}")["pipelines"][NEAR]
     for answer, keyframes in zip(pipeline.answers[ACROSS], told, strict=True):
         assert len(keyframes) == answer.asked == 2
         hits = [rank for rank, one in enumerate(keyframes, start=1) if one[3]]

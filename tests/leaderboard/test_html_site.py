@@ -27,7 +27,7 @@ HOSTILE = "<script>alert(1)</script>"
 
 @pytest.fixture(scope="module")
 def boards(tmp_path_factory: pytest.TempPathFactory) -> Boards:
-    """One set with a floor, a good method, and one with a hostile name that misses a pair set."""
+    """One set with a trivial baseline, a good method, and one with a hostile name that misses a pair set."""
     results = MadeResults(tmp_path_factory.mktemp("made") / "results", {WINTER: 60, NIGHT: 40})
     results.write_dataset()
     results.add("identity", {WINTER: made(1, 60, 0.8), NIGHT: made(2, 40, 0.8)})
@@ -62,8 +62,9 @@ def test_floats_are_little_endian_float32() -> None:
 
 
 def test_links_hold_what_names_must_not() -> None:
-    link = links.pair_link(links.set_id("town", "ab" * 32), "a__b__c", 1, 2, "x&y=<")
-    assert link == "pair.html#set=town-abababababab&pairset=a__b__c&pair=1-2&method=x%26y%3D%3C"
+    assert links.hash_of({"set": links.set_id("town", "ab" * 32), "method": "x&y=<"}) == (
+        "set=town-abababababab&method=x%26y%3D%3C"
+    )
 
 
 def test_ids_are_names_of_files_and_do_not_collide() -> None:
@@ -114,7 +115,7 @@ def test_chance_stands_below_retrievers(boards: Boards) -> None:
     board = cast(RetrievalBoard, SimpleNamespace(metric="R@1", sets=(asked,)))
     (section,) = sections(Boards(None, board, None))
     (row,) = section["rows"]
-    assert (row["method"], row["value"], row["rank"], row["floor"]) == ("(chance)", "12.5", "", True)
+    assert (row["method"], row["value"], row["rank"], row["baseline"]) == ("(chance)", "12.5", "", True)
 
 
 def test_pages_of_methods_that_left_are_removed(boards: Boards, tmp_path: Path) -> None:

@@ -90,8 +90,8 @@ def test_a_method_no_better_than_the_identity_is_named(one_set: MadeResults, tmp
     page = page_of(one_set, tmp_path / "out")
     assert re.findall(r"^No significant gain over .*: (.*)\.$", page, re.MULTILINE) == ["`idle`"] * 2
     found = row(write_leaderboard(one_set.root, tmp_path / "out", plots=False), WINTER, "good")
-    assert found.above_floor is not None
-    assert found.above_floor.significant
+    assert found.above_identity is not None
+    assert found.above_identity.significant
 
 
 @pytest.mark.parametrize(("sigma", "marked"), [(0.04, False), (0.06, True), (None, False)])

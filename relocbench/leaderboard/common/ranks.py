@@ -19,6 +19,10 @@ class HasRank(Protocol):
         """Among the rows of its table; None for a row that is not ranked."""
         ...
 
+
+class ScoredRow(HasRank, Protocol):
+    """A row with the intervals of its numbers."""
+
     @property
     def intervals(self) -> Mapping[str, Interval | None]:
         """By metric."""
@@ -37,13 +41,13 @@ def rank_text(row: HasRank, rows: Iterable[HasRank]) -> str:
     return NO_RANK if share_a_rank(rows) else str(row.rank)
 
 
-def without_intervals(rows: Iterable[HasRank], metric: str) -> bool:
+def without_intervals(rows: Iterable[ScoredRow], metric: str) -> bool:
     """Whether too few pairs or queries are independent for any ranked method to have an interval of a metric."""
     shown = list(rows)
     return any(row.rank is not None for row in shown) and not any(row.intervals.get(metric) for row in shown)
 
 
-def why_no_ranks(rows: Sequence[HasRank], metric: str, of: str) -> str:
+def why_no_ranks(rows: Sequence[ScoredRow], metric: str, of: str) -> str:
     """Why a table shows no ranks, in a sentence without its full stop; empty where it has some, and without methods.
 
     Args:

@@ -1,7 +1,14 @@
 """Names of files and links of the site: what people may have bookmarked or cited, and so what stays as it is.
 
 Everything is relative to the folder of the site; every file lies directly in it or in ``data/`` and ``assets/``. The
-state of a page stands in the part of its address behind ``#``, as ``key=value&key=value`` with percent-encoded values.
+state of a page stands in the part of its address behind ``#``, as ``key=value&key=value`` with percent-encoded values:
+
+- a pair: ``pair.html#set=ID&pairset=PAIRSET&pair=REF-QUERY&method=LABEL``, with the timestamps of keyframe and query in
+  nanoseconds, and ``&within=METRES,DEGREES`` where a found pair must be closer than usual
+- a query of retrievers: ``query.html#set=ID&task=TASK&query=KEY&method=LABEL``
+- a query of pipelines: ``located.html#set=ID&task=TASK&query=TIMESTAMP&pipeline=LABEL``
+
+``ID`` is what :func:`set_id` gives; pair sets, tasks and methods have their own names.
 """
 
 from __future__ import annotations
@@ -57,30 +64,6 @@ def relocalization_page(of_set: str) -> str:
 def method_page(label: str) -> str:
     """The page of a method, which may be a tracker, a retriever or both."""
     return f"method-{method_id(label)}.html"
-
-
-def pair_link(of_set: str, pair_set: str, reference_ns: int, query_ns: int, method: str) -> str:
-    """The link to a pair: ``pair.html#set=ID&pairset=PAIRSET&pair=REF-QUERY&method=LABEL``.
-
-    Args:
-        of_set: what :func:`set_id` gives.
-        pair_set: the name of the pair set, not its id.
-        reference_ns: timestamp of the reference keyframe, nanoseconds.
-        query_ns: timestamp of the query, nanoseconds.
-        method: the label of the method that is shown first.
-    """
-    state = {"set": of_set, "pairset": pair_set, "pair": f"{reference_ns}-{query_ns}", "method": method}
-    return f"{PAIR_PAGE}#{hash_of(state)}"
-
-
-def query_link(of_set: str, task: str, query: str, method: str) -> str:
-    """The link to a query of retrievers: ``query.html#set=ID&task=TASK&query=KEY&method=LABEL``."""
-    return f"{QUERY_PAGE}#{hash_of({'set': of_set, 'task': task, 'query': query, 'method': method})}"
-
-
-def located_link(of_set: str, task: str, query_ns: int, pipeline: str) -> str:
-    """The link to a query of pipelines: ``located.html#set=ID&task=TASK&query=TIMESTAMP&chain=LABEL``."""
-    return f"{LOCATED_PAGE}#{hash_of({'set': of_set, 'task': task, 'query': str(query_ns), 'chain': pipeline})}"
 
 
 def hash_of(state: dict[str, str]) -> str:

@@ -30,8 +30,8 @@ MARKERS = (
     "triangle-right",
     "bowtie",
 )
-FLOOR_LIGHT, FLOOR_DARK = "#6b7280", "#9aa3b2"
-_FLOOR_DASHES = ("5px,3px", "1px,3px")
+BASELINE_LIGHT, BASELINE_DARK = "#6b7280", "#9aa3b2"
+_BASELINE_DASHES = ("5px,3px", "1px,3px")
 
 
 @dataclass(frozen=True)
@@ -44,19 +44,20 @@ class Look:
     marker: str
 
 
-def looks(labels: Collection[str], floors: Collection[str] = ()) -> dict[str, dict[str, str]]:
+def looks(labels: Collection[str], baselines: Collection[str] = ()) -> dict[str, dict[str, str]]:
     """The look of every method by label, as the pages take it.
 
     No colour occurs twice with the same dashes up to 48 methods; markers differ between neighbours of one colour.
 
     Args:
         labels: of all methods, in any order.
-        floors: those of them that are floors, which are grey.
+        baselines: the trivial baselines among them, which are grey.
     """
-    methods = sorted(set(labels) - set(floors))
+    methods = sorted(set(labels) - set(baselines))
     out = {label: _look(place) for place, label in enumerate(methods)}
-    for place, label in enumerate(sorted(set(floors))):
-        out[label] = Look(FLOOR_LIGHT, FLOOR_DARK, _FLOOR_DASHES[place % 2], ("circle-open", "square-open")[place % 2])
+    for place, label in enumerate(sorted(set(baselines))):
+        dashes, marker = _BASELINE_DASHES[place % 2], ("circle-open", "square-open")[place % 2]
+        out[label] = Look(BASELINE_LIGHT, BASELINE_DARK, dashes, marker)
     return {label: asdict(out[label]) for label in sorted(out)}
 
 

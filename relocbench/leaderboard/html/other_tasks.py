@@ -8,7 +8,7 @@ from typing import Any
 from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.looks import looks
-from relocbench.leaderboard.html.pipeline_pages.payloads import is_floor_pipeline
+from relocbench.leaderboard.html.pipeline_pages.payloads import is_keyframe_pose
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
 from relocbench.leaderboard.html.rows import Boards, pipeline_line, retriever_line
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineSetBoard
@@ -26,7 +26,7 @@ def with_other_tasks(payload: Mapping[str, Any], boards: Boards) -> dict[str, An
     retrievers = [m for asked in _sets(boards.retrieval) for m in asked.methods]
     pipelines = [c for asked in _pipelines(boards.relocalization) for c in asked.pipelines]
     labels = {m.label for m in retrievers}
-    added = looks({c.label for c in pipelines}, {c.label for c in pipelines if is_floor_pipeline(c)})
+    added = looks({c.label for c in pipelines}, {c.label for c in pipelines if is_keyframe_pose(c)})
     added |= looks(labels, {m.label for m in retrievers if is_random(m)})
     pages = {label: links.method_page(label) for label in sorted(labels)}
     return {**payload, "looks": {**added, **payload["looks"]}, "pages": {**pages, **payload["pages"]}}
@@ -61,8 +61,8 @@ def results_of(label: str, boards: Boards) -> dict[str, Any]:
         "retrieval_metric": None if retrieval is None else retrieval.metric,
         "retrieved": rows,
         "retrieval_runs": [_run(asked, m) for asked, m in own],
-        "chain_metric": None if boards.relocalization is None else boards.relocalization.metric,
-        "chained": in_pipelines,
+        "pipeline_metric": None if boards.relocalization is None else boards.relocalization.metric,
+        "pipelines": in_pipelines,
     }
 
 

@@ -33,17 +33,12 @@ def answers_key(dataset: DatasetBoard, pair_set: str) -> str:
     return f"pairs/{id_of(dataset)}/{links.pair_set_id(pair_set)}"
 
 
-def is_floor(method: Method) -> bool:
-    """Whether a method is one that every other is compared with."""
-    return method.is_floor or method.is_clock
-
-
 def site_payload(board: Board | None) -> dict[str, Any]:
     """What every page knows: the look of each method, and which pages there are."""
     methods = [m for dataset in (board.datasets if board else ()) for m in dataset.entry.methods]
-    floors = {m.label for m in methods if is_floor(m)}
+    baselines = {m.label for m in methods if m.is_baseline}
     return {
-        "looks": looks({m.label for m in methods}, floors),
+        "looks": looks({m.label for m in methods}, baselines),
         "pages": {m.label: links.method_page(m.label) for m in methods},
         "correct": list(CORRECT),
         "statuses": list(STATUSES),
@@ -115,13 +110,13 @@ def _single(values: Any) -> Any:
 
 
 def _method(method: Method) -> dict[str, Any]:
-    return {"floor": is_floor(method), "marks": marks_of(method), "missing": dict(method.missing)}
+    return {"baseline": method.is_baseline, "marks": marks_of(method), "missing": dict(method.missing)}
 
 
 def marks_of(method: Method) -> list[str]:
     """What stands behind the name of a method in every table."""
     marks = [mark.name for mark in MARKS if mark.applies(method)]
-    if method.is_floor:
+    if method.is_identity:
         marks.insert(0, "trivial baseline")
     elif method.is_clock:
         marks.insert(0, "timestamp-only baseline")

@@ -11,17 +11,13 @@ from relocbench.leaderboard.common import ranks
 from relocbench.leaderboard.common.ranks import HasRank, rank_text
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.payloads import id_of, is_floor, marks_of, table_title
-from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, is_floor_pipeline, marks_of_row
+from relocbench.leaderboard.html.payloads import id_of, marks_of, table_title
+from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, is_keyframe_pose, marks_of_row
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineRow, PipelineSetBoard, PipelineTable
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.retrieval.page import CHANCE, not_above_chance
-from relocbench.leaderboard.tracking.cells import (
-    NO_GAIN,
-    level_with_identity,
-    why_no_ranks,
-)
+from relocbench.leaderboard.tracking.cells import level_with_identity, why_no_ranks
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import Interval
 
@@ -123,7 +119,7 @@ def line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
         "count": table.pairs,
         "method": row.method.label,
         "method_page": links.method_page(row.method.label),
-        "floor": is_floor(row.method),
+        "baseline": row.method.is_baseline,
         "marks": marks_of(row.method),
         **_ranked(row, table),
         "value": number(value, metric.unit),
@@ -141,7 +137,7 @@ def retriever_line(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable
     """The row of a retriever in a table of a retrieval set."""
     method = row.method
     page = links.retrieval_page(id_of_places(asked))
-    own = {"page": page, "method_page": links.method_page(method.label), "floor": is_random(method)}
+    own = {"page": page, "method_page": links.method_page(method.label), "baseline": is_random(method)}
     state = {"table": table.name, "method": method.label}
     marks = marks_of_retriever(method)
     return _other(asked.title, table, method.label, row, board.metric) | own | _linked(page, state) | {"marks": marks}
@@ -152,7 +148,7 @@ def pipeline_line(
 ) -> dict[str, Any]:
     """The row of a pipeline in a table of a dataset."""
     page = links.relocalization_page(id_of_pipelines(asked))
-    own = {"page": page, "floor": is_floor_pipeline(row.pipeline), "marks": marks_of_row(row)}
+    own = {"page": page, "baseline": is_keyframe_pose(row.pipeline), "marks": marks_of_row(row)}
     state = {"table": table.name, "method": row.pipeline.label}
     return _other(asked.title, table, row.pipeline.label, row, board.metric) | own | _linked(page, state)
 
@@ -193,7 +189,7 @@ def _chance(asked: SetBoard, table: RetrievalTable, metric: str) -> dict[str, An
             "table": table.name,
             "count": table.queries,
             "method": CHANCE,
-            "floor": True,
+            "baseline": True,
             "marks": [],
             "rank": "",
             "order": 1_000_000,
@@ -212,7 +208,10 @@ def _notes(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
     where = f"{dataset.entry.title}, {table_title(table)}"
     notes = [f"{where}: {why}"] if (why := why_no_ranks(board, table)) else []
     level = level_with_identity(board, dataset, table)
-    return [*notes, *([f"{where}: {NO_GAIN}: {', '.join(level)}"] if level else [])]
+    return [
+        *notes,
+        *([f"{where}: no significant gain over the identity baseline: {', '.join(level)}"] if level else []),
+    ]
 
 
 def _ranked(row: HasRank, table: Any) -> dict[str, Any]:

@@ -60,9 +60,9 @@ def evaluate_commands(pipelines: Sequence[Pipeline]) -> list[str]:
     """The commands that run or resume pipelines, one for all pipelines that can share it."""
     groups: dict[tuple[object, ...], list[Pipeline]] = {}
     for pipeline in pipelines:
-        floor = pipeline.run.tracker == KEYFRAME  # every command evaluates it
+        baseline = pipeline.run.tracker == KEYFRAME  # every command evaluates it
         tops = {c.run.top for c in pipelines if c.run.retriever == pipeline.run.retriever and c.run.tracker != KEYFRAME}
-        if not floor or not tops:
+        if not baseline or not tops:
             groups.setdefault((pipeline.run.top, *_basin_words(pipeline)), []).append(pipeline)
     return [line for group in groups.values() for line in _commands(group)]
 

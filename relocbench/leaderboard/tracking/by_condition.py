@@ -194,8 +194,7 @@ def _line(label: str, methods: Sequence[Method], rank: str, columns: Sequence[Co
     shares = [None if own.share is None else own.share * len(column.pair_sets) for column, own in counted]
     known = [share for share in shares if share is not None]
     share = sum(known) / sets if known and len(known) == len(shares) else None
-    baseline = any(method.is_floor or method.is_clock for method in methods)
-    return Line(label, tuple(methods), rank, baseline, share, found)
+    return Line(label, tuple(methods), rank, any(method.is_baseline for method in methods), share, found)
 
 
 def _place(line: Line) -> tuple[bool, bool, int, float, float, str]:

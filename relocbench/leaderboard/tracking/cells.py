@@ -22,7 +22,6 @@ SHOWN = (
     "recall@(5m,10deg)",
 )
 DAGGER = "†"
-NO_GAIN = "no significant gain over the identity baseline"
 
 
 def shown_metrics(board: Board) -> list[Metric]:
@@ -45,8 +44,8 @@ def heading(metric: Metric, table: Table) -> str:
 def name(row: Row) -> str:
     """The label of a row's method, with what its readers must know."""
     label = escaped(row.method.label)
-    told = [f"*{label}*" if row.method.is_floor or row.method.is_clock else label]
-    if row.method.is_floor:
+    told = [f"*{label}*" if row.method.is_baseline else label]
+    if row.method.is_identity:
         told.append("(trivial baseline)")
     elif row.method.is_clock:
         told.append("(timestamp-only baseline)")
@@ -103,9 +102,9 @@ def level_with_identity(board: Board, dataset: DatasetBoard, table: Table) -> li
     """
     if ranks.without_intervals(table.rows, board.metric.name):
         return []
-    if not any(row.method is dataset.entry.floor and not row.missing for row in table.rows):
+    if not any(row.method is dataset.entry.identity and not row.missing for row in table.rows):
         return []
-    compared = [row for row in table.rows if row.above_floor is not None and not row.method.is_clock]
+    compared = [row for row in table.rows if row.above_identity is not None and not row.method.is_clock]
     return [row.method.label for row in compared if not _beats(row)]
 
 
@@ -115,4 +114,4 @@ def why_no_ranks(board: Board, table: Table) -> str:
 
 
 def _beats(row: Row) -> bool:
-    return row.above_floor is not None and row.above_floor.significant and row.above_floor.mean > 0
+    return row.above_identity is not None and row.above_identity.significant and row.above_identity.mean > 0

@@ -53,7 +53,7 @@ def _line(board: Board, row: Row, metrics: list[Metric]) -> Line:
         rank=row.rank,
         values=tuple(row.values[name] for name in names),
         intervals=intervals_of(names, shown),
-        competes=not (row.method.is_floor or row.method.is_clock or row.method.run.uses_times),
+        competes=not (row.method.is_baseline or row.method.run.uses_times),
     )
 
 

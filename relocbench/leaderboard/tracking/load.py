@@ -32,7 +32,7 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.submission.kept import KeptCard, kept_card
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
-from relocbench.evaluation.tracking.identity import IDENTITY, IDENTITY_TARGETS
+from relocbench.evaluation.tracking.identity import IDENTITY_TARGETS
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
     faults_of_record,
@@ -49,8 +49,6 @@ from relocbench.leaderboard.common.untrusted_results import check_file_names, ch
 if TYPE_CHECKING:
     from relocbench.leaderboard.tracking.doubt import TruthCheck
 
-FLOOR = IDENTITY
-"""the method that every other one is compared with"""
 SEED = "seed"
 
 
@@ -93,7 +91,7 @@ class Method:
         return [table.groups for table in self.tables(pair_set)] == [table.groups for table in other.tables(pair_set)]
 
     @property
-    def is_floor(self) -> bool:
+    def is_identity(self) -> bool:
         """Whether the method is the identity pose, whatever its label."""
         return self.run.target.removeprefix(PREDICTIONS) in IDENTITY_TARGETS
 
@@ -101,6 +99,11 @@ class Method:
     def is_clock(self) -> bool:
         """Whether the method is the timestamp-only baseline, whatever its label."""
         return self.run.target.removeprefix(PREDICTIONS) == CLOCK_TARGET
+
+    @property
+    def is_baseline(self) -> bool:
+        """Whether the method is a trivial baseline: the identity pose, or what timestamps alone give."""
+        return self.is_identity or self.is_clock
 
     @property
     def seed(self) -> int | None:
@@ -147,9 +150,9 @@ class DatasetEntry:
         return f"{self.record.name}@{self.record.fingerprint[:SHORT]}"
 
     @cached_property
-    def floor(self) -> Method | None:
+    def identity(self) -> Method | None:
         """The identity pose, if it was run."""
-        return next((m for m in self.methods if m.is_floor), None)
+        return next((m for m in self.methods if m.is_identity), None)
 
     @cached_property
     def clock(self) -> Method | None:

@@ -96,7 +96,7 @@ def _row(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
     out["elsewhere_answered"] = elsewhere.answered_share if elsewhere else None
     out["elsewhere_confident"] = elsewhere.confident_share if elsewhere else None
     out["elsewhere_confident_high"] = elsewhere.confident_high if elsewhere else None
-    above = row.above_floor
+    above = row.above_identity
     out["above_identity"] = above.mean if above else None
     out["above_identity_low"] = above.interval.low if above and above.interval else None
     out["above_identity_high"] = above.interval.high if above and above.interval else None

@@ -11,8 +11,8 @@ from relocbench.leaderboard.tracking.load import Method
 
 
 def is_ranked(method: Method) -> bool:
-    """Whether a method takes part in ranks: neither the floors do nor methods that are shown times."""
-    return not (method.is_floor or method.is_clock or method.run.uses_times)
+    """Whether a method takes part in ranks: neither trivial baselines do nor methods that are shown times."""
+    return not (method.is_baseline or method.run.uses_times)
 
 
 def made_elsewhere(run: RunRecord) -> bool:

@@ -35,8 +35,8 @@ class Row:
     """by metric; all None where a pair set is missing"""
     intervals: Mapping[str, Interval | None]
     rank: int | None
-    """None for a floor, and where a pair set is missing"""
-    above_floor: Difference | None
+    """None for a trivial baseline, and where a pair set is missing"""
+    above_identity: Difference | None
     """difference of the ranking metric to the identity pose on the same pairs; positive is better"""
     missing: tuple[str, ...] = ()
     """the pair sets that are missing"""
@@ -78,7 +78,7 @@ class Table:
     finer: frozenset[str]
     """metrics with a threshold finer than the ground truth allows"""
     rows: tuple[Row, ...]
-    """best first, then methods without a value, those that use times, and the floors"""
+    """best first, then methods without a value, those that use times, and the trivial baselines"""
     seeds: tuple[SeedRow, ...]
 
     @property

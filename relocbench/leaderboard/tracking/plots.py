@@ -30,7 +30,7 @@ LIMIT_DEG = 1.0
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 Style = str | tuple[float, tuple[float, ...]]
 STYLES: tuple[Style, ...] = ("-", (0, (1, 0.8)), (0, (4, 1, 1, 1)))
-FLOOR_COLOUR = "#767676"
+BASELINE_COLOUR = "#767676"
 
 
 _INCHES = (11.0, 4.2)
@@ -118,13 +118,13 @@ def matching_picture(dataset: DatasetBoard, pair_set: str) -> MatchingPicture:
 def risk_picture(dataset: DatasetBoard, table: Table) -> RiskPicture:
     """The share of wrong answers against the share of all pairs that are answered, as the required confidence falls.
 
-    The pairs of all sets of a total are taken together, so that a confidence must mean the same on each of them. Floors
-    and methods that answer nothing are left out.
+    The pairs of all sets of a total are taken together, so that a confidence must mean the same on each of them.
+    Trivial baselines and methods that answer nothing are left out.
     """
     lines = []
     for row in table.rows:
         method = row.method
-        if row.missing or not row.answered or method.is_floor or method.is_clock:
+        if row.missing or not row.answered or method.is_baseline:
             continue
         of_sets = [method.errors[name] for name in table.pair_sets]
         right = np.concatenate([within(of_set.errors, *CORRECT) for of_set in of_sets])
@@ -206,7 +206,7 @@ def _curve(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> Curve
     value = row.values[board.metric.name]
     name = _shown(method.label)
     label = f"{name}  {100 * value:.1f} %" if value is not None else name
-    baseline = "trivial baseline" if method.is_floor else "timestamp-only baseline" if method.is_clock else ""
+    baseline = "trivial baseline" if method.is_identity else "timestamp-only baseline" if method.is_clock else ""
     label = f"{label} ({baseline})" if baseline else label
     metres = _steps(errors.translation_error_m, LIMIT_M)
     degrees = _steps(errors.rotation_error_deg, LIMIT_DEG)
@@ -230,9 +230,9 @@ def _shown(name: str, times: int = 1) -> str:
 
 def _look(dataset: DatasetBoard, method: Method) -> tuple[str, Style]:
     """The colour and line style of a method, the same in all pictures of a dataset."""
-    if method.is_floor or method.is_clock:
-        return FLOOR_COLOUR, (0, (4, 2)) if method.is_floor else (0, (1, 1.5))
-    methods = [m.label for m in dataset.entry.methods if not (m.is_floor or m.is_clock)]
+    if method.is_baseline:
+        return BASELINE_COLOUR, (0, (4, 2)) if method.is_identity else (0, (1, 1.5))
+    methods = [m.label for m in dataset.entry.methods if not m.is_baseline]
     place = methods.index(method.label)
     return COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)]
 

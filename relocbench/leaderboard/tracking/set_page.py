@@ -116,10 +116,8 @@ def risk_file(dataset: DatasetBoard, table: Table) -> str:
 
 
 def has_risks(table: Table) -> bool:
-    """Whether any method but the floors has answered a pair of the total."""
-    return any(
-        not row.missing and row.answered and not (row.method.is_floor or row.method.is_clock) for row in table.rows
-    )
+    """Whether any method but the trivial baselines has answered a pair of the total."""
+    return any(not row.missing and row.answered and not row.method.is_baseline for row in table.rows)
 
 
 def _link(file: str) -> str:

@@ -143,8 +143,8 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
             {label: [None if rows is None else _errors(rows) for rows in own] for label, own in sets.items()},
             higher_is_better=metric.higher_is_better,
         )
-    floor = sets[entry.floor.label] if entry.floor else None
-    rows = [_row(m, sets[m.label], names, ranks[m.label], floor, metric) for m in entry.methods]
+    identity = sets[entry.identity.label] if entry.identity else None
+    rows = [_row(m, sets[m.label], names, ranks[m.label], identity, metric) for m in entry.methods]
     if group == ALL:
         rows = [row if row.missing else replace(row, elsewhere=_elsewhere(row.method, names)) for row in rows]
     asked = _pairs_asked(sets)
@@ -167,7 +167,7 @@ def _row(
     sets: Sequence[ErrorTable | None],
     names: Sequence[str],
     rank: int | None,
-    floor: Sequence[ErrorTable | None] | None,
+    identity: Sequence[ErrorTable | None] | None,
     metric: Metric,
 ) -> Row:
     missing = tuple(name for name, rows in zip(names, sets, strict=True) if rows is None)
@@ -180,10 +180,10 @@ def _row(
     counts = {status: sum(rows.with_status(status) for rows in there) for status in STATUSES}
     intervals = {m.name: _interval(m, there) for m in METRICS if m.name in {*INTERVALS, *MEDIANS, metric.name}}
     above = None
-    if floor is not None and floor is not sets and not any(rows is None for rows in floor):
+    if identity is not None and identity is not sets and not any(rows is None for rows in identity):
         above = paired_difference(
             [_sign(metric) * _per_pair(metric, rows) for rows in there],
-            [_sign(metric) * _per_pair(metric, rows) for rows in floor if rows is not None],
+            [_sign(metric) * _per_pair(metric, rows) for rows in identity if rows is not None],
         )
     return Row(
         method=method,
@@ -194,7 +194,7 @@ def _row(
         values=values,
         intervals=intervals,
         rank=rank,
-        above_floor=above,
+        above_identity=above,
     )
 
 
@@ -246,9 +246,8 @@ def _sign(metric: Metric) -> float:
 
 def _order(row: Row, metric: Metric) -> tuple[bool, bool, bool, float, str]:
     value, method = row.values[metric.name], row.method
-    floor = method.is_floor or method.is_clock
     place = 0.0 if value is None else -_sign(metric) * value
-    return floor, not is_ranked(method), value is None, place, method.label
+    return method.is_baseline, not is_ranked(method), value is None, place, method.label
 
 
 def _pairs_asked(sets: Mapping[str, Sequence[ErrorTable | None]]) -> list[ErrorTable]:

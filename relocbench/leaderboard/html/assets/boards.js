@@ -1,4 +1,4 @@
-/* Parts of the pages of retrievers and of chains: lists, curves, and bars. */
+/* Parts of the pages of retrievers and of pipelines: lists, curves, and bars. */
 "use strict";
 
 relocbench.boards = (() => {

@@ -1,4 +1,4 @@
-/* The page of a query of chains: the keyframes that were retrieved, the tracker's answers, and what the query was lost to. */
+/* The page of a query of pipelines: the keyframes that were retrieved, the tracker's answers, and what the query was lost to. */
 "use strict";
 
 (() => {
@@ -12,21 +12,21 @@
   async function open(setId, name) {
     const key = `${setId}/${name}`;
     if (!decoded.has(key)) {
-      const set = await load(`chains/${setId}`), task = Object.hasOwn(set.tasks, name) ? set.tasks[name] : null;
+      const set = await load(`pipelines/${setId}`), task = Object.hasOwn(set.tasks, name) ? set.tasks[name] : null;
       if (!task) throw new Error(`the set has no task '${name}'`);
-      const [answers, candidates] = await Promise.all([load(task.located), set.at_hand ? load(task.candidates) : null]);
+      const [answers, candidates] = await Promise.all([load(task.located), set.rescored ? load(task.candidates) : null]);
       const queries = integers(answers.queries), [metres, degrees] = set.right;
       const rows = candidates?.rows || Array.from({ length: queries.length }, (_, i) => i);
-      const chains = Object.fromEntries(Object.entries(answers.chains).map(([label, c]) => {
+      const pipelines = Object.fromEntries(Object.entries(answers.pipelines).map(([label, c]) => {
         const t = floats(c.translation_error_m), r = floats(c.rotation_error_deg);
         return [label, {
           t, r, both: t.map((value, i) => Math.max(value / metres, r[i] / degrees)), confidence: floats(c.confidence), seconds: floats(c.seconds), status: bytes(c.status),
           outcome: bytes(c.outcome), keyframe: integers(c.keyframe), rank: integers(c.rank), hit: integers(c.hit_rank), right: integers(c.right_rank), asked: integers(c.asked),
-          messages: c.messages, told: candidates?.chains[label] ?? null,
+          messages: c.messages, told: candidates?.pipelines[label] ?? null,
         }];
       }));
       decoded.set(key, {
-        setId, name, set, task, chains, candidates, queries, pairs: await pairsOf(task, name),
+        setId, name, set, task, pipelines, candidates, queries, pairs: await pairsOf(task, name),
         places: new Map(rows.map((row, at) => [row, at])), pictured: new Set(Object.keys(candidates?.pictures ?? {}).map(Number)),
       });
     }
@@ -43,7 +43,7 @@
     } catch { return null; }
   }
 
-  /** As pair_link of links.py has it; null where the pair has no page. */
+  /** As links.py says it; null where the pair has no page. */
   function pairLink(of, keyframe, query, tracker) {
     const pair = `${keyframe}-${query}`;
     if (!of.pairs?.keys.has(pair)) return null;
@@ -52,7 +52,7 @@
   }
 
   function listOf(of, label) {
-    const both = of.chains[label].both;
+    const both = of.pipelines[label].both;
     const rows = [...both.keys()].filter((row) => !$("pictured").checked || of.pictured.has(row));
     return rows.sort((a, b) => (both[a] === both[b] ? 0 : both[b] > both[a] ? 1 : -1));
   }
@@ -61,10 +61,10 @@
     const own = ++turn, found = await findQuery(open, (one, query) => one.queries.findIndex((time) => String(time) === query), () => own === turn, "dataset");
     if (!found) return;
     const { of, row } = found, wanted = state.all();
-    const labels = Object.keys(of.chains), competing = (l) => !of.set.chains[l].floor && !of.set.chains[l].oracle;
-    const label = labels.includes(wanted.chain) ? wanted.chain : labels.find(competing) || labels[0];
+    const labels = Object.keys(of.pipelines), competing = (l) => !of.set.pipelines[l].baseline && !of.set.pipelines[l].oracle;
+    const label = labels.includes(wanted.pipeline) ? wanted.pipeline : labels.find(competing) || labels[0];
     const list = listOf(of, label);
-    now = { key: "chain", of, row, labels, label, list, at: list.indexOf(row), name: (r) => String(of.queries[r]), render };
+    now = { key: "pipeline", of, row, labels, label, list, at: list.indexOf(row), name: (r) => String(of.queries[r]), render };
     document.title = `${of.name} ${of.queries[row]} – relocbench`;
     $("title").textContent = `${of.task.gallery || of.name} ← ${of.task.query || of.name}`;
     $("facts").replaceChildren(
@@ -77,10 +77,10 @@
   }
 
   const ranked = (value) => (value > 0n ? String(value) : "none");
-  const told = () => { const { of, row, label } = now, at = of.places.get(row); return at === undefined ? null : of.chains[label].told?.[at] ?? null; };
+  const told = () => { const { of, row, label } = now, at = of.places.get(row); return at === undefined ? null : of.pipelines[label].told?.[at] ?? null; };
 
   function drawVerdict() {
-    const { of, row, label } = now, c = of.chains[label], asked = Number(c.asked[row]), outcome = of.set.outcomes[c.outcome[row]];
+    const { of, row, label } = now, c = of.pipelines[label], asked = Number(c.asked[row]), outcome = of.set.outcomes[c.outcome[row]];
     const [metres, degrees] = of.set.right, of_them = asked === 1 ? "the keyframe" : `the ${asked} keyframes`;
     $("verdict").textContent = {
       right: `Right: within ${metres} m and ${degrees}°.`,
@@ -95,7 +95,7 @@
   const away = (metres, degrees) => (metres === null ? "distance not known" : `${number(metres, "m")} m and ${number(degrees, "deg")}° from the query`);
 
   function drawPictures() {
-    const { of, row, label } = now, c = of.chains[label], at = of.places.get(row), shown = of.candidates, list = told();
+    const { of, row, label } = now, c = of.pipelines[label], at = of.places.get(row), shown = of.candidates, list = told();
     const pictureOf = (keyframe) => (keyframe === null ? null : shown?.keyframes[keyframe] ?? null);
     const kept = c.keyframe[row] >= 0n ? String(c.keyframe[row]) : list?.[0]?.[0] ?? null;
     const own = list?.find(([keyframe]) => keyframe === kept), nearest = shown && at !== undefined ? shown.nearest[at] : null;
@@ -109,7 +109,7 @@
   }
 
   function drawAsked() {
-    const { of, row, label } = now, c = of.chains[label], list = told(), [metres, degrees] = of.set.right, { tracker } = of.set.chains[label];
+    const { of, row, label } = now, c = of.pipelines[label], list = told(), [metres, degrees] = of.set.right, { tracker } = of.set.pipelines[label];
     $("asked-about").textContent = list === null ? "Which keyframes were retrieved, and where they are, is shown where the dataset is available with rankings and answers beside the pipeline." : "Distance and angle are those of the true pose. A keyframe whose pair is among the results of trackers is linked to it.";
     const rows = list ?? [];
     $("asked").replaceChildren(...rows.map(([keyframe, distance, angle, near, status, confidence, t, r], i) => {
@@ -124,11 +124,11 @@
   }
 
   function drawNumbers() {
-    const { of, row, labels, label } = now, order = [...labels].sort((a, b) => of.chains[a].both[row] - of.chains[b].both[row] || 0);
+    const { of, row, labels, label } = now, order = [...labels].sort((a, b) => of.pipelines[a].both[row] - of.pipelines[b].both[row] || 0);
     $("numbers").replaceChildren(...order.map((l) => {
-      const c = of.chains[l], outcome = of.set.outcomes[c.outcome[row]];
+      const c = of.pipelines[l], outcome = of.set.outcomes[c.outcome[row]];
       return element("tr", { class: l === label ? "chosen" : null },
-        element("td", { class: "text" }, element("button", { type: "button", class: "cell", onclick: () => { state.set({ chain: l }); render(); } }, l)),
+        element("td", { class: "text" }, element("button", { type: "button", class: "cell", onclick: () => { state.set({ pipeline: l }); render(); } }, l)),
         element("td", { class: "text" }, element("span", { class: outcome === "right" ? "yes" : "no" }, outcome === "right" ? "right" : `lost to ${outcome}`)),
         element("td", {}, number(c.t[row], "m")), element("td", {}, number(c.r[row], "deg")), element("td", {}, ranked(c.rank[row])), element("td", {}, ranked(c.hit[row])), element("td", {}, ranked(c.right[row])),
         element("td", {}, number(c.seconds[row], "s")), element("td", { class: "text message" }, c.messages[row] || ""));

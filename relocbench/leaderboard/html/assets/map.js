@@ -113,7 +113,7 @@
     $("map-section").hidden = !methods.length || !worlds.length;
     if ($("map-section").hidden) return;
     const asked = state.get("map") || state.get("method");
-    const label = methods.includes(asked) ? asked : methods.find((l) => !page.set.methods[l].floor) || methods[0];
+    const label = methods.includes(asked) ? asked : methods.find((l) => !page.set.methods[l].baseline) || methods[0];
     const world = worlds.some(([i]) => String(i) === state.get("world")) ? Number(state.get("world")) : worlds[0][0];
     $("map-method").replaceChildren(...methods.map((l) => option(l, l, label)));
     $("map-world").replaceChildren(...worlds.map(([i, w]) => option(String(i), `that of ${w.name}`, String(world))));

@@ -30,7 +30,7 @@
         methods[label] = {
           t, r, both: t.map((value, i) => Math.max(value / metres, r[i] / degrees)), confidence: floats(m.confidence),
           seconds: floats(m.seconds), status: bytes(m.status), poses: floats(answers.methods[label].poses),
-          messages: answers.methods[label].messages, matches: answers.methods[label].matches, floor: set.methods[label]?.floor,
+          messages: answers.methods[label].messages, matches: answers.methods[label].matches, baseline: set.methods[label]?.baseline,
         };
       }
       const rows = answers.rows || Array.from({ length: errors.pairs }, (_, i) => i);
@@ -89,7 +89,7 @@
       return tell(`The pair set '${of.name}' has no pair ${wanted.pair}. `, element("a", { href: "index.html" }, "All results"));
     }
     const labels = Object.keys(of.methods);
-    const label = labels.includes(wanted.method) ? wanted.method : labels.find((l) => !of.methods[l].floor) || labels[0];
+    const label = labels.includes(wanted.method) ? wanted.method : labels.find((l) => !of.methods[l].baseline) || labels[0];
     tell();
     $("pair").hidden = false;
     now = { of, row, label, labels, pictures: null, within: thresholds() };
@@ -171,7 +171,7 @@
     const { of, row, label, labels } = now;
     $("numbers").replaceChildren(...labels.map((l) => {
       const m = of.methods[l], failed = site.statuses[m.status[row]] !== "ok";
-      return element("tr", { class: `${l === label ? "chosen" : ""} ${m.floor ? "floor" : ""}` },
+      return element("tr", { class: `${l === label ? "chosen" : ""} ${m.baseline ? "baseline" : ""}` },
         element("td", { class: "text" }, key(l), element("button", { type: "button", class: "cell", "aria-current": l === label ? "true" : null, onclick: () => choose(l) }, l)),
         verdict(isFound(m, row)), element("td", {}, number(m.t[row], "m")), element("td", {}, number(m.r[row], "deg")), element("td", {}, number(m.confidence[row], "")),
         element("td", {}, number(m.seconds[row], "s")), element("td", { class: failed ? "text failed" : "text" }, relocbench.STATUS[site.statuses[m.status[row]]]),

@@ -39,7 +39,7 @@
     if (!found) return;
     const { of, row } = found, wanted = state.all();
     const labels = Object.keys(of.methods);
-    const label = labels.includes(wanted.method) ? wanted.method : labels.find((l) => !of.set.methods[l].floor) || labels[0];
+    const label = labels.includes(wanted.method) ? wanted.method : labels.find((l) => !of.set.methods[l].baseline) || labels[0];
     const list = listOf(of, label);
     now = { key: "method", of, row, labels, label, list, at: list.indexOf(row), name: (r) => of.queries[r], render };
     document.title = `${of.queries[row]} – relocbench`;

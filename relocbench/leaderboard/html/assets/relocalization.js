@@ -1,42 +1,42 @@
-/* The page of a dataset's chains: tables, where queries are lost, errors, seconds of both stages, and lists of queries. */
+/* The page of a dataset's pipelines: tables, where queries are lost, errors, seconds of both stages, and lists of queries. */
 "use strict";
 
 (async () => {
   const { escape, number, state, load, floats, integers, bytes, chart, heat, legend, hiddenLabels } = relocbench;
   const { $, option, text, numeric, rank, redraw, cell, named, notes, openList, answerColumn, cumulative, middle, curve, upright, stacked, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
-  const set = await load(`chains/${$("set").dataset.set}`);
-  const labels = Object.keys(set.chains);
+  const set = await load(`pipelines/${$("set").dataset.set}`);
+  const labels = Object.keys(set.pipelines);
   const [metres, degrees] = set.right;
   const indexOf = Object.fromEntries(set.metrics.map((metric, index) => [metric.name, index]));
   const decoded = new Map();
   const current = chooseTable(set, () => { drawTables(); drawCharts(); });
-  const hidden = hiddenLabels(labels, current(), (label) => set.chains[label].floor);
+  const hidden = hiddenLabels(labels, current(), (label) => set.pipelines[label].baseline);
 
   async function answersOf(name) {
     if (!decoded.has(name)) {
-      const raw = await load(set.tasks[name].located), chains = {};
-      for (const [label, c] of Object.entries(raw.chains)) {
-        chains[label] = {
+      const raw = await load(set.tasks[name].located), pipelines = {};
+      for (const [label, c] of Object.entries(raw.pipelines)) {
+        pipelines[label] = {
           t: floats(c.translation_error_m), r: floats(c.rotation_error_deg), confidence: floats(c.confidence), seconds: floats(c.seconds),
           retrieval: c.retrieval_seconds && floats(c.retrieval_seconds), status: bytes(c.status), outcome: bytes(c.outcome), rank: integers(c.rank),
           hit: integers(c.hit_rank), right: integers(c.right_rank),
         };
       }
-      decoded.set(name, { name, queries: integers(raw.queries), chains });
+      decoded.set(name, { name, queries: integers(raw.queries), pipelines });
     }
     return decoded.get(name);
   }
   const tasksOf = (names) => Promise.all(names.map(answersOf));
 
-  /** As located_link of links.py has it. */
-  const locatedLink = (row, label) => "located.html#" + Object.entries({ set: set.id, task: row.task, query: row.query, chain: label })
+  /** As links.py says it. */
+  const locatedLink = (row, label) => "located.html#" + Object.entries({ set: set.id, task: row.task, query: row.query, pipeline: label })
     .map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
 
   function queriesOf(tasks, label) {
     const out = [];
     for (const of of tasks) {
-      const c = of.chains[label];
+      const c = of.pipelines[label];
       if (!c) continue;
       for (let i = 0; i < of.queries.length; i++) {
         out.push({
@@ -71,13 +71,13 @@
   function drawTables() {
     const table = current(), opened = (event, row) => { if (event.target.closest("button.cell")) openQueries(row.method, table.tasks, table.title); };
     const head = [
-      { title: "retriever", data: (row) => set.chains[row.method].retriever, className: "text", render: (value, type) => (type === "display" ? named(value, []) : value) },
-      { title: "tracker", data: (row) => set.chains[row.method].tracker, className: "text", render: (value, type, row) => (type === "display" ? named(value, set.chains[row.method].marks) : value) },
-      { title: "top", data: (row) => set.chains[row.method].top },
+      { title: "retriever", data: (row) => set.pipelines[row.method].retriever, className: "text", render: (value, type) => (type === "display" ? named(value, []) : value) },
+      { title: "tracker", data: (row) => set.pipelines[row.method].tracker, className: "text", render: (value, type, row) => (type === "display" ? named(value, set.pipelines[row.method].marks) : value) },
+      { title: "top", data: (row) => set.pipelines[row.method].top },
     ];
     const columns = (names) => names.map((name) => ({ title: escape(set.metrics[indexOf[name]].heading), data: null, render: cell(set.metrics[indexOf[name]], indexOf[name], "Queries") }));
     const createdRow = (tr, row) => {
-      if (set.chains[row.method].floor) tr.classList.add("floor");
+      if (set.pipelines[row.method].baseline) tr.classList.add("baseline");
       tr.addEventListener("click", (event) => opened(event, row));
     };
     redraw("methods", {
@@ -111,16 +111,16 @@
   }
 
   function drawClock(table, tasks) {
-    const own = labels.filter((label) => tasks.every((of) => of.chains[label]));
+    const own = labels.filter((label) => tasks.every((of) => of.pipelines[label]));
     const mean = (values) => { const known = values.filter((v) => !Number.isNaN(v)); return known.length ? known.reduce((s, v) => s + v, 0) / known.length : null; };
     const retrieval = {}, tracking = {}, together = {};
     for (const label of own) {
-      const rows = queriesOf(tasks, label), { retriever, tracker } = set.chains[label];
+      const rows = queriesOf(tasks, label), { retriever, tracker } = set.pipelines[label];
       const split = rows.filter((row) => !Number.isNaN(row.retrieval) && !Number.isNaN(row.seconds));
       if (split.length) {
         retrieval[label] = mean(split.map((row) => row.retrieval));
         tracking[label] = mean(split.map((row) => Math.max(0, row.seconds - row.retrieval)));
-      } else if (set.chains[label].oracle) tracking[label] = mean(rows.map((row) => row.seconds));
+      } else if (set.pipelines[label].oracle) tracking[label] = mean(rows.map((row) => row.seconds));
       else together[label] = mean(rows.map((row) => row.seconds));
     }
     const known = own.filter((label) => (retrieval[label] ?? tracking[label] ?? together[label] ?? null) !== null);
@@ -136,11 +136,11 @@
     drawLosses(table);
     const tasks = await tasksOf(table.tasks);
     if (table !== current()) return;
-    const own = labels.filter((label) => !hidden.has(label) && tasks.every((of) => of.chains[label]));
+    const own = labels.filter((label) => !hidden.has(label) && tasks.every((of) => of.pipelines[label]));
     const what = $("choose-error").value, field = { both: "both", translation: "t", rotation: "r" }[what], limits = [];
     const curves = own.map((label) => {
       const found = cumulative(queriesOf(tasks, label).map((row) => row[field]));
-      if (found.most !== null && !set.chains[label].floor) limits.push(found.most);
+      if (found.most !== null && !set.pipelines[label].baseline) limits.push(found.most);
       return curve(label, found, { both: "", translation: " m", rotation: "°" }[what]);
     });
     const mark = { both: 1, translation: metres, rotation: degrees }[what];
@@ -164,7 +164,7 @@
     })), a, b, ["query", "map"]);
   }
 
-  const competing = (label) => !set.chains[label].floor && !set.chains[label].oracle;
+  const competing = (label) => !set.pipelines[label].baseline && !set.pipelines[label].oracle;
   const chosen = labels.includes(state.get("method")) ? state.get("method") : current().rows.map((row) => row.method).find(competing) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
   $("heat-b").replaceChildren(option("", "none", ""), ...labels.map((l) => option(l, l, state.get("less"))));

@@ -10,7 +10,7 @@
   const ranking = set.metrics.findIndex((metric) => metric.name === set.ranking);
   const decoded = new Map();
   const current = chooseTable(set, () => { drawTable(); drawCharts(); });
-  const hidden = hiddenLabels(labels, current(), (label) => set.methods[label].floor);
+  const hidden = hiddenLabels(labels, current(), (label) => set.methods[label].baseline);
 
   /** The ranks of a task, decoded once: of each query the rank of its first right image, Infinity for none. */
   async function ranksOf(name) {
@@ -26,7 +26,7 @@
   }
   const tasksOf = (names) => Promise.all(names.map(ranksOf));
 
-  /** As query_link of links.py has it. */
+  /** As links.py says it. */
   const queryLink = (row, label) => "query.html#" + Object.entries({ set: set.id, task: row.task, query: row.query, method: label })
     .map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
 
@@ -71,7 +71,7 @@
         { title: "rescored", data: "rescored", className: "text", render: text },
       ],
       createdRow: (tr, row) => {
-        if (row.chance || set.methods[row.method].floor) tr.classList.add("floor");
+        if (row.chance || set.methods[row.method].baseline) tr.classList.add("baseline");
         tr.addEventListener("click", (event) => { if (event.target.closest("button.cell")) openQueries(row.method, table.tasks, table.title); });
       },
     }, "methods");
@@ -135,7 +135,7 @@
     if (!known) return;
     const limits = [], curves = own.map((label) => {
       const found = cumulative(tasks.flatMap((of) => [...of.methods[label].distance].map((v) => (Number.isNaN(v) ? Infinity : v))));
-      if (found.most !== null && !set.methods[label].floor) limits.push(found.most);
+      if (found.most !== null && !set.methods[label].baseline) limits.push(found.most);
       return curve(label, found, " m");
     });
     const nearest = cumulative(tasks.flatMap((of) => [...of.nearest]));
@@ -161,7 +161,7 @@
     })), a, b, ["query", "gallery"]);
   }
 
-  const chosen = labels.includes(state.get("method")) ? state.get("method") : current().rows.map((row) => row.method).find((l) => !set.methods[l].floor) || labels[0];
+  const chosen = labels.includes(state.get("method")) ? state.get("method") : current().rows.map((row) => row.method).find((l) => !set.methods[l].baseline) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
   $("heat-b").replaceChildren(option("", "none", ""), ...labels.map((l) => option(l, l, state.get("less"))));
   for (const [id, key] of [["heat-a", "method"], ["heat-b", "less"]]) $(id).addEventListener("change", () => { state.set({ [key]: $(id).value }); drawHeat(); });

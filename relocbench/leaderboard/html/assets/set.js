@@ -162,7 +162,7 @@
         { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) },
       ],
       createdRow: (tr, row) => {
-        if (set.methods[row.method].floor) tr.classList.add("floor");
+        if (set.methods[row.method].baseline) tr.classList.add("baseline");
         tr.addEventListener("click", async (event) => {
           if (event.target.closest("button.cell")) openPairs(row.method, pairsOf(await dataOf(table), table, row.method), table.title);
         });
@@ -198,7 +198,7 @@
     const curves = own.filter((label) => shown[label].length).map((label) => {
       const values = Float64Array.from(shown[label], (pair) => pair[field]).sort();
       const finite = values.findLastIndex((v) => Number.isFinite(v)) + 1;
-      if (finite && !set.methods[label].floor) limits.push(values[Math.floor(0.8 * finite)]);
+      if (finite && !set.methods[label].baseline) limits.push(values[Math.floor(0.8 * finite)]);
       const step = Math.max(1, Math.floor(finite / 800)), x = [0], y = [0];
       for (let i = 0; i < finite; i += step) { x.push(values[i]); y.push((100 * (i + 1)) / values.length); }
       const last = finite ? values[finite - 1] : 0, reached = (100 * finite) / values.length;
@@ -214,7 +214,7 @@
       const words = `${number(x, unit)}${{ both: "", translation: " m", rotation: "°" }[what]}`;
       openPairs(label, shown[label], table.title, { field, value: x, words });
     });
-    const risks = own.filter((label) => !set.methods[label].floor && shown[label].some((p) => p.status === "ok")).map((label) => {
+    const risks = own.filter((label) => !set.methods[label].baseline && shown[label].some((p) => p.status === "ok")).map((label) => {
       // Answers of one confidence are kept or dropped together; without a confidence an answer is the least sure.
       const sure = (p) => (Number.isNaN(p.confidence) ? -Infinity : p.confidence);
       const answered = shown[label].filter((p) => p.status === "ok").sort((a, b) => (sure(a) === sure(b) ? 0 : sure(b) - sure(a)));
@@ -258,8 +258,8 @@
 
   $("choose-table").replaceChildren(...titles.map((t) => option(t, t, state.get("table", titles.find((x) => x.startsWith("total")) || titles[0]))));
   groups();
-  const hidden = hiddenLabels(labels, current(), (label) => set.methods[label].floor);
-  const chosen = labels.includes(state.get("method")) ? state.get("method") : labels.find((l) => !set.methods[l].floor) || labels[0];
+  const hidden = hiddenLabels(labels, current(), (label) => set.methods[label].baseline);
+  const chosen = labels.includes(state.get("method")) ? state.get("method") : labels.find((l) => !set.methods[l].baseline) || labels[0];
   $("heat-a").replaceChildren(...labels.map((l) => option(l, l, chosen)));
   $("heat-b").replaceChildren(option("", "none", ""), ...labels.map((l) => option(l, l, state.get("less"))));
   $("choose-error").value = ["translation", "rotation"].includes(state.get("error")) ? state.get("error") : "both";

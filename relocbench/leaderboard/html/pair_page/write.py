@@ -27,7 +27,7 @@ from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import floats, write_data
 from relocbench.leaderboard.html.pair_page.matches import shown_matches
 from relocbench.leaderboard.html.pair_page.pictures import depth_payload, image_payload
-from relocbench.leaderboard.html.payloads import answers_key, id_of, is_floor
+from relocbench.leaderboard.html.payloads import answers_key, id_of
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.metrics import CORRECT
@@ -106,7 +106,7 @@ def chosen_pairs(methods: Sequence[Method], pair_set: str, count: int) -> list[i
     """
     chosen: set[int] = set()
     for method in methods:
-        if not is_floor(method):
+        if not method.is_baseline:
             errors = method.errors[pair_set].errors
             both = np.maximum(errors.translation_error_m / CORRECT[0], errors.rotation_error_deg / CORRECT[1])
             chosen.update(np.argsort(-both, kind="stable")[:count].tolist())

@@ -15,7 +15,7 @@ from relocbench.evaluation.relocalization.pipeline import RIGHT, Retrieved, Trac
 from relocbench.evaluation.relocalization.records import PipelineBasin
 from relocbench.evaluation.relocalization.rescoring import PipelineTruth
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
-from relocbench.leaderboard.html.pipeline_pages.payloads import is_floor_pipeline
+from relocbench.leaderboard.html.pipeline_pages.payloads import is_keyframe_pose
 from relocbench.leaderboard.html.thumbnails import Thumbnail, thumbnail_name
 from relocbench.leaderboard.relocalization.board import Pipeline
 from relocbench.metrics import pose_errors
@@ -53,7 +53,7 @@ def chosen_queries(pipelines: Sequence[Pipeline], task: str, count: int) -> list
     chosen: set[int] = set()
     own = [pipeline for pipeline in pipelines if task in pipeline.answers]
     for pipeline in own:
-        if not is_floor_pipeline(pipeline):
+        if not is_keyframe_pose(pipeline):
             rows = pipeline.answers[task]
             both = [max(a.translation_error_m / RIGHT[0], a.rotation_error_deg / RIGHT[1]) for a in rows]
             chosen.update(np.argsort(-np.array(both), kind="stable")[:count].tolist())
@@ -90,7 +90,7 @@ def candidates_payload(
     return {
         "rows": None if len(kept) == len(times) else list(kept),
         "nearest": nearest,
-        "chains": told,
+        "pipelines": told,
         "pictures": {row: thumbnail_name(of[0].key) for row, of in views.items()},
         "keyframes": {_time(view): thumbnail_name(view.key) for of in views.values() for view in of[1:]},
     }

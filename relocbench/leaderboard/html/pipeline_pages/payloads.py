@@ -49,7 +49,7 @@ def candidates_key(asked: PipelineSetBoard, task: str) -> str:
     return f"candidates/{id_of_pipelines(asked)}/{links.pair_set_id(task)}"
 
 
-def is_floor_pipeline(pipeline: Pipeline) -> bool:
+def is_keyframe_pose(pipeline: Pipeline) -> bool:
     """Whether a pipeline answers the pose of its first keyframe."""
     return pipeline.run.tracker == KEYFRAME
 
@@ -58,7 +58,7 @@ def marks_of_row(row: PipelineRow) -> list[str]:
     """The words behind the name of a pipeline."""
     pipeline = row.pipeline
     known = {
-        "trivial baseline": is_floor_pipeline(pipeline),
+        "trivial baseline": is_keyframe_pose(pipeline),
         "knows the truth": pipeline.knows_truth,
         "uses times": pipeline.uses_times,
     }
@@ -81,14 +81,14 @@ def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: M
         "id": id_of_pipelines(asked),
         "title": asked.title,
         "ranking": board.metric,
-        "at_hand": asked.truth is not None,
+        "rescored": asked.truth is not None,
         "metrics": [{"name": name, "heading": heading(name, unit), "unit": unit} for name, unit in metrics],
         "shown": [*poses, *MEDIANS, SECONDS],
         "stages": ["basin_recall@1", HIT, "right_given_hit", "right_without_hit", "right_among_K", *FAILURES],
         "losses": list(LOSSES),
         "outcomes": list(OUTCOMES),
         "right": list(RIGHT),
-        "chains": {pipeline.label: _pipeline(pipeline, rows[pipeline.label]) for pipeline in asked.pipelines},
+        "pipelines": {pipeline.label: _pipeline(pipeline, rows[pipeline.label]) for pipeline in asked.pipelines},
         "tasks": {name: _task(asked, name, asked.record.tasks[name], trackers.get(name)) for name in used},
         "tables": [_table(board, table, [name for name, _ in metrics]) for table in asked.tables],
     }
@@ -100,7 +100,7 @@ def located_payload(asked: PipelineSetBoard, task: str) -> dict[str, Any]:
     first = next(iter(pipelines.values())).answers[task]
     return {
         "queries": integers([a.query_timestamp_ns for a in first]),
-        "chains": {label: _answers(asked, pipeline, task) for label, pipeline in pipelines.items()},
+        "pipelines": {label: _answers(asked, pipeline, task) for label, pipeline in pipelines.items()},
     }
 
 
@@ -110,7 +110,7 @@ def _pipeline(pipeline: Pipeline, row: PipelineRow) -> dict[str, Any]:
         "retriever": run.retriever,
         "tracker": run.tracker,
         "top": run.top,
-        "floor": is_floor_pipeline(pipeline),
+        "baseline": is_keyframe_pose(pipeline),
         "oracle": run.retriever == ORACLE,
         "marks": marks_of_row(row),
     }

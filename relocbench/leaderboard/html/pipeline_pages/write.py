@@ -1,6 +1,6 @@
 """Writing the pages of pipelines and what the page of a query loads.
 
-``data/chains/SET.js`` holds the tables of a dataset, ``data/located/SET/TASK.js`` the answers to each query, and
+``data/pipelines/SET.js`` holds the tables of a dataset, ``data/located/SET/TASK.js`` the answers to each query, and
 ``data/candidates/SET/TASK.js`` the keyframes that they were made of, where the dataset is available.
 """
 
@@ -70,7 +70,7 @@ def _write_set(
 ) -> set[Path]:
     of_set = id_of_pipelines(asked)
     payload = pipelines_payload(board, asked, _trackers(asked, tracking))
-    written = {write_data(site, f"chains/{of_set}", payload)}
+    written = {write_data(site, f"pipelines/{of_set}", payload)}
     rows = sum(len(rows) for pipeline in asked.pipelines for rows in pipeline.answers.values())
     for name in payload["tasks"]:
         written.add(write_data(site, located_key(asked, name), located_payload(asked, name)))

@@ -42,7 +42,7 @@ def lists_key(asked: SetBoard, task: str) -> str:
 
 
 def is_random(method: Retriever) -> bool:
-    """Whether a method is the floor that ranks at random."""
+    """Whether a method is the trivial baseline, which ranks at random."""
     return method.run.target == RANDOM
 
 
@@ -64,7 +64,7 @@ def retrieval_payload(board: RetrievalBoard, asked: SetBoard) -> dict[str, Any]:
         "ranking": board.metric,
         "radius_m": radius if isinstance(radius := record.options.get("radius"), float | int) else None,
         "metrics": [{"name": name, "heading": heading(name), "unit": "share"} for name in names],
-        "methods": {m.label: {"floor": is_random(m), "marks": marks_of_retriever(m)} for m in asked.methods},
+        "methods": {m.label: {"baseline": is_random(m), "marks": marks_of_retriever(m)} for m in asked.methods},
         "tasks": {name: _task(asked, name, record.tasks[name]) for name in record.tasks if name in used},
         "tables": [_table(board, table, names) for table in asked.tables],
     }

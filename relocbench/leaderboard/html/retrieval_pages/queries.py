@@ -21,8 +21,8 @@ _SEED = 0
 def chosen_queries(methods: Sequence[Retriever], task: str, count: int) -> list[int]:
     """The indices of the queries that are shown with pictures, in ascending order.
 
-    They are the ``count`` worst of each method that is no floor, by the rank of their first right image, and ``count``
-    drawn at random, the same for the same number of queries.
+    They are the ``count`` worst of each method that is no trivial baseline, by the rank of their first right
+    image, and ``count`` drawn at random, the same for the same number of queries.
     """
     chosen: set[int] = set()
     for method in methods:

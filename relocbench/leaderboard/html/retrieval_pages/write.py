@@ -38,8 +38,8 @@ def write_retrieval_pages(board: RetrievalBoard, site: Path, *, queries: int, re
 
     Args:
         site: the folder of the site.
-        queries: in each task, so many worst queries of each method that is no floor, and so many drawn at random, have
-            pictures where the dataset is available.
+        queries: in each task, so many worst queries of each method that is no trivial baseline, and so many drawn at
+            random, have pictures where the dataset is available.
         reporter: receives the number of pictures that are done.
 
     Raises:

@@ -7,7 +7,6 @@ stand, in the order of its errors. A page loads them after its table, maps when 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import write_data
@@ -28,7 +27,7 @@ def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
         PredictionError: a table of a probe is bad.
     """
     of_set, entry = id_of(dataset), dataset.entry
-    known = _first_errors(dataset)
+    known = {name: table.keys for name in entry.pair_sets if (table := entry.errors_of(name)) is not None}
     maps = Maps(entry.dataset, list(known)) if entry.dataset is not None and known else None
     written = set()
     if maps is not None:
@@ -47,13 +46,3 @@ def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
         "sweep": sweep_of(entry.pair_sets, entry.dataset),
     }
     return written | {write_data(site, f"charts/{of_set}", payload)}
-
-
-def _first_errors(dataset: DatasetBoard) -> dict[str, Any]:
-    """(N, 2) the times of the pairs of each pair set that has errors, in the order of its errors."""
-    found = {}
-    for name in dataset.entry.pair_sets:
-        method = next((m for m in dataset.entry.methods if name in m.errors), None)
-        if method is not None:
-            found[name] = method.errors[name].keys
-    return found
