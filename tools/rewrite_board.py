@@ -1,12 +1,11 @@
 #!/usr/bin/env python3
 """Write the Markdown of a published board again from its CSV files, where only the layout of pages has changed.
 
-    tools/rewrite_board.py leaderboard [--dataset DATASET ...]
+    tools/rewrite_board.py leaderboard
 
-A board takes hours to evaluate; its tables hold every error and all that the pages show. Before anything is written,
-every number of ``leaderboard.csv`` is computed again from ``errors.csv`` and compared to twelve digits (the order in
-which pair sets were added up is not published). Plots and CSV files stay as they are. The truth of datasets that are
-named is compared with their images, as ``relocbench leaderboard`` does where it has them.
+A board takes hours to evaluate; its tables hold every error and all that pages and plots show. Before anything is
+written, every number of ``leaderboard.csv`` is computed again from ``errors.csv`` and compared to twelve digits (the
+order in which pair sets were added up is not published). CSV files stay as they are.
 """
 
 from __future__ import annotations
@@ -18,22 +17,19 @@ import math
 import re
 import sys
 from collections import defaultdict
-from dataclasses import replace
 from pathlib import Path
 
-from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable, PairErrors
 from relocbench.evaluation.common.matching_table import ALL, MatchingRow, OffsetCounts
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
-from relocbench.files import write_text
-from relocbench.leaderboard.common.text import cell, write_records
-from relocbench.leaderboard.tracking.doubt import check_truth, truth_rows
-from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
+from relocbench.leaderboard.common.text import cell
+from relocbench.leaderboard.tracking.doubt import TruthCheck
 from relocbench.leaderboard.tracking.load import DatasetEntry, Method
 from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 from relocbench.leaderboard.tracking.model import TOTALS, Board
-from relocbench.leaderboard.tracking.set_page import set_file, set_page
 from relocbench.leaderboard.tracking.tables import make_board
+from relocbench.leaderboard.tracking.write import write_pages
 from relocbench.progress import Silent
 
 Rows = list[dict[str, str]]
@@ -44,27 +40,18 @@ _COUNTS = ("answered", "match@1px", "match@3px", "start@1px", "start@3px")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("board", type=Path, help="folder of leaderboard.csv")
-    parser.add_argument("--dataset", type=Path, action="append", default=[], help="whose truth is compared with images")
     options = parser.parse_args()
     folder: Path = options.board
     published = _read(folder / "leaderboard.csv")
     errors, matching = _errors(folder / "errors.csv"), _matching(folder / "matching.csv")
+    truth = _read(folder / "truth.csv")
     by_dataset: dict[str, Rows] = defaultdict(list)
     for row in published:
         by_dataset[row["dataset"]].append(row)
-    entries = [_entry(folder, rows, errors, matching) for rows in by_dataset.values()]
-    at_hand = {dataset.fingerprint: dataset for dataset in map(Dataset, options.dataset)}
-    entries = [_with_checks(entry, at_hand.get(entry.record.fingerprint)) for entry in entries]
+    entries = [_entry(folder, rows, errors, matching, truth) for rows in by_dataset.values()]
     board = make_board(entries, metric=published[0]["ranked_by"])
     _compare(board, published)
-    for dataset in board.datasets:
-        write_text(folder / set_file(dataset), set_page(board, dataset, plots=True))
-    write_text(folder / READING, reading_page(board))
-    write_text(folder / "leaderboard.md", front_page(board))
-    names = {entry.title: {"dataset": entry.record.name, "fingerprint": entry.record.fingerprint} for entry in entries}
-    checks = [row for entry in entries for row in truth_rows(names[entry.title], entry.truth_checks)]
-    if checks:
-        write_records(folder / "truth.csv", checks)
+    write_pages(board, folder, plots=True, reporter=Silent())
 
 
 def _read(path: Path) -> Rows:
@@ -114,9 +101,10 @@ def _entry(
     rows: Rows,
     errors: dict[tuple[str, str, str], ErrorTable],
     matching: dict[tuple[str, str, str], tuple[MatchingRow, ...]],
+    truth: Rows,
 ) -> DatasetEntry:
     name, fingerprint = rows[0]["dataset"], rows[0]["fingerprint"]
-    page = (folder / "sets" / f"{name}@{fingerprint[:12]}.md").read_text(encoding="utf-8")
+    page = (folder / "sets" / f"{name}@{fingerprint[:SHORT]}.md").read_text(encoding="utf-8")
     licence = re.search(r"Licence: (.*?)\. \d+ pairs in ", page)
     settings = dict(re.findall(r"^- `(.*?)`: `(\{.*\})`$", page, re.MULTILINE))
     of_sets = [row for row in rows if row["pair_set"] not in TOTALS]
@@ -138,7 +126,13 @@ def _entry(
     )
     own = {row["method"]: row for row in of_sets}
     methods = [_method(row, settings.get(label), list(sets), errors, matching) for label, row in sorted(own.items())]
-    return DatasetEntry(record, tuple(methods), record.pair_sets, splits)
+    checks = {row["pair_set"]: _truth_check(row) for row in truth if row["fingerprint"] == fingerprint}
+    return DatasetEntry(record, tuple(methods), record.pair_sets, splits, truth_checks=checks)
+
+
+def _truth_check(row: dict[str, str]) -> TruthCheck:
+    counts = (int(row[name]) for name in ("compared", "agree", "apart"))
+    return TruthCheck(*counts, float(row["median_apart_px"] or math.nan), int(row["width_px"]))
 
 
 def _pair_set(row: dict[str, str], groups: tuple[str, ...]) -> PairSetRecord:
@@ -188,10 +182,6 @@ def _method(
     matched = {name: matching[place[0], name, place[1]] for name in own if (place[0], name, place[1]) in matching}
     missing = {name: "not run" for name in pair_sets if name not in own}
     return Method(row["method"], run, own, missing, matching=matched, rescored=row["rescored"] == "yes")
-
-
-def _with_checks(entry: DatasetEntry, dataset: Dataset | None) -> DatasetEntry:
-    return entry if dataset is None else replace(entry, truth_checks=check_truth(dataset, entry.used, Silent()))
 
 
 def _compare(board: Board, published: Rows) -> None:

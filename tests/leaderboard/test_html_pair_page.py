@@ -46,7 +46,7 @@ _GO_TO_ONE_WITHOUT_IMAGES = """async () => {
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset, and beside it results: the identity pose, one that is right, one that is wrong or fails, one far away."""
+    """A dataset, and beside it results: identity, one that is right, one that is wrong or fails, one far away."""
     root = tmp_path_factory.mktemp("pairs")
     dataset = make_small_dataset(root / "dataset", frames=8, size=(160, 120))
     write_dataset_record(dataset_results(root / "results", dataset), dataset)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from browser_pages import needs_browser, serious_faults
 from test_leaderboard import NIGHT, WINTER, MadeResults, made
 
 from relocbench.leaderboard import load_results, make_board
-from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html import colours, links
 from relocbench.leaderboard.html.data import floats, script_json
 from relocbench.leaderboard.html.looks import looks
 from relocbench.leaderboard.html.rows import Boards, sections
@@ -59,6 +60,14 @@ def test_a_payload_cannot_end_its_script() -> None:
 
 def test_floats_are_little_endian_float32() -> None:
     assert floats(np.array([1.0])) == "AACAPw=="
+
+
+def test_scripts_have_the_colours_of_cells() -> None:
+    script = (Path(colours.__file__).parent / "assets" / "core.js").read_text(encoding="utf-8")
+    scale = re.search(r"QUALITY = (.*);", script)
+    assert scale is not None
+    hexes = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in (colours.BAD, colours.MIDDLE, colours.GOOD)]
+    assert json.loads(scale[1]) == [[0, hexes[0]], [0.5, hexes[1]], [1, hexes[2]]]
 
 
 def test_links_hold_what_names_must_not() -> None:

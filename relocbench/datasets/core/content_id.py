@@ -29,7 +29,7 @@ _NOT_ASKED = frozenset({"sources", "versions", "name", "licence", "copy_images"}
 
 
 def content_id_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_sets: Mapping[str, PairSet]) -> str:
-    """SHA-256 of what a dataset asks of methods, the same on every processor.
+    """SHA-256 of what a dataset contains, the same on every processor.
 
     It covers the format's version, the splits, the recipe (without folders and versions), each traversal's condition,
     rig, poses and image times, and each pair with its ``T_query_ref``, whether it was accepted, and whether it is of

@@ -42,7 +42,7 @@ class OpenedSet:
     options: Mapping[str, float | str] = field(default_factory=dict)
     """command-line options that define this set"""
     content_id: str = ""
-    """content id, equal for copies whose images differ in last digits only"""
+    """the same for copies whose images differ in last digits only"""
     source: StreetPlaces | CrossViewSet | None = None
     """what the tasks are of; None for a blind export, whose truth is withheld"""
 

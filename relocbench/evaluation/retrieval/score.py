@@ -111,7 +111,7 @@ def suspicion(name: str, record: TaskRecord, values: Values, run: TaskRun | None
         return None
     answerable = record.queries - record.without_positives
     messages = [
-        f"not shown to be better than chance on {name}: R@1 is {100 * recall:.2f} %, a random order gives "
+        f"no significant gain over chance on {name}: R@1 is {100 * recall:.2f} %, a random order gives "
         f"{100 * chance:.2f} %"
     ]
     messages.append(f"{answerable} of {record.queries} queries have an image in the gallery that answers them")

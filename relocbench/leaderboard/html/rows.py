@@ -208,10 +208,9 @@ def _notes(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
     where = f"{dataset.entry.title}, {table_title(table)}"
     notes = [f"{where}: {why}"] if (why := why_no_ranks(board, table)) else []
     level = level_with_identity(board, dataset, table)
-    return [
-        *notes,
-        *([f"{where}: no significant gain over the identity baseline: {', '.join(level)}"] if level else []),
-    ]
+    if level:
+        notes.append(f"{where}: no significant gain over the identity baseline: {', '.join(level)}")
+    return notes
 
 
 def _ranked(row: HasRank, table: Any) -> dict[str, Any]:

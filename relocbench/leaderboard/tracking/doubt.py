@@ -53,7 +53,8 @@ class TruthCheck:
     def words(self) -> str:
         """By how much the truth and the images are apart."""
         among = f"in {self.apart} of {self.compared} pairs that were compared"
-        return f"{among}, edges lie a median of {self.apart_px:.1f} px apart at the true pose ({self.width_px} px wide)"
+        far = f"a median of {self.apart_px:.1f} px apart at the true pose, in images {self.width_px} px wide"
+        return f"{among}, edges lie {far}"
 
 
 @dataclass(frozen=True)

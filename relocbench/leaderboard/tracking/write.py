@@ -13,7 +13,7 @@ from relocbench.execution import Run, default_workers, run_units
 from relocbench.files import remove_parts, write_bytes, write_text
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.text import write_records
-from relocbench.leaderboard.tracking.doubt import check_truth, doubts_of, truth_rows
+from relocbench.leaderboard.tracking.doubt import check_truth, truth_rows
 from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
 from relocbench.leaderboard.tracking.load import DatasetEntry, load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
@@ -92,10 +92,7 @@ def _with_checked_truth(entry: DatasetEntry, reporter: Reporter) -> DatasetEntry
     """The entry with what the images of its dataset say of the truth, where the dataset is available."""
     if entry.dataset is None:
         return entry
-    checks = check_truth(entry.dataset, entry.used, reporter)
-    for pair_set, words in doubts_of(checks, checks):
-        reporter.note(f"{entry.title}: the truth of {pair_set} is in doubt: {words}")
-    return replace(entry, truth_checks=checks)
+    return replace(entry, truth_checks=check_truth(entry.dataset, entry.used, reporter))
 
 
 def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:

@@ -1,4 +1,4 @@
-"""The first images that a retriever's results keep of each query, with or without the available dataset."""
+"""The first images that a retriever's results keep of each query, whether the dataset is available or not."""
 
 from __future__ import annotations
 

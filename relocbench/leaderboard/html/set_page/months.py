@@ -1,4 +1,4 @@
-"""How many months lie between keyframe and query, as far as results or the available dataset record it."""
+"""How many months lie between keyframe and query, as far as results record it, or a dataset that is available."""
 
 from __future__ import annotations
 
