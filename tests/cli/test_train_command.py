@@ -228,6 +228,7 @@ def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: D
     assert '"gn-net"' in ran.out
 
 
+@pytest.mark.thorough
 def test_a_training_killed_outright_ends_with_the_bytes_of_one_that_was_not(tmp_path: Path, dataset: Dataset) -> None:
     more = ("--validation-pairs", 2, "--set", "steps=4", "--set", "validate_every=2", "--set", "checkpoint_every=1")
     command = [

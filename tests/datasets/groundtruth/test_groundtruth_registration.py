@@ -399,6 +399,7 @@ def test_drives_that_do_not_meet_are_searched_for_without_gnss_at_few_places(mon
     assert said[-1] == "they were not found without GNSS either"
 
 
+@pytest.mark.thorough
 def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the_reason() -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 35.0, 120.0), clouds.Drive(street, 2, 60.0, 160.0, lateral=0.8)

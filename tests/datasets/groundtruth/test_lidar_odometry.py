@@ -30,7 +30,9 @@ Array = NDArray[np.float64]
 FRAMES = 12
 
 
-@pytest.fixture(scope="module", params=["distorted", pytest.param("compensated", marks=pytest.mark.thorough)])
+@pytest.fixture(
+    scope="module", params=[pytest.param(how, marks=pytest.mark.thorough) for how in ("distorted", "compensated")]
+)
 def simulated(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """A drive of 1.1 s, 9 m, with the car's motion in the scans or out of them."""
     out = tmp_path_factory.mktemp(request.param)

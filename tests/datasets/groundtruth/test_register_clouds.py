@@ -50,6 +50,7 @@ def found(pair: Pair) -> CloudRegistration:
     return register_clouds(pair.a, pair.b)
 
 
+@pytest.mark.thorough
 def test_two_scans_of_a_room_are_registered_and_trusted(pair: Pair, found: CloudRegistration) -> None:
     assert found.trusted, found.reason
     metres, degrees = pose_difference(pair.T_a_b, found.T_a_b)

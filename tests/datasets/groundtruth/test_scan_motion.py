@@ -28,7 +28,7 @@ def recorded(out: Path, distorted: bool) -> Path:
     return out
 
 
-@pytest.mark.parametrize("distorted", [False, True])
+@pytest.mark.parametrize("distorted", [pytest.param(False, marks=pytest.mark.thorough), True])
 def test_scans_are_told_to_be_compensated_or_distorted(tmp_path: Path, distorted: bool) -> None:
     root = recorded(tmp_path, distorted)
     lidar = read_kitti(root, "00", motion="auto", from_lidar=later).lidars[0]

@@ -148,6 +148,7 @@ def robust_sigma(values: Array) -> float:
     return float(1.4826 * np.median(np.abs(values)))
 
 
+@pytest.mark.thorough
 def test_walls_of_two_drives_in_opposite_directions_coincide(drives: Path, recordings: list[FieldRecording]) -> None:
     """To millimetres, and to the noise of ranges: axes, extrinsics and times are right. The same check sees a lidar
     5 cm too far left (the drives go round a corner) and scans that have the time of the next one (0.16 m)."""

@@ -201,6 +201,7 @@ def nearest_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> float:
     return float(np.min(t[hit], initial=np.inf))
 
 
+@pytest.mark.thorough
 def test_depth_is_that_of_an_independent_ray_cast(town: Dataset, wet: Mesh) -> None:
     traversal = town.traversal(QUERY)
     time_ns = traversal.timestamps("front")[1]

@@ -521,6 +521,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.thorough
 def test_a_killed_recording_is_finished_by_two_workers_with_the_same_bytes(tmp_path: Path) -> None:
     whole = drive(tmp_path / "whole", cameras=("stereo/left", "mono_rear"), frames=8)
     out = tmp_path / "killed"

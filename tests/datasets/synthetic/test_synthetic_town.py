@@ -157,6 +157,7 @@ def test_a_house_encloses_about_its_walls_times_its_ground_with_faces_outward(st
         assert 0.95 * walls < volume(house_shape(house, 9.0)) < 1.6 * walls
 
 
+@pytest.mark.thorough
 def test_a_district_has_the_promised_size_and_everything_a_street_has(district: District) -> None:
     whole = compose(district, Factors())
     assert 200_000 < len(district.static) + len(district.foliage) < 1_000_000
