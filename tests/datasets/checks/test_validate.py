@@ -273,8 +273,8 @@ def test_a_run_that_was_killed_is_unfinished_and_its_command_ends_it(
             evaluate_methods(options, Silent())
     found = validate_results(tmp_path / "R", dataset, Silent())
     assert found.faults == []
-    assert any(f"of {WITHIN} are answered" in n.message for n in found.notes)
-    assert any(f"not begun with {ACROSS}" in n.message for n in found.notes)
+    assert any(f"of {ACROSS} are answered" in n.message for n in found.notes)
+    assert any(f"not begun with {WITHIN}" in n.message for n in found.notes)
     command = shlex.split(found.notes[0].message.split("to go on: ")[1])
     assert command[0] == "relocbench"
     assert CliRunner().invoke(app, [*command[1:], "--workers", "1"]).exit_code == 0
