@@ -3,8 +3,8 @@
     python tools/compile_kernels.py
 
 Without it each process compiles what it calls when it first calls it, and processes that begin together all compile
-the same. Here two lines of work that share few kernels run side by side, each on the smallest input: a rendered town
-and the trackers on it, and ground truth from recorded drives.
+the same. Here three lines of work that share few kernels run side by side, each on the smallest input: a rendered
+town, ground truth from recorded drives, and trackers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ _ROOT = Path(__file__).resolve().parents[1]
 _RELOCBENCH = f"{sys.executable} -m relocbench"
 _RENDERED = f"""
 {_RELOCBENCH} build-dataset synthetic --preset smoke --conditions Sunny,Rain,Snow,Night --size 96x72 -o town -j 1
-{_RELOCBENCH} evaluate -d town -m dso -m gn-net -o results -j 1
 """
 _RECORDED = f"""
 {sys.executable} -c "
@@ -34,6 +33,14 @@ for number in range(2):
 set -- drives/boreas-*
 {_RELOCBENCH} build-dataset boreas $1 $2 -o street -j 1 --submap 20 --depth-submap 12 --keyframe-distance 2 \\
   --query-distance 3 --correspondences 50 --matcher fgr
+"""
+_TRACKED = f"""
+{sys.executable} -c "
+from pathlib import Path
+from small_dataset import make_small_dataset
+make_small_dataset(Path('small'))
+"
+{_RELOCBENCH} evaluate -d small -m dso -m gn-net -o results -j 1
 """
 
 
@@ -50,7 +57,7 @@ def main() -> None:
     }
     with tempfile.TemporaryDirectory() as folder:
         running = []
-        for number, script in enumerate((_RENDERED, _RECORDED)):
+        for number, script in enumerate((_RENDERED, _RECORDED, _TRACKED)):
             scratch = Path(folder) / str(number)
             scratch.mkdir()
             command = ["bash", "-euo", "pipefail", "-c", script]
