@@ -32,7 +32,18 @@ from relocbench.datasets.importers.rosbag.writing import Storage, write_bag
 
 _CAMERA = "stereo_left"
 _COMMON = ("--keyframe-distance", 2, "--query-distance", 3, "--correspondences", 100, "-j", 1)
-_AS_ROBOTCAR = ("--gnss", "/gnss/pose", "--min-range", 0.1, "--max-range", 50, "--lidar-sigma", 0.012, "--max-gap", 0.5)
+_AS_ROBOTCAR = (
+    "--gnss",
+    "/gnss/pose",
+    "--min-range",
+    0.1,
+    "--max-range",
+    50,
+    "--lidar-sigma",
+    0.012,
+    "--max-pose-gap",
+    0.5,
+)
 """what the reader of the RobotCar layout takes for granted"""
 _EXACT = 1.5e-9
 """files of pairs hold nine decimals, the last of which may be rounded up in one and down in the other"""

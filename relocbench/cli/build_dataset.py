@@ -21,7 +21,9 @@ from relocbench.cli.options import (
     SchedulerTlsCert,
     SchedulerTlsKey,
     Workers,
+    given,
     scheduler_values,
+    takes_several,
 )
 
 if TYPE_CHECKING:
@@ -150,8 +152,8 @@ def _command(kind: str) -> TyperCommand:
     options = options_of(kind)
     fields = {name: field for name, field in options.model_fields.items() if _is_option(field)}
 
-    def run(**given: Any) -> None:
-        _build(kind, options, given)
+    def run(**values: Any) -> None:
+        _build(kind, options, values)
 
     run.__doc__ = f"{KINDS[kind][0].upper()}{KINDS[kind][1:]}."
     parameters = {
@@ -213,7 +215,7 @@ def _panel(kind: str, options: type[Strict], name: str) -> str:
 
 
 def _annotation(name: str, field: FieldInfo, panel: str) -> Any:
-    """A flag for a bool; for the rest a word that pydantic will understand."""
+    """A flag for a bool; for the rest a word, or several, that pydantic will understand."""
     flag = "--" + name.replace("_", "-")
     text = field.description or ""
     if field.annotation is bool:
@@ -222,7 +224,7 @@ def _annotation(name: str, field: FieldInfo, panel: str) -> Any:
     default = "" if field.is_required() or field.default in (None, "", ()) else f" [default: {_words(field.default)}]"
     metavar = _metavar(field.annotation)
     option = typer.Option(flag, help=text + default, metavar=metavar, show_default=False, rich_help_panel=panel)
-    return Annotated[str | None, option]
+    return Annotated[list[str] | None if takes_several(field.annotation) else str | None, option]
 
 
 def _kinds_with(key: str) -> str:
@@ -251,24 +253,24 @@ def _metavar(annotation: Any) -> str:
     return {int: "INT", float: "FLOAT", Path: "PATH"}.get(annotation, "TEXT")
 
 
-def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
+def _build(kind: str, options: type[Strict], values: dict[str, Any]) -> None:
     from relocbench.cli.configuration import Where, merged
     from relocbench.errors import DatasetError
     from relocbench.execution import Run, default_workers
     from relocbench.files import locked_output
 
-    sources, out = given.pop("sources", []), given.pop("out")
-    config, quiet, as_json = given.pop("config"), given.pop("quiet"), given.pop("json")
-    tls = (given.pop(f"scheduler_tls_{name}") for name in ("ca", "cert", "key"))
-    place = {"workers": given.pop("workers"), "scheduler": scheduler_values(given.pop("scheduler"), *tls)}
+    sources, out = values.pop("sources", []), values.pop("out")
+    config, quiet, as_json = values.pop("config"), values.pop("quiet"), values.pop("json")
+    tls = (values.pop(f"scheduler_tls_{name}") for name in ("ca", "cert", "key"))
+    place = {"workers": values.pop("workers"), "scheduler": scheduler_values(values.pop("scheduler"), *tls)}
     chosen = merged(
         options,
         config,
-        {name: value for name, value in given.items() if value is not None},
+        {name: ",".join(v) if isinstance(v, list) else v for name, v in given(**values).items()},
         Where,
         elsewhere=_kinds_with,
     )
-    where = merged(Where, config, {name: value for name, value in place.items() if value is not None}, options)
+    where = merged(Where, config, given(**place), options)
     if where.scheduler is not None:
         # Workers of a cluster start in folders of their own.
         sources, out = [source.absolute() for source in sources], out.absolute()

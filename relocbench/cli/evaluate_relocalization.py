@@ -22,11 +22,11 @@ def evaluate_relocalization(
         typer.Option(
             "--retriever",
             "-r",
-            metavar="NAME",
+            metavar="NAME,...",
             autocompletion=common.retrievers,
-            help="What ranks the keyframes: a retriever as evaluate-retrieval takes it, 'oracle', which knows the "
-            "truth, or LABEL=predictions:PATH with lists of 'query db' lines. Repeat for several: each is run with "
-            "each tracker.",
+            callback=common.split_names,
+            help="What ranks the keyframes: retrievers as evaluate-retrieval takes them, 'oracle', which knows the "
+            "truth, or LABEL=predictions:PATH with lists of 'query db' lines. Each is run with each tracker.",
         ),
     ] = [],  # noqa: B006  typer copies it
     methods: common.Methods = [],  # noqa: B006

@@ -31,10 +31,11 @@ def evaluate_retrieval(
         typer.Option(
             "--method",
             "-m",
-            metavar="NAME",
+            metavar="NAME,...",
             autocompletion=common.retrievers,
-            help="An installed name or package.module:Class; write LABEL=NAME to keep its results under that label. "
-            "Repeat for several.",
+            callback=common.split_names,
+            help="Installed names or package.module:Class; write LABEL=NAME to keep its results under that label. "
+            "Repeat it, or join installed names by commas.",
         ),
     ] = [],  # noqa: B006  typer copies it
     settings: common.Settings = [],  # noqa: B006
@@ -52,7 +53,9 @@ def evaluate_retrieval(
     out: common.Results = None,
     tasks: Annotated[
         list[str],
-        typer.Option("--pair-set", metavar="NAME", help="Evaluate only this retrieval task. Repeat for several."),
+        typer.Option(
+            "--pair-set", metavar="NAME,...", callback=common.split_commas, help="Evaluate only these retrieval tasks."
+        ),
     ] = [],  # noqa: B006
     overwrite: common.Overwrite = None,
     seed: common.Seed = None,

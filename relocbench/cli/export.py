@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from relocbench.cli.options import DatasetPath, Json, Quiet
+from relocbench.cli.options import DatasetPath, Json, Quiet, split_commas
 
 _TOP = 20
 
@@ -52,16 +52,17 @@ def export(
     ] = None,
     top: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="Keyframes of each query in a retriever's list [default: 20]."),
+        typer.Option(metavar="K", min=1, help="Keyframes of each query in a retriever's list [default: 20]."),
     ] = None,
     pair_set: Annotated[
-        list[str], typer.Option(metavar="NAME", help="Export only this pair set. Repeat for several.")
+        list[str], typer.Option(metavar="NAME,...", callback=split_commas, help="Export only these pair sets.")
     ] = [],  # noqa: B006
-    relocalization_file: Annotated[
-        list[Path],
+    relocalization_files: Annotated[
+        list[str],
         typer.Option(
-            metavar="FILE",
-            help="Pair file of a challenge: the MLAD zip gets its name and the order of its lines. Repeat for several.",
+            metavar="FILE,...",
+            callback=split_commas,
+            help="Pair files of a challenge: the MLAD zip gets their names and the order of their lines.",
         ),
     ] = [],  # noqa: B006
     edition: Annotated[
@@ -111,7 +112,7 @@ def export(
         raise ConfigError("--edition chooses the keys of a blind export; it goes with --format blind or blind-images")
     if radius is not None and format != "blind-images":
         raise ConfigError("--radius chooses a retrieval set; it goes with --format blind-images")
-    if format.startswith("blind") and (method is not None or pair_set or relocalization_file):
+    if format.startswith("blind") and (method is not None or pair_set or relocalization_files):
         raise ConfigError("a blind export holds all pair sets and no answers; give no option but --edition")
     if format == "blind-images":
         _export_images(dataset, out, radius, 1 if edition is None else edition, quiet=quiet, json=json)
@@ -143,7 +144,8 @@ def export(
     names = [opened.pair_set(name).name for name in pair_set] or opened.pair_set_names
     # The zip appears whole in one step: nothing is shared with whoever writes beside it.
     with nullcontext() if format == "mlad" else locked_output(out):
-        written = export_poses(opened, names, format, out, results, method, relocalization_file, reporter(quiet))
+        challenge = [Path(file) for file in relocalization_files]
+        written = export_poses(opened, names, format, out, results, method, challenge, reporter(quiet))
     if json:
         print_json({"files": [str(path) for path in written]}, {"files_written": len(written), "pair_sets": len(names)})
         return

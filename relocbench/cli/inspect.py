@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from relocbench.cli.options import Json, Quiet
+from relocbench.cli.options import Json, Quiet, split_commas
 
 if TYPE_CHECKING:
     from relocbench.datasets.inspect.overlay import Picture
@@ -38,7 +38,7 @@ def inspect(
         int, typer.Option(min=1, metavar="N", help="Pictures of each pair set, spread along the drive.")
     ] = 6,
     pair_set: Annotated[
-        list[str], typer.Option(metavar="NAME", help="Draw only this pair set. Repeat for several.")
+        list[str], typer.Option(metavar="NAME,...", callback=split_commas, help="Draw only these pair sets.")
     ] = [],  # noqa: B006
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the points that are drawn.")] = 0,
     quiet: Quiet = False,

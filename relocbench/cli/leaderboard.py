@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from relocbench.cli.options import Json, Quiet
+from relocbench.cli.options import Json, Quiet, split_commas
 
 if TYPE_CHECKING:
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
@@ -35,7 +35,7 @@ Datasets = Annotated[
         "-d",
         metavar="FOLDER",
         help="Dataset of the results, or a folder with datasets in it: all errors and ranks are computed anew from "
-        "predictions and truth. Repeatable; datasets beside RESULTS need not be named.",
+        "predictions and truth. Repeat for several; datasets beside RESULTS need not be named.",
         show_default=False,
     ),
 ]
@@ -99,9 +99,10 @@ def leaderboard(
         list[str],
         typer.Option(
             "--format",
-            metavar="csv|markdown|latex|html",
-            help="Format to write; repeat for several [default: csv and markdown]. latex has tables "
-            "for papers, html is --html.",
+            "-f",
+            metavar="csv|markdown|latex|html,...",
+            callback=split_commas,
+            help="Formats to write [default: csv,markdown]. latex has tables for papers, html is --html.",
         ),
     ] = [],  # noqa: B006
     quiet: Quiet = False,

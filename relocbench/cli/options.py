@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import typer
 
@@ -11,6 +11,22 @@ if TYPE_CHECKING:
     from relocbench.methods.discovery import MethodKind
 
 _RUN = "Where and how work runs"
+
+
+def split_commas(values: list[str]) -> list[str]:
+    """``["a,b", "c"]`` -> ``["a", "b", "c"]``: an option that takes several names has them repeated or in one list."""
+    return [part.strip() for value in values for part in value.split(",") if part.strip()]
+
+
+def split_names(values: list[str]) -> list[str]:
+    """The same for methods, where what has a colon, such as a command or a path, stays whole."""
+    return [part for value in values for part in ([value] if ":" in value else split_commas([value]))]
+
+
+def takes_several(annotation: Any) -> bool:
+    """Whether an option that sets a value of this type takes several."""
+    return any(get_origin(kind) is tuple for kind in (annotation, *get_args(annotation)))
+
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress bars and no notes, the results alone.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, with counts, instead of tables.")]
@@ -89,7 +105,8 @@ Results = Annotated[
 ]
 Split = Annotated[str | None, typer.Option(metavar="NAME", help="Evaluate only the pair sets of this split.")]
 PairSets = Annotated[
-    list[str], typer.Option("--pair-set", metavar="NAME", help="Evaluate only this pair set. Repeat for several.")
+    list[str],
+    typer.Option("--pair-set", metavar="NAME,...", callback=split_commas, help="Evaluate only these pair sets."),
 ]
 Overwrite = Annotated[
     Literal["never", "failed", "always"] | None,
@@ -133,10 +150,11 @@ Methods = Annotated[
     typer.Option(
         "--method",
         "-m",
-        metavar="NAME",
+        metavar="NAME,...",
         autocompletion=trackers,
-        help="An installed name, package.module:Class, or 'subprocess:COMMAND'; write LABEL=NAME to keep its results "
-        "under that label. Repeat for several.",
+        callback=split_names,
+        help="Installed names, package.module:Class, or 'subprocess:COMMAND'; write LABEL=NAME to keep its results "
+        "under that label. Repeat it, or join installed names by commas.",
     ),
 ]
 Settings = Annotated[
@@ -167,8 +185,3 @@ def scheduler_values(
 
         raise ConfigError(f"--scheduler-{next(iter(given)).replace('_', '-')} is only for --scheduler")
     return None
-
-
-def split_commas(values: list[str]) -> list[str]:
-    """``["a,b", "c"]`` -> ``["a", "b", "c"]``."""
-    return [part.strip() for value in values for part in value.split(",") if part.strip()]

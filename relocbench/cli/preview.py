@@ -14,10 +14,13 @@ def preview(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE", help="File to write: PNG, or JPEG if it ends in .jpg.")
     ],
-    condition: Annotated[
+    conditions: Annotated[
         list[str],
         typer.Option(
-            "--condition", "-c", metavar="NAME", help="Draw this condition, such as Rain. Repeat for several."
+            "--conditions",
+            metavar="NAME,...",
+            callback=split_commas,
+            help="Draw these conditions, such as Sunny,Rain.",
         ),
     ] = [],  # noqa: B006
     all_: Annotated[bool, typer.Option("--all", help="Draw all named conditions.")] = False,
@@ -27,8 +30,8 @@ def preview(
             metavar="NAME", help="Vary one factor over its whole range and keep all others, such as light or leaves."
         ),
     ] = None,
-    steps: Annotated[int, typer.Option(min=2, max=20, metavar="N", help="Number of pictures of a sweep.")] = 5,
-    cameras: Annotated[
+    sweep_steps: Annotated[int, typer.Option(min=2, max=20, metavar="N", help="Number of pictures of a sweep.")] = 5,
+    drawn_cameras: Annotated[
         int,
         typer.Option(
             min=0, max=20, metavar="N", help="Show each condition by N drawn cameras too, as --imaging varied has them."
@@ -39,7 +42,9 @@ def preview(
         str, typer.Option(metavar="NAME", help="Split of the district: train, validation or test.")
     ] = "test",
     at: Annotated[float, typer.Option(min=0, max=200, metavar="METRES", help="Distance along the drive.")] = 20.0,
-    size: Annotated[int, typer.Option(min=64, max=2048, metavar="PIXELS", help="Width of each picture.")] = 400,
+    size: Annotated[
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Pixels of each picture; one number for both.")
+    ] = "400x300",
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -48,6 +53,7 @@ def preview(
     Example: relocbench preview --all --out conditions.png
     """
     from relocbench.cli.console import print_json, reporter
+    from relocbench.datasets.core.build_options import plain_size, width_height
     from relocbench.datasets.core.images import jpeg_bytes, png_bytes
     from relocbench.datasets.synthetic.conditions.presets import SPLITS, previewed
     from relocbench.datasets.synthetic.jobs.contact_sheet import contact_sheet
@@ -56,9 +62,13 @@ def preview(
 
     if split not in SPLITS:
         raise ConfigError(f"no --split {quoted(split)}{available(split, SPLITS)}")
-    shown = previewed(split_commas(condition), everything=all_, swept=sweep, steps=steps, cameras=cameras, seed=seed)
+    try:
+        pixels = width_height(plain_size(size))
+    except ValueError as bad:
+        raise ConfigError(f"--size {quoted(size)}: {bad}") from None
+    shown = previewed(conditions, everything=all_, swept=sweep, steps=sweep_steps, cameras=drawn_cameras, seed=seed)
     with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
-        sheet = contact_sheet(shown, seed=seed, split=split, at_m=at, width=size, reporter=reporter(quiet))
+        sheet = contact_sheet(shown, seed=seed, split=split, at_m=at, size=pixels, reporter=reporter(quiet))
         stream.write(jpeg_bytes(sheet) if out.suffix.lower() in (".jpg", ".jpeg") else png_bytes(sheet))
     if json:
         print_json({"file": out}, {"pictures": len(shown), "files_written": 1})

@@ -91,7 +91,7 @@ def leaderboard_add(
     submission: Annotated[
         Path, typer.Argument(metavar="SUBMISSION", help="Folder with card.yaml and answers.", show_default=False)
     ],
-    to: Annotated[Path, typer.Option("--to", metavar="RESULTS", help="Results folder that gets the row.")],
+    results: Annotated[Path, typer.Option("--results", metavar="FOLDER", help="Results folder that gets the row.")],
     dataset: Datasets = [],  # noqa: B006
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace the row of an earlier submission of the same label.")
@@ -106,7 +106,7 @@ def leaderboard_add(
     Nothing is written where the check finds a fault. Each row appears whole or not at all, and a command that was
     stopped goes on when it is given again. A results folder called 'add' is given to leaderboard as ./add.
 
-    Example: relocbench leaderboard add my-submission --to results --dataset town
+    Example: relocbench leaderboard add my-submission --results results --dataset town
     """
     from relocbench.cli.console import print_json, print_table, reporter
     from relocbench.evaluation.submission.add import add_submission
@@ -120,7 +120,7 @@ def leaderboard_add(
         else:
             _print_checked(checked, quiet=quiet)
         raise typer.Exit(FAULTY)
-    added = add_submission(checked, to, options, told, replace=replace)
+    added = add_submission(checked, results, options, told, replace=replace)
     if json:
         rows = [{"folder": str(one.folder), "state": one.state, "remarks": one.remarks} for one in added]
         print_json({**checked.to_dict(), "rows": rows}, {**_counts(checked), "rows": len(rows)})
@@ -130,7 +130,7 @@ def leaderboard_add(
         for remark in one.remarks:
             print(f"odd: {one.folder.parent.name}: {remark}")
     if not quiet:
-        typer.echo(f"to compare: relocbench leaderboard {to} --out FOLDER", err=True)
+        typer.echo(f"to compare: relocbench leaderboard {results} --out FOLDER", err=True)
 
 
 def _counts(checked: Checked) -> dict[str, int]:

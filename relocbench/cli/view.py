@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from relocbench.cli.options import Json, Quiet
+from relocbench.cli.options import Json, Quiet, split_commas
 
 if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
@@ -41,20 +41,20 @@ def view(
         ),
     ] = None,
     pair_set: Annotated[
-        list[str], typer.Option(metavar="NAME", help="Show only this pair set. Repeat for several.")
+        list[str], typer.Option(metavar="NAME,...", callback=split_commas, help="Show only these pair sets.")
     ] = [],  # noqa: B006
     methods: Annotated[
         list[str],
         typer.Option(
-            "--methods",
             "--method",
             "-m",
-            metavar="NAME",
-            help="Show only this method of --results. Repeat for several.",
+            metavar="NAME,...",
+            callback=split_commas,
+            help="Show only these methods of --results.",
         ),
     ] = [],  # noqa: B006
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Show only every N-th pair of a set.")] = 1,
-    limit: Annotated[
+    pairs: Annotated[
         int, typer.Option(min=0, metavar="N", help="Most pairs of a set, spread along the drive; 0 for all.")
     ] = 100,
     points: Annotated[int, typer.Option(min=0, metavar="N", help="Most points of a keyframe.")] = 10000,
@@ -88,14 +88,14 @@ def view(
     if pair is not None and pair_index is not None:
         raise ConfigError("--pair and --pair-index name one pair in two ways; give one of them")
     if methods and results is None:
-        raise ConfigError("--methods chooses among the methods of --results, which is not given")
+        raise ConfigError("--method chooses among the methods of --results, which is not given")
     opened = _opened(dataset)
     if pair is not None or pair_index is not None:
         if open_:
             raise ConfigError("--open shows recordings for rerun; --pair draws a picture")
         _draw_pair(opened, results, out, pair_set, methods, pair, pair_index, json=json, quiet=quiet)
     else:
-        chosen = {"every": every, "limit": limit, "points": points}
+        chosen = {"every": every, "limit": pairs, "points": points}
         _write(opened, results, out, pair_set, methods, chosen, reporter(quiet), json=json, quiet=quiet)
         if open_:
             target = out or Path(f"{opened.name}.rrd")
@@ -142,7 +142,7 @@ def _write(
     shown = chosen_pairs(sets, chosen["every"], chosen["limit"])
     of = sum(len(s.evaluated) for s in sets)
     if len(shown) < of:
-        reporter.note(f"{len(shown)} of {of} pairs are shown; --limit 0 and --every 1 show all")
+        reporter.note(f"{len(shown)} of {of} pairs are shown; --pairs 0 and --every 1 show all")
     written = write_recording(dataset, shown, answers, target, points=chosen["points"], reporter=reporter)
     for camera in written.undistorted:
         reporter.note(f"camera {camera} has distortion: its images are shown undistorted")

@@ -339,7 +339,7 @@ def test_an_unknown_method_and_results_of_another_dataset_are_refused(
     dataset: Dataset, results: Path, tmp_path: Path
 ) -> None:
     out = ["--out", tmp_path / "a.rrd"]
-    unknown = relocbench("view", dataset.root, "--results", results, "--methods", "nobody", *out)
+    unknown = relocbench("view", dataset.root, "--results", results, "--method", "nobody", *out)
     assert (unknown.status, "'nobody'; available: exact, off" in unknown.complaint) == (2, True)
     other = make_small_dataset(tmp_path / "other", name="other", frames=3)
     foreign = relocbench("view", other.root, "--results", results, *out)
@@ -366,7 +366,7 @@ def test_a_disk_that_is_full_leaves_one_line_and_no_file(
         raise RuntimeError("the thread that writes has ended")
 
     monkeypatch.setattr(RecordingStream, "flush", fails)
-    done = relocbench("view", dataset.root, "--out", tmp_path / "v.rrd", "--limit", 1, "-q")
+    done = relocbench("view", dataset.root, "--out", tmp_path / "v.rrd", "--pairs", 1, "-q")
     assert done.status == 2
     assert "v.rrd: could not be written to its end (the thread that writes has ended)" in done.complaint
     assert list(tmp_path.iterdir()) == []

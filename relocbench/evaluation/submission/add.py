@@ -88,11 +88,11 @@ def add_submission(
     if card is None or not checked.sound:
         raise PredictionError("has faults; see `relocbench submit-check`", checked.root)
     for path in options.datasets:
-        check_outside(results, path, "--to")
+        check_outside(results, path, "--results")
     if results.resolve().is_relative_to(checked.root.resolve()):
-        raise ConfigError("--to lies inside the submission; choose another folder", results)
+        raise ConfigError("--results lies inside the submission; choose another folder", results)
     if (results / "dataset.yaml").exists() or (results / SET_FILE).exists():
-        raise ConfigError("--to is a dataset, or the results of one; expected the folder above", results)
+        raise ConfigError("--results is a dataset, or the results of one; expected the folder above", results)
     with locked_output(results, PredictionError):
         staging = results / _STAGING
         _recover(staging, results)

@@ -79,4 +79,4 @@ def write_cards(out: Path, title: str, methods: Sequence[Submitted]) -> list[Pat
 
 def add_command(label: str, *, results: str = "RESULTS", dataset: str = "DATASET") -> str:
     """The command that brings a submission in again."""
-    return shlex.join(["relocbench", "leaderboard", "add", label, "--to", results, "--dataset", dataset])
+    return shlex.join(["relocbench", "leaderboard", "add", label, "--results", results, "--dataset", dataset])

@@ -190,10 +190,10 @@ def test_a_preview_shows_drawn_cameras(tmp_path: Path, monkeypatch: pytest.Monke
     shown = previewed(("Sunny", "Rain"), everything=False, swept=None, steps=2, cameras=2, seed=1)
     assert list(shown)[:3] == ["Sunny", "Sunny, camera 1", "Sunny, camera 2"]
     assert len({factors.imaging for factors in shown.values()}) == 5
-    with refused(ConfigError, "", None, "--cameras"):
+    with refused(ConfigError, "", None, "--drawn-cameras"):
         previewed((), everything=False, swept="light", steps=2, cameras=2)
     sheet = tmp_path / "sheet.jpg"
-    outcome = relocbench("preview", "-c", "Sunny", "--cameras", 1, "--size", 96, "--out", sheet, "--quiet")
+    outcome = relocbench("preview", "-c", "Sunny", "--cameras", 1, "--size", "96x72", "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err
     picture = images.read_image(sheet).astype(float)
     assert picture.shape == (72, 2 * 96 + 4, 3)

@@ -78,7 +78,7 @@ def test_the_board_shows_the_card_the_mark_and_what_is_odd(town: Dataset, blind:
     assert "Answered `" + blind.name in pages
     assert "<b>" not in pages
     assert "all answers are the identity" in pages
-    assert "relocbench leaderboard add my-method --to RESULTS --dataset DATASET" in pages
+    assert "relocbench leaderboard add my-method --results RESULTS --dataset DATASET" in pages
     card = tmp_path / "b" / "cards" / f"{town.name}@{town.fingerprint[:12]}" / "my-method.yaml"
     assert card.read_bytes() == (root / "card.yaml").read_bytes()
     shutil.rmtree(row_of(tmp_path / "r", town).root)

@@ -56,7 +56,7 @@ _CAM0, _CAM1 = CAMERAS
 class Options(PosedRecordingOptions):
     """Options of the four-seasons importer."""
 
-    calibration: Path | None = Field(
+    calibration_folder: Path | None = Field(
         None, description="calibration folder; default: Calibration or calibration, in the recording or beside it"
     )
     relocalization_files: tuple[Path, ...] = Field(
@@ -217,7 +217,7 @@ def _calibrations(
     """Rectified cameras by traversal name; a recording without calibration gets that of the first one."""
     found: dict[str, StereoCalibration] = {}
     for recording in recordings:
-        folder = options.calibration or find_calibration(recording.root)
+        folder = options.calibration_folder or find_calibration(recording.root)
         if folder is not None:
             found[recording.name] = read_calibration(folder)
         elif found:

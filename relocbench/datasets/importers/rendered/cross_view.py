@@ -39,7 +39,7 @@ class Options(Strict):
     factors: dict[str, Factors] = Field({}, description="conditions of your own, name -> factors; YAML only")
     drone_views: int = Field(54, ge=1, le=1000, description="drone images per place, along three descending circles")
     street_views: int = Field(0, ge=0, le=20, description="street images per place")
-    size: int = Field(256, ge=32, le=2048, description="width and height of the images in pixels")
+    size: int = Field(256, ge=32, le=2048, description="pixels, WIDTHxHEIGHT with both equal, or one number for both")
     far: float = Field(
         110.0,
         ge=60,
@@ -51,6 +51,14 @@ class Options(Strict):
     spacing: float = Field(25.0, ge=10, le=200, description="least distance between places in metres")
     extent: float = Field(350.0, ge=190, le=1000, description="side of a town in metres")
     seed: int = Field(0, ge=0, description="seed of every random choice")
+
+    @field_validator("size", mode="before")
+    @classmethod
+    def _square(cls, size: object) -> object:
+        width, x, height = str(size).partition("x")
+        if x and height != width:
+            raise ValueError("images are square; expected a number or two equal ones, as in 256x256")
+        return width if x else size
 
     @field_validator("conditions")
     @classmethod

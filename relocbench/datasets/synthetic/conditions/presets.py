@@ -121,11 +121,11 @@ def previewed(
             cameras are drawn for a sweep.
     """
     if bool(names) + everything + (swept is not None) != 1:
-        raise ConfigError(
-            "preview takes exactly one of --condition NAME (which can be repeated), --all and --sweep NAME"
-        )
+        raise ConfigError("preview takes exactly one of --conditions NAME,..., --all and --sweep NAME")
     if swept is not None and cameras:
-        raise ConfigError("--cameras draws cameras, but in a --sweep a single factor differs; give one of them")
+        raise ConfigError(
+            "--drawn-cameras varies the camera, but in a --sweep a single factor varies; give one of them"
+        )
     if swept is not None:
         return {_sweep_label(swept, f): f for f in sweep(swept, steps)}
     shown = {}

@@ -24,15 +24,15 @@ _EXTENT_M = 250.0
 
 
 def contact_sheet(
-    conditions: Mapping[str, Factors], *, seed: int, split: str, at_m: float, width: int, reporter: Reporter
+    conditions: Mapping[str, Factors], *, seed: int, split: str, at_m: float, size: tuple[int, int], reporter: Reporter
 ) -> Image:
     """The front camera's view ``at_m`` metres along the drive in each condition, with labels, (H, W, 3) RGB.
 
-    A condition's own camera moves at the mean speed of drives.
+    ``size`` is (width, height) of each picture in pixels. A condition's own camera moves at the mean speed of drives.
     """
     place = DistrictSpec(seed, split, _EXTENT_M)
     route = scenes.district(place).network.drive(_ROUTE_M, seed)
-    camera, T_rig_cam = rig_named("front").cameras(width, width * 3 // 4)["front"]
+    camera, T_rig_cam = rig_named("front").cameras(*size)["front"]
     step_m = DriveStyle().speed_mps / RATE_HZ
     poses = np.array([route.pose(MARGIN_M + at_m + k * step_m) for k in (-1, 0, 1)]) @ T_rig_cam
     twist = camera_twists(poses, 1 / RATE_HZ)[1]
