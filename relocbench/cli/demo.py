@@ -18,11 +18,11 @@ _FETCHED = "aliked-pnp"
 _STREET: dict[str, Any] = {
     "name": "demo",
     "conditions": ("Sunny", "Rain", "Snow", "Night"),
-    "size": "400x300",
+    "size": "320x240",
     "steps": 48,
     "correspondences": 0,
 }
-"""A street small enough for a minute and long enough for ranks, for which drives of 32 pairs are too short; nothing
+"""A street small enough for a minute or two and long enough for ranks, for which 32 pairs a drive are too few; nothing
 here measures matching quality, so nothing reads correspondences. docs/images/demo.png and demo.txt are of this street.
 
 The preset ``demo`` differs and stays as it is: the published leaderboard has a dataset that is made by it.
@@ -39,7 +39,7 @@ def demo(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Render a street in four conditions, run trackers on it and show which finds the camera in which, in two minutes.
+    """Render a street in four conditions, run trackers on it and show which finds the camera in which.
 
     The map is a drive in sunshine; the queries are of the same street in the sun, in rain, in snow and at night. A
     table of the shares found is printed, and a picture and the leaderboard's pages are written.
