@@ -74,7 +74,7 @@ def site(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def numbers_only(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site of the same results where the dataset is not at hand."""
+    """The site of the same results where the dataset is not available."""
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     shutil.copytree(results, elsewhere / "results")
     return write_site(_boards(elsewhere / "results"), elsewhere / "html").parent

@@ -187,7 +187,7 @@ def test_a_sweep_has_intervals_and_says_what_is_not_known(page: Any, swept: Path
     assert good["customdata"] == [1, 2, 3, 4]
     assert good["y"] == sorted(good["y"], reverse=True)
     assert all(high > 0 for high in good["error_y"]["array"][1:])
-    assert "the dataset is at hand" in page.locator("#map-about").inner_text()
+    assert "the dataset is available" in page.locator("#map-about").inner_text()
     assert not page.locator("#map-section").is_visible()
 
 

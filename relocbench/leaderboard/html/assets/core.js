@@ -66,6 +66,9 @@
   /** Text as HTML that shows it. */
   const escape = (text) => String(text).replace(/[&<>"']/g, (c) => ENTITIES[c]);
 
+  /** A heading as HTML that can break behind its signs where a window is narrow. */
+  const breakable = (text) => escape(text).replace(/@(?=\()|,(?=\d)/g, "$&<wbr>");
+
   /** An element: element("a", {href: "..."}, "text", child). Texts are shown as they are. */
   function element(name, attributes = {}, ...children) {
     const out = document.createElement(name);
@@ -190,7 +193,7 @@
 
   window.relocbench = {
     QUALITY, STATUS, thumbs, verdict,
-    load, script, bytes, floats, integers, escape, element, number, state, DIGITS, UNITS,
+    load, script, bytes, floats, integers, escape, breakable, element, number, state, DIGITS, UNITS,
     printing: false,
     get isDark() { return document.documentElement.dataset.theme === "dark"; },
     /** A payload that is loaded already. */

@@ -93,6 +93,7 @@
     tell();
     $("pair").hidden = false;
     now = { of, row, label, labels, pictures: null, within: thresholds() };
+    Object.assign($("of-set"), { href: `set-${of.set.id}.html`, textContent: of.set.title, hidden: false });
     $("title").textContent = `${of.record.title}: pair ${row + 1} of ${of.pairs}`;
     document.title = `${$("title").textContent} – relocbench`;
     const fact = (name, ...value) => element("div", {}, element("dt", {}, name), element("dd", {}, ...value));

@@ -68,21 +68,25 @@
     ]);
   }
 
+  /** A pipeline by its two methods, which have pages, and how many keyframes are tried. */
+  function pipelineName(label) {
+    const { retriever, tracker, top, marks } = set.pipelines[label];
+    return `${named(retriever, [])} + ${named(tracker, [])}, top ${top}${marks.map((mark) => ` <span class="tag">${escape(mark)}</span>`).join("")}`;
+  }
+
   function drawTables() {
     const table = current(), opened = (event, row) => { if (event.target.closest("button.cell")) openQueries(row.method, table.tasks, table.title); };
     const head = [
-      { title: "retriever", data: (row) => set.pipelines[row.method].retriever, className: "text", render: (value, type) => (type === "display" ? named(value, []) : value) },
-      { title: "tracker", data: (row) => set.pipelines[row.method].tracker, className: "text", render: (value, type, row) => (type === "display" ? named(value, set.pipelines[row.method].marks) : value) },
-      { title: "top", data: (row) => set.pipelines[row.method].top },
+      { title: "pipeline", data: "method", className: "text", render: (label, type) => (type === "display" ? pipelineName(label) : label) },
     ];
-    const columns = (names) => names.map((name) => ({ title: escape(set.metrics[indexOf[name]].heading), data: null, render: cell(set.metrics[indexOf[name]], indexOf[name], "Queries") }));
+    const columns = (names) => names.map((name) => ({ title: relocbench.breakable(set.metrics[indexOf[name]].heading), data: null, ...relocbench.bestFirst(set.metrics[indexOf[name]].unit === "share" && !name.startsWith("failed_")), render: cell(set.metrics[indexOf[name]], indexOf[name], "Queries") }));
     const createdRow = (tr, row) => {
       if (set.pipelines[row.method].baseline) tr.classList.add("baseline");
       tr.addEventListener("click", (event) => opened(event, row));
     };
     redraw("methods", {
       data: table.rows, createdRow,
-      columns: [{ title: "rank", data: "rank", className: "rank", render: rank }, ...head, ...columns(set.shown), { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) }],
+      columns: [...head, { title: "rank", data: "rank", className: "rank", ...relocbench.bestFirst(false), render: rank }, ...columns(set.shown), { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) }],
     }, "methods");
     const stages = set.stages.filter((name) => !name.startsWith("failed_") || table.rows.some((row) => row.values[indexOf[name]]));
     redraw("stages", { data: table.rows, createdRow, first: head.length + 1 + stages.length, columns: [...head, { title: "basin_m / basin_deg", data: "basin", className: "text", render: text }, ...columns(stages)] }, "stages");

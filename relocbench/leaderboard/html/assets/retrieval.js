@@ -63,9 +63,9 @@
     redraw("methods", {
       data: [...table.rows, chance],
       columns: [
-        { title: "rank", data: "rank", className: "rank", render: rank },
         { title: "method", data: "method", className: "text", render: (label, type) => (type === "display" ? named(label, set.methods[label]?.marks ?? []) : label) },
-        ...set.metrics.map((metric, index) => ({ title: escape(metric.heading), data: null, render: cell(metric, index, "Queries") })),
+        { title: "rank", data: "rank", className: "rank", ...relocbench.bestFirst(false), render: rank },
+        ...set.metrics.map((metric, index) => ({ title: relocbench.breakable(metric.heading), data: null, ...relocbench.bestFirst(true), render: cell(metric, index, "Queries") })),
         { title: "median_seconds", data: "seconds", render: numeric("s") },
         { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) },
         { title: "rescored", data: "rescored", className: "text", render: text },

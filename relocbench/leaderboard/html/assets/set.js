@@ -158,7 +158,7 @@
       columns: [
         { title: "method", data: "method", className: "text", render: name },
         { title: "rank", data: "rank", className: "rank", ...relocbench.bestFirst(false), render: rank },
-        ...set.metrics.map((metric, index) => ({ title: escape(metric.heading), data: null, ...relocbench.bestFirst(metric.higher), render: value(metric, index) })),
+        ...set.metrics.map((metric, index) => ({ title: relocbench.breakable(metric.heading), data: null, ...relocbench.bestFirst(metric.higher), render: value(metric, index) })),
         { title: "declined / crashed", data: (row) => (row.failed === null ? "" : `${row.failed} / ${row.broke}`) },
       ],
       createdRow: (tr, row) => {

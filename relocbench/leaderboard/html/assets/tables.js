@@ -26,7 +26,7 @@ relocbench.table = (node, options = {}, key = "") => {
   mark();
   table.on("search", mark);
   const count = table.columns().count();
-  if (count > first) {
+  if (count > first + 1) { // a button in place of a single column is no help
     const rest = Array.from({ length: count - first }, (_, i) => first + i);
     const button = element("button", { type: "button", class: "columns" });
     const show = (all) => {
