@@ -24,15 +24,14 @@ _RENDERED = f"""
 {_RELOCBENCH} build-dataset synthetic --preset smoke --conditions Sunny,Rain,Snow,Night --size 96x72 -o town -j 1
 """
 _RECORDED = f"""
-{sys.executable} -c "
+options=$({sys.executable} -c "
 from pathlib import Path
-from recorded_street import record_street
+from recorded_street import SMALL, record_street
 for number in range(2):
     record_street(Path('drives'), number, azimuths=360)
-"
-set -- drives/boreas-*
-{_RELOCBENCH} build-dataset boreas $1 $2 -o street -j 1 --submap 20 --depth-submap 12 --keyframe-distance 2 \\
-  --query-distance 3 --correspondences 50 --matcher fgr
+print(*SMALL)
+")
+{_RELOCBENCH} build-dataset boreas drives/boreas-* -o street -j 1 $options --calibration estimate
 """
 _TRACKED = f"""
 {sys.executable} -c "

@@ -1,13 +1,19 @@
-"""The small street with walls aslant to the road, so that lidar tells the way along it as well as the way across."""
+"""The small street with walls aslant to the road, so that lidar tells the way along it as well as the way across.
+
+Drives along it are recorded in the layout that a test needs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from small_street import Street, quads, street_mesh
+from small_street import SolidTexture, StraightRoad, Street, quads, street_mesh
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.jobs.recording import LayoutName, Recorded, record
 from relocbench.datasets.synthetic.layouts.recorded import MovingCar
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, merge
 
@@ -27,3 +33,13 @@ def fenced_street_mesh(street: Street, factors: Factors, moving: Sequence[Moving
             corners.append([(*a, 0.0), (*b, 0.0), (*b, top), (*a, top)])
     fences = quads(np.array(corners, dtype=np.float64), Material.PLASTER, 5000)
     return merge([street_mesh(street, factors, moving), fences])
+
+
+def record_fenced(
+    out: Path, layout: LayoutName, factors: Factors | None = None, path: StraightRoad | None = None, **options: Any
+) -> Recorded:
+    """:func:`record` a drive along the street; drives of different numbers differ in all that is random."""
+    return record(
+        Street(), path or StraightRoad(), factors or Factors(), out, layout,
+        renderer_factory=SolidTexture, compose=fenced_street_mesh, **options,
+    )  # fmt: skip

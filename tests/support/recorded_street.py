@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from built_once import built_once
-from fenced_street import fenced_street_mesh
+from fenced_street import fenced_street_mesh, record_fenced
 from numpy.typing import NDArray
 from projected_depth import depth_errors, true_depth
-from small_street import SolidTexture, StraightRoad, Street
+from small_street import Street
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.boreas.recording import read_boreas
@@ -22,10 +22,11 @@ from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.jobs.recording import DriveOptions, record
+from relocbench.datasets.synthetic.jobs.recording import DriveOptions
 from relocbench.datasets.synthetic.layouts.recorded import Layout
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
-from relocbench.geometry import interpolate_trajectory, invert, rotation_angle, transform_from_tq
+from relocbench.geometry import interpolate_trajectory, invert, transform_from_tq
+from relocbench.metrics.pose.errors import pose_errors
 from relocbench.progress import Reporter, Silent
 
 Array = NDArray[np.float64]
@@ -92,9 +93,7 @@ def record_street(out: Path, number: int, frames: int = 26, *, rings: int = 16, 
 
 @built_once(Path)
 def _recorded(out: Path, number: int, frames: int, rings: int, azimuths: int) -> None:
-    chosen = {"frames": frames, "scale": 0.08, "rings": rings, "azimuths": azimuths, "number": number}
-    how = {"renderer_factory": SolidTexture, "compose": fenced_street_mesh}
-    record(Street(), StraightRoad(), Factors(), out, "boreas", **chosen, **how)  # type: ignore[arg-type]
+    record_fenced(out, "boreas", frames=frames, scale=0.08, rings=rings, azimuths=azimuths, number=number)
 
 
 def street_scene() -> LidarScene:
@@ -125,17 +124,17 @@ def assert_pairs_are_right(
     """
     dataset = Dataset(root)
     T_cam_rig = np.eye(4) if T_rig_cam is None else invert(T_rig_cam)
-    errors = []
+    found, exact = [], []
     for pair in dataset.pair_set(pair_set).pairs:
         T_world_ref = reference.T_world_car(np.array([pair.ref_timestamp_ns]))[0] @ reference.T_car_cam @ T_cam_rig
         T_world_query = query.T_world_car(np.array([pair.query_timestamp_ns]))[0] @ query.T_car_cam @ T_cam_rig
         assert pair.T_query_ref is not None
-        wrong = pair.T_query_ref @ invert(T_world_ref) @ T_world_query
-        errors.append((np.linalg.norm(wrong[:3, 3]), np.degrees(rotation_angle(wrong[:3, :3]))))
-    metres, degrees = np.array(errors).max(axis=0).tolist()
-    assert len(errors) >= 4
-    assert metres < 0.10
-    assert degrees < 0.15
+        found.append(pair.T_query_ref)
+        exact.append(invert(T_world_query) @ T_world_ref)
+    assert len(found) >= 4
+    errors = pose_errors(found, exact)
+    assert errors.translation_error_m.max() < 0.10
+    assert errors.rotation_error_deg.max() < 0.15
 
 
 def with_camera(drive: StreetDrive, recording: FieldRecording) -> FieldRecording:

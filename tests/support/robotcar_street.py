@@ -12,16 +12,17 @@ from pathlib import Path
 import numpy as np
 from built_once import built_once
 from command_line import Outcome, relocbench
-from fenced_street import fenced_street_mesh
+from fenced_street import record_fenced
 from numpy.typing import NDArray
 from recording_reading import Truth
-from small_street import SolidTexture, StraightRoad, Street
+from small_street import StraightRoad
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
-from relocbench.datasets.synthetic.jobs.recording import Recorded, record
-from relocbench.geometry import invert, rotation_angle
+from relocbench.datasets.synthetic.jobs.recording import Recorded
+from relocbench.geometry import invert
+from relocbench.metrics.pose.errors import PoseErrors, pose_errors
 
 Array = NDArray[np.float64]
 
@@ -56,11 +57,8 @@ def record_robotcar(
     cameras: tuple[str, ...] = CAMERAS,
     frames: int = FRAMES,
 ) -> Recorded:
-    """Record a drive; drives of different numbers differ in all that is random."""
-    return record(
-        Street(), path or StraightRoad(), CONDITIONS[condition].factors, out, "robotcar", frames=frames, scale=0.06,
-        number=number, cameras=cameras, renderer_factory=SolidTexture, compose=fenced_street_mesh,
-    )  # fmt: skip
+    how = {"frames": frames, "scale": 0.06, "number": number, "cameras": cameras}
+    return record_fenced(out, "robotcar", CONDITIONS[condition].factors, path, **how)
 
 
 @dataclass(frozen=True)
@@ -89,15 +87,11 @@ class RobotCarStreet:
         T_world_query = query.rig(pair.query_timestamp_ns) @ query.T_rig["stereo/left"]
         return np.asarray(invert(T_world_query) @ T_world_ref)
 
-    def errors(self, dataset: Dataset) -> Array:
-        """(N, 2) metres and degrees of the accepted pairs."""
-        out = []
-        for pair in dataset.pair_set(self.pair_set).pairs:
-            if pair.accepted:
-                assert pair.T_query_ref is not None
-                wrong = invert(self.exact(pair)) @ pair.T_query_ref
-                out.append((np.linalg.norm(wrong[:3, 3]), np.degrees(rotation_angle(wrong[:3, :3]))))
-        return np.array(out)
+    def errors(self, dataset: Dataset) -> PoseErrors:
+        """Errors of the accepted pairs."""
+        pairs = [pair for pair in dataset.pair_set(self.pair_set).pairs if pair.accepted]
+        found = [pair.T_query_ref for pair in pairs if pair.T_query_ref is not None]
+        return pose_errors(found, [self.exact(pair) for pair in pairs])
 
 
 def _opened(root: Path) -> RobotCarStreet:

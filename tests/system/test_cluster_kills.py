@@ -7,11 +7,8 @@ from pathlib import Path
 import pytest
 from cluster_kills import OnCluster, differing, on_a_cluster
 from command_line import relocbench
-from fenced_street import fenced_street_mesh
-from small_street import SolidTexture, StraightRoad, Street
+from robotcar_street import record_robotcar
 
-from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
-from relocbench.datasets.synthetic.jobs.recording import record
 from relocbench.execution import cluster, scheduler
 
 pytest.importorskip("distributed")
@@ -29,12 +26,9 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ground_truth_on_a_cluster_whose_worker_is_killed_has_the_bytes_of_local_workers(tmp_path: Path) -> None:
     """The worker dies when it has registered two nodes of a drive; the other one goes on from its journal."""
     folders = [
-        record(
-            Street(), StraightRoad(), CONDITIONS[condition].factors, tmp_path / "recording", "robotcar", frames=64,
-            scale=0.06, number=number, cameras=(), renderer_factory=SolidTexture, compose=fenced_street_mesh,
-        ).folder
+        record_robotcar(tmp_path / "recording", number, condition, cameras=()).folder
         for number, condition in enumerate(("Sunny", "Overcast"))
-    ]  # fmt: skip
+    ]
     command = ["build-dataset", "robotcar", *folders, *SMALL, "--quiet"]
     assert relocbench(*command, "-j", 1, "-o", tmp_path / "local").status == 0
     ended = on_a_cluster([*command, "-o", tmp_path / "out"], r"\.journal$", 2, "append", tmp_path / "cluster")

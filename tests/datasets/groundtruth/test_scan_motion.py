@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fenced_street import fenced_street_mesh
-from small_street import SolidTexture, StraightRoad, Street
+from fenced_street import record_fenced
 
 from relocbench.arrays import Times
 from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending, later
@@ -16,15 +15,12 @@ from relocbench.datasets.groundtruth.odometry.scan_motion import detect_motion
 from relocbench.datasets.importers.kitti.recording import VelodyneStream, read_kitti
 from relocbench.datasets.sensors.recording import Scan, Trajectory
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
-from relocbench.datasets.synthetic.jobs.recording import record
 from relocbench.progress import Silent
 
 
 def recorded(out: Path, distorted: bool) -> Path:
-    record(
-        Street(), StraightRoad(), CONDITIONS["Sunny"].factors, out, "kitti", frames=20, scale=0.06, rings=16,
-        azimuths=360, cameras=(), renderer_factory=SolidTexture, compose=fenced_street_mesh, motion_distorted=distorted,
-    )  # fmt: skip
+    how = {"frames": 20, "scale": 0.06, "rings": 16, "azimuths": 360, "cameras": ()}
+    record_fenced(out, "kitti", CONDITIONS["Sunny"].factors, motion_distorted=distorted, **how)
     return out
 
 

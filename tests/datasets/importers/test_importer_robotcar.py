@@ -27,10 +27,10 @@ def test_poses_are_those_of_the_exact_truth_to_centimetres(
     pairs = robotcar_built.dataset.pair_set(robotcar_street.pair_set).pairs
     errors = robotcar_street.errors(robotcar_built.dataset)
     assert len(pairs) >= 8
-    assert len(errors) >= 0.8 * len(pairs)
-    assert np.median(errors[:, 0]) < 0.03
-    assert errors[:, 0].max() < 0.10
-    assert errors[:, 1].max() < 0.15
+    assert len(errors.translation_error_m) >= 0.8 * len(pairs)
+    assert np.median(errors.translation_error_m) < 0.03
+    assert errors.translation_error_m.max() < 0.10
+    assert errors.rotation_error_deg.max() < 0.15
 
 
 def test_every_pair_has_its_sigmas_or_its_reason(robotcar_street: RobotCarStreet, robotcar_built: Built) -> None:

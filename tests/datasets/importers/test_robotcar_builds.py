@@ -115,8 +115,8 @@ def test_pairs_in_a_gap_of_the_odometry_are_rejected_and_the_rest_is_right(
     # Beyond the gap the drive is found again.
     assert min(accepted) < min(gap) < max(gap) < max(accepted)
     errors = robotcar_street.errors(unusual.dataset)
-    assert errors[:, 0].max() < 0.10
-    assert errors[:, 1].max() < 0.15
+    assert errors.translation_error_m.max() < 0.10
+    assert errors.rotation_error_deg.max() < 0.15
 
 
 def test_a_wrong_first_pose_is_found_out(unusual: Built) -> None:
