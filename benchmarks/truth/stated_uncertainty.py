@@ -39,15 +39,16 @@ from limits import Limits
 from numpy.typing import NDArray
 from simulated_blocks import Planes, submap_registrations
 from simulated_graph import (
+    CAMERA,
     INDEPENDENT,
     WHITE,
     WHITE_SIGMA,
     drive,
-    grossly_wrong,
     normalised_squares,
     registrations,
     translation_errors,
     two_drives,
+    with_gross_errors,
 )
 
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, run_icp
@@ -59,20 +60,16 @@ from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.synthetic.drives.odometry import OdometryErrors
-from relocbench.geometry import invert, make_transform, se3_exp, se3_log, so3_exp
+from relocbench.geometry import invert, se3_exp, se3_log
 
 Array = NDArray[np.float64]
 Figures = dict[str, float]
-
-CAMERA = make_transform(so3_exp([0.0, np.pi / 2, 0.0]) @ so3_exp([0.0, 0.0, -np.pi / 2]), [1.5, 0.0, 1.2])
-"""``T_rig_cam`` of a camera that looks ahead"""
 
 
 def gross_errors(seed: int) -> Figures:
     reference, query, found = two_drives(300.0, seed)
     rng = np.random.default_rng([seed, 1])
-    wrong = rng.random(len(found)) < 0.05
-    found = [grossly_wrong(r, rng) if w else r for r, w in zip(found, wrong, strict=True)]
+    found, wrong = with_gross_errors(found, rng)
     solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
     used = np.array([not verdict for verdict in solution.verdicts])
     return {

@@ -18,6 +18,7 @@ from relocbench.datasets.synthetic.drives.odometry import OdometryErrors, visual
 from relocbench.geometry import invert, make_transform, se3_exp, se3_log, so3_exp
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 STEP_M = 0.6
 """sixteen odometry steps a second at 10 m/s"""
 NODE_M = 2.0
@@ -30,6 +31,8 @@ INDEPENDENT = GraphOptions(shared_points=False)
 """for registrations that share no points"""
 SIGMA = np.array([0.015, 0.008, 0.008, 4e-4, 4e-4, 4e-4])
 """of a registration, metres and radians"""
+CAMERA = make_transform(so3_exp([0.0, np.pi / 2, 0.0]) @ so3_exp([0.0, 0.0, -np.pi / 2]), [1.5, 0.0, 1.2])
+"""``T_rig_cam`` of a camera that looks ahead"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +122,12 @@ def grossly_wrong(registration: Registration, rng: np.random.Generator) -> Regis
     if kind == 1:
         return slid(registration, se3_exp([along, rng.normal(), 0, 0, 0, rng.normal() * 0.05]))
     return slid(registration, se3_exp([along, 0, 0, 0, 0, np.pi]))
+
+
+def with_gross_errors(found: list[Registration], rng: np.random.Generator) -> tuple[list[Registration], Mask]:
+    """The registrations, of which each twentieth is grossly wrong, and (N,) which are."""
+    wrong = rng.random(len(found)) < 0.05
+    return [grossly_wrong(r, rng) if w else r for r, w in zip(found, wrong, strict=True)], wrong
 
 
 def true_error(reference: Drive, query: Drive, ref: int, query_node: int, T_ref_query: Array) -> Array:

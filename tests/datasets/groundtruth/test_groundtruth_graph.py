@@ -15,17 +15,18 @@ from numpy.typing import NDArray
 from refusals import refused
 from simulated_blocks import Planes, submap_registrations
 from simulated_graph import (
+    CAMERA,
     INDEPENDENT,
     NO_EVIDENCE,
     WHITE,
     Drive,
     drive,
-    grossly_wrong,
     registrations,
     slid,
     translation_errors,
     true_error,
     two_drives,
+    with_gross_errors,
 )
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
@@ -41,11 +42,9 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.synthetic.drives.odometry import OdometryErrors
 from relocbench.errors import ConfigError
-from relocbench.geometry import adjoint, invert, make_transform, se3_exp, se3_log, so3_exp
+from relocbench.geometry import adjoint, invert, se3_exp, se3_log
 
 Array = NDArray[np.float64]
-CAMERA = make_transform(so3_exp([0.0, np.pi / 2, 0.0]) @ so3_exp([0.0, 0.0, -np.pi / 2]), [1.5, 0.0, 1.2])
-"""``T_rig_cam`` of a camera that looks ahead"""
 
 
 def used(solution: Solution) -> NDArray[np.bool_]:
@@ -126,8 +125,7 @@ def test_where_nothing_holds_the_way_the_error_of_the_scale_adds_up() -> None:
 def test_gross_errors_are_left_out_and_named() -> None:
     reference, query, found = two_drives(160.0, 3)
     rng = np.random.default_rng(30)
-    wrong = rng.random(len(found)) < 0.05
-    found = [grossly_wrong(r, rng) if w else r for r, w in zip(found, wrong, strict=True)]
+    found, wrong = with_gross_errors(found, rng)
     solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
     assert wrong.sum() > 8
     assert not used(solution)[wrong].any()
