@@ -25,8 +25,11 @@ def training_places(roots: Sequence[Path], reporter: Reporter) -> PlaceData:
         DatasetError: a folder is neither a cross-view set nor a dataset, or has no training images.
         ConfigError: a folder is given twice, or a dataset's training split shares a traversal with its test split.
     """
-    if len({root.resolve() for root in roots}) < len(roots):
-        raise ConfigError("a dataset is given twice")
+    known: set[Path] = set()
+    for root in roots:
+        if root.resolve() in known:
+            raise ConfigError("this dataset is given twice", root)
+        known.add(root.resolve())
     return joined([_places(root, reporter) for root in roots])
 
 
