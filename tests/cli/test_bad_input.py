@@ -127,7 +127,7 @@ Told = tuple[str, int | None, tuple[object, ...]]
 """the end of a file's name, the line in it, and what else is named"""
 CASES: list[tuple[Damage, Told]] = [
     (truncated_png_in_a_recording, ("image_0/000001.png", None, ())),
-    (truncated_png_in_a_dataset, (".png", None, ("manifest.csv",))),
+    (truncated_png_in_a_dataset, ("", None, ("winter/images/cam0", "manifest.csv"))),
     (nan_pose_in_a_recording, ("poses/00.txt", 1, ("nan",))),
     (nan_pose_in_a_dataset, ("winter/poses.csv", None, ())),
     (dataset_inside_the_recording, ("recording/out", None, ())),

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import Outcome, relocbench
-from refusals import assert_names
+from refusals import Notes, assert_names
 from repository import ROOT
 
 from relocbench.cli import demo
@@ -94,19 +94,6 @@ def test_weights_that_are_not_installed_are_one_note_which_says_how_to_get_them(
     assert notes[0].endswith("relocbench fetch-weights aliked-pnp")
 
 
-class Notes:
-    """A reporter that keeps its notes."""
-
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    def stage(self, description: str, total: int) -> object:
-        raise AssertionError(f"nothing is to be done, not {description}, {total}")
-
-    def note(self, message: str) -> None:
-        self.said.append(message)
-
-
 def test_methods_run_where_what_they_need_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from relocbench.methods import parse_method
     from relocbench.methods.fetching import published_files
@@ -118,5 +105,5 @@ def test_methods_run_where_what_they_need_is_installed(tmp_path: Path, monkeypat
         path.write_bytes(np.zeros(1).tobytes())
     notes = Notes()
     assert demo._able(notes) == ("identity", "aliked-pnp")  # type: ignore[arg-type]
-    assert len(notes.said) == 1
-    assert notes.said[0].startswith("absent is left out: ")
+    assert len(notes.notes) == 1
+    assert notes.notes[0].startswith("absent is left out: ")

@@ -170,7 +170,7 @@ def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
     before = table.read_text()
     try:
         table.write_text(before.replace("right", "choice", 1))
-        with refused(PredictionError):
+        with refused(PredictionError, table, None, "changed", "scored"):
             load_pipelines(results)
     finally:
         table.write_text(before)

@@ -124,7 +124,7 @@ def test_withheld_poses_are_named(dataset: Dataset) -> None:
     data = DatasetPairs([dataset.root])
     number, pair = data._entries[0]
     data._entries[0] = number, replace(pair, T_query_ref=None)
-    with refused(DatasetError):
+    with refused(DatasetError, dataset.root, None, "withheld"):
         data.posed(0)
 
 

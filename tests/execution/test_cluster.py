@@ -146,7 +146,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path, monkeypatch: pyt
     try:
         processes.add_workers(1)
         units = [(index, processes.scheduler, "") for index in range(8)]
-        with refused(RelocbenchError, "", None, "8"):
+        with refused(RelocbenchError, "", None, "of 8 units"):
             list(run_units(kill_once, units, Run(scheduler=where(processes))))
     finally:
         processes.close()

@@ -217,7 +217,7 @@ def test_a_folder_of_results_whose_name_is_no_label_is_told(tmp_path: Path) -> N
     folder = tmp_path / "\x1b[31mred"
     folder.mkdir()
     (folder / "run.yaml").touch()
-    with refused(PredictionError, "\\x1b[31mred") as raised:
+    with refused(PredictionError, folder, None, "\\x1b[31mred") as raised:
         DatasetResults(tmp_path).methods()
     assert str(raised.value).isprintable()
 

@@ -175,7 +175,7 @@ def test_a_query_without_positives_stays_in_the_denominator_unless_it_is_left_ou
 def test_no_query_with_a_positive_is_zero_or_an_error() -> None:
     scores = at([], [])
     assert summarize_retrieval(scores)["AP"] == 0.0
-    with refused(DatasetError, "", None, 2):
+    with refused(DatasetError, "", None, "2 queries"):
         summarize_retrieval(scores, denominator=Denominator.WITH_POSITIVES)
 
 

@@ -143,13 +143,3 @@ def with_camera(drive: StreetDrive, recording: FieldRecording) -> FieldRecording
     camera = drive.source.cameras["camera"]
     assert isinstance(camera, ImageFiles)
     return replace(recording, cameras={"camera": replace(camera, T_rig_cam=T_rig_cam)})
-
-
-class Spoken(Silent):
-    """A reporter that keeps its notes."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)

@@ -279,7 +279,7 @@ def test_confidences_are_learnt_from_the_pose_loss(tmp_path: Path) -> None:
 def test_without_poses_the_loss_is_refused_in_one_line(tmp_path: Path) -> None:
     run = TrainingRun(tmp_path, "gn-net", "relocbench train gn-net", workers=0)
     loss = {"level_weights": [1.0, 1.0], "pose": {"weight": 0.1}}
-    with refused(MethodError):
+    with refused(MethodError, "", None, "loss.pose.weight"):
         gn_net().train(MadePairs(), None, {**TINY, "loss": loss}, run)
     with refused(ConfigError, "", None, "still"):
         options(loss={"level_weights": [1.0, 1.0], "pose": {"still": 1.5}})

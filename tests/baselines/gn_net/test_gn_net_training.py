@@ -125,7 +125,7 @@ def test_weights_to_start_from_must_be_of_the_same_network(tmp_path: Path) -> No
     earlier = train(tmp_path / "earlier", steps=1).weights
     with refused(MethodError, "", None, "dim", 4, 6):
         train(tmp_path / "later", start=str(earlier), network={**TINY["network"], "dim": 6})
-    with refused(MethodError, "", None, "nowhere.safetensors"):
+    with refused(MethodError, tmp_path / "nowhere.safetensors", None, "no such file"):
         train(tmp_path / "later", start=str(tmp_path / "nowhere.safetensors"))
 
 

@@ -95,7 +95,7 @@ def test_places_of_several_folders_are_numbered_one_after_the_other(university: 
     both = training_places([university, tmp_path], Silent())
     assert (both.places, len(both.images), len(both.described)) == (8, 26, 2)
     assert [each.place for each in both.images[-2:]] == [6, 7]
-    with refused(ConfigError):
+    with refused(ConfigError, university, None, "twice"):
         training_places([university, university], Silent())
 
 

@@ -522,7 +522,7 @@ def test_weights_are_copied_to_another_partition_and_to_nothing_else() -> None:
         ({"street": "both"}, "street"),
         ({"width": 0}, "width"),
         ({"dropout": 1.0}, "dropout"),
-        ({"attention": {"after": ["layer2"]}}, "after"),
+        ({"attention": {"after": ["layer2"]}}, "attention.after.0"),
         ({"attention": {"after": ["layer3", "layer3"]}}, "layer3"),
         ({"attention": {"kernel": 4}}, "kernel"),
         ({"block": 4}, "block"),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from made_places import TINY, NarrowResNet, made_places
-from refusals import refused
+from refusals import Notes, refused
 from torch import Tensor
 
 from baselines.lpn.configurations import CONFIGURATIONS
@@ -81,21 +81,6 @@ def cut_after(images: int) -> PlaceData:
 
     whole = made_places()
     return replace(whole, images=tuple(broken(each) for each in whole.images))
-
-
-class Heard:
-    """A reporter that keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
-
-    def stage(self, description: str, total: int) -> Any:
-        from contextlib import nullcontext
-
-        return nullcontext(lambda count: None)
 
 
 def rows(path: Path) -> list[Mapping[str, str]]:
@@ -249,7 +234,7 @@ def test_a_trial_says_what_chance_scores_and_when_all_images_look_alike() -> Non
 
 @pytest.mark.usefixtures("without_curves")
 def test_a_configuration_starts_from_trained_rings(tmp_path: Path, trained: Path) -> None:
-    told = Heard()
+    told = Notes()
     report = train(tmp_path / "a", "lpn-heatmap", start=str(trained), reporter=told)
     assert report.steps == 1  # the stage of rings is left out
     assert "network 'lpn' of weights.safetensors (backbone: drawn, no ImageNet)" in "\n".join(told.notes)
@@ -277,7 +262,7 @@ def test_a_backbone_from_a_file_is_told_and_learns_at_the_recipes_rates(tmp_path
 
 @pytest.mark.usefixtures("without_curves")
 def test_the_backbone_of_another_training_can_be_taken(tmp_path: Path, trained: Path) -> None:
-    told = Heard()
+    told = Notes()
     report = train(tmp_path / "a", "global-average", backbone_weights=str(trained), rate=1e-9, backbone_rate=1e-9,
                    data=made_places(5), reporter=told)  # fmt: skip
     assert "backbone of 'lpn' after 2 steps on 4 places, file weights.safetensors, SHA-256 " in "\n".join(told.notes)
@@ -353,7 +338,7 @@ def test_options_that_make_no_sense_are_refused(
 
 @pytest.mark.usefixtures("without_curves")
 def test_views_that_are_left_out_and_places_without_overlap_are_told(tmp_path: Path) -> None:
-    told = Heard()
+    told = Notes()
     train(tmp_path, data=made_places(views=("drone", "satellite", "street")), reporter=told)
     assert "4 images of view 'street' are not learnt from" in told.notes[0]
     assert told.notes[1] == "4 places: 4 in drone, 4 in satellite, 4 in all of these views; a guess is right once in 4"

@@ -117,12 +117,12 @@ def test_an_image_that_is_the_mean_has_no_descriptor(tmp_path: Path) -> None:
     assert np.isnan(rows[0]).all()
     assert np.allclose(rows[1], -only)
     nothing = ViewMeans(tmp_path, lambda images: np.full((1, 4), np.nan), 1)
-    with refused(MethodError, "", None, "drone"):
+    with refused(MethodError, tmp_path / "drone", None, "images"):
         nothing.centred(only, ["drone"])
 
 
 def test_what_is_not_there_is_named(weights: Path, unlabelled: Path) -> None:
-    with refused(MethodError, "", None, "nowhere"):
+    with refused(MethodError, unlabelled / "nowhere", None, "is not a folder"):
         Lpn(weights=weights, unlabelled=unlabelled / "nowhere")
     street = ViewMeans(unlabelled, lambda images: np.zeros((len(images), 2)), 1)
     with refused(MethodError, "", None, "street"):

@@ -174,7 +174,7 @@ def test_files_of_the_other_retrievers_are_refused(drawn: Callable[[str], Path],
     alike = {"cosplace", "eigenplaces"}
     for other in RETRIEVERS:
         if other != name and {name, other} != alike:
-            with refused(MethodError, drawn(other)):
+            with refused(MethodError, drawn(other), None, {"netvlad": "NetVLAD", "megaloc": "MegaLoc"}.get(name, name)):
                 made(name, drawn(other))
 
 

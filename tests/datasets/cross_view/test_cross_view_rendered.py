@@ -177,7 +177,7 @@ def test_a_killed_build_goes_on_and_ends_with_the_same_bytes(made: CrossViewSet,
     torn = out / "test/gallery_satellite/5002/5002.png"
     torn.write_bytes(torn.read_bytes()[:500])
     (out / "test/gallery_drone/5001/.image-01.0123abcd.part.png").write_bytes(b"half")
-    with refused(DatasetError):
+    with refused(DatasetError, out, None, "unfinished"):
         open_cross_view(out)
     assert build(out).fingerprint == made.fingerprint
     assert content(out) == content(made.root)
@@ -206,10 +206,12 @@ def test_what_was_added_or_changed_is_noticed(made: CrossViewSet, tmp_path: Path
         build(out)
     (out / "test/gallery_street/5000/2.png").unlink()
     manifest = out / "manifest.csv"
-    manifest.write_text(manifest.read_text().replace("gallery_street/5000", "gallery_street/5001", 1))
-    with refused(DatasetError):
+    listed = manifest.read_text()
+    manifest.write_text(listed.replace("gallery_street/5000", "gallery_street/5001", 1))
+    with refused(DatasetError, "dataset.yaml", None, "manifest.csv", "fingerprint"):
         open_cross_view(out)
-    with refused(DatasetError):
+    manifest.write_text(listed)
+    with refused(DatasetError, out, None, "options", "--out"):
         build(out, seed=1)
 
 

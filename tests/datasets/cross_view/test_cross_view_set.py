@@ -9,22 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from refusals import ErrorData, refused
+from refusals import ErrorData, Notes, refused
 
 from relocbench.datasets.core.images import write_image
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
 from relocbench.errors import DatasetError
 from relocbench.metrics import NEVER, rank_descriptors, score_retrieval
-
-
-class Notes:
-    """A reporter that keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.told.append(message)
 
 
 def picture(seed: int) -> np.ndarray:
@@ -110,9 +100,9 @@ def test_a_query_whose_class_is_in_no_gallery_has_no_positive(official: Path) ->
 
 def test_empty_class_folders_are_told_in_one_line(official: Path) -> None:
     listener = Notes()
-    opened = open_cross_view(official, listener)  # type: ignore[arg-type]
+    opened = open_cross_view(official, listener)
     assert opened.notes == ("2 of 21 class folders hold no image: test/query_street/0003, test/gallery_street/0003",)
-    assert listener.told == [f"{official}: {opened.notes[0]}"]
+    assert listener.notes == [f"{official}: {opened.notes[0]}"]
 
 
 def test_places_to_learn_from_have_one_number_in_all_views(official: Path) -> None:
@@ -165,9 +155,9 @@ def test_an_image_that_cannot_be_read_is_named(official: Path) -> None:
     ("made", "words"),
     [
         ("other/file.txt", ("", None, "University-1652's")),
-        ("drone/0001/a.jpg", ()),
-        ("test/query_drone/a.jpg", ("a.jpg",)),
-        ("test/query_drone/00 01/a.jpg", ()),
+        ("drone/0001/a.jpg", ("", None, "University-1652's")),
+        ("test/query_drone/a.jpg", ("test/query_drone", None, "a.jpg")),
+        ("test/query_drone/00 01/a.jpg", ("test/query_drone/00 01", None, "white space")),
         pytest.param("test/query_drone/0001/\udcff.jpg", ("", None, "UTF-8"), id="image of other bytes"),
         pytest.param("test/query_drone/00\udcff/a.jpg", ("", None, "UTF-8"), id="class of other bytes"),
     ],
@@ -179,25 +169,25 @@ def test_a_folder_without_the_layout_is_refused(tmp_path: Path, made: str, words
 
 
 def test_what_is_wrong_with_a_folder_is_said(official: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    with refused(DatasetError):
+    with refused(DatasetError, official / "absent", None, "no such folder"):
         open_cross_view(official / "absent")
-    with refused(DatasetError, "", None, "test"):
+    with refused(DatasetError, official / "test", None, official):
         open_cross_view(official / "test")
     assert is_cross_view(official)
     assert not is_cross_view(official / "test")
     empty = tmp_path_factory.mktemp("empty")
     (empty / "train" / "drone" / "0001").mkdir(parents=True)
-    with refused(DatasetError, "", None, "1"):
+    with refused(DatasetError, empty, None, "1 class"):
         open_cross_view(empty)
 
 
 def test_a_set_to_train_on_alone_has_nothing_to_ask_and_the_other_way_about(tmp_path: Path) -> None:
     put(tmp_path, "train/drone/0001/a.jpg", "train/satellite/0001/a.jpg")
-    with refused(DatasetError):
+    with refused(DatasetError, tmp_path, None, "training"):
         open_cross_view(tmp_path).tasks()
     other = tmp_path / "other"
     put(other, "test/query_drone/0001/a.jpg", "test/gallery_satellite/0001/a.jpg")
-    with refused(DatasetError):
+    with refused(DatasetError, other, None, "--split train"):
         open_cross_view(other).training()
 
 

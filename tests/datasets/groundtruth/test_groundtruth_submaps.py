@@ -139,10 +139,10 @@ def test_drive_without_way_or_lidar_is_refused(street: FieldRecording) -> None:
     standing = Trajectory(street.odometry.times_ns, np.repeat(street.odometry.T_odom_rig[:1], 161, axis=0))
     with refused(DatasetError, street.folder, None, "2.0 m"):
         make_nodes(replace(street, odometry=standing))
-    with refused(DatasetError, street.folder):
+    with refused(DatasetError, street.folder, None, "lidar scans"):
         make_nodes(replace(street, lidars=()))
     late = Trajectory(street.odometry.times_ns + 10**12, street.odometry.T_odom_rig)
-    with refused(DatasetError, street.folder):
+    with refused(DatasetError, street.folder, None, "odometry"):
         make_nodes(replace(street, odometry=late))
     with refused(ConfigError, "", None, "0.0 m"):
         make_nodes(street, 0.0)
@@ -363,9 +363,9 @@ def test_workers_and_resumption_give_the_same_bytes(street: FieldRecording, tmp_
 def test_blocks_made_otherwise_are_not_mixed(street: FieldRecording, tmp_path: Path) -> None:
     nodes = make_nodes(street)
     build_blocks(street, nodes, tmp_path)
-    with refused(DatasetError, "blocks.yaml"):
+    with refused(DatasetError, "blocks.yaml", None, "drive", "options"):
         build_blocks(street, nodes, tmp_path, options=BlockOptions(voxel_m=0.2))
-    with refused(DatasetError, "blocks.yaml"):
+    with refused(DatasetError, "blocks.yaml", None, "drive", "options"):
         build_blocks(street, make_nodes(street, 3.0), tmp_path)
 
 
@@ -385,9 +385,9 @@ def test_damaged_block_is_named(built: tuple[Nodes, BlockStore], tmp_path: Path)
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
-    with refused(DatasetError, "000000.npz"):
+    with refused(DatasetError, "000000.npz", None, "complete"):
         BlockStore(tmp_path).get(0)
-    with refused(DatasetError, "000001.npz"):
+    with refused(DatasetError, "000001.npz", None, "missing"):
         BlockStore(tmp_path).get(1)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from numpy.typing import NDArray
-from refusals import assert_names, refused
+from refusals import Notes, assert_names, refused
 
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.jobs import inputs
@@ -20,7 +18,6 @@ from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 from relocbench.errors import DatasetError, ManyFaults, raise_all
 from relocbench.geometry import Camera, make_transform
-from relocbench.progress import Advance
 
 TENTH = 100_000_000
 
@@ -81,20 +78,6 @@ def drive(
     return FieldRecording(name, Path(name), Condition(), Trajectory(at, poses), lidars, cameras)  # type: ignore[arg-type]
 
 
-class Notes:
-    """A reporter that keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.told.append(message)
-
-    @contextlib.contextmanager
-    def stage(self, description: str, total: int) -> Iterator[Advance]:
-        yield lambda count: None
-
-
 def test_a_sound_recording_has_no_fault() -> None:
     assert faults_of(drive(images=Images(times(40))), ["front"]) == []
 
@@ -140,9 +123,9 @@ def test_a_drive_shorter_than_a_submap_is_noted_with_what_is_possible() -> None:
     notes = Notes()
     assert driven_m(drive()) == pytest.approx(40, abs=0.5)
     assert inputs.motion_faults(drive(), FieldOptions(), notes) == []
-    assert_names(notes.told[0], "", None, "summer", "40 m", "--submap 60")
+    assert_names(notes.notes[0], "", None, "summer", "40 m", "--submap 60")
     assert inputs.motion_faults(drive(), FieldOptions(submap=30.0), notes) == []
-    assert len(notes.told) == 1
+    assert len(notes.notes) == 1
 
 
 def test_a_disk_without_room_is_told_before_it_is_full(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from recorded_street import Spoken
+from refusals import Notes
 
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.jumps import find_jumps, interrupted
@@ -87,7 +87,7 @@ def test_a_jump_is_found_while_the_vehicle_brakes_or_accelerates(acceleration: f
 
 
 def test_odometry_is_interrupted_at_its_jumps_and_this_is_told() -> None:
-    spoken = Spoken()
+    spoken = Notes()
     before = recording(with_jump(driven(), AT, [0.5, 0, 0, 0, 0, 0]))
     after = interrupted(before, spoken)
     assert after.odometry.breaks == (AT,)
@@ -106,7 +106,7 @@ def test_breaks_that_are_known_stay_and_are_not_judged() -> None:
     odometry = replace(with_jump(driven(), AT, [0.5, 0, 0, 0, 0, 0]), breaks=(AT,))
     assert find_jumps(odometry) == ()
     other = with_jump(odometry, 300, [0.5, 0, 0, 0, 0, 0])
-    assert interrupted(recording(other), Spoken()).odometry.breaks == (AT, 300)
+    assert interrupted(recording(other), Notes()).odometry.breaks == (AT, 300)
 
 
 def straight(seconds: Array, speed: float = 10.0, **sway: Array) -> Trajectory:
@@ -139,7 +139,7 @@ def test_a_shaken_hand_is_no_jump_and_hides_none(rate: float, hertz: float, degr
     for amount in (once, often):
         drive = straight(seconds, 1.2, heave=0.01 * amount, yaw=np.radians(degrees) * amount)
         at = len(seconds) // 3
-        moved = interrupted(recording(with_jump(drive, at, [2.0, 0, 0, 0, 0, 0])), Spoken()).odometry
+        moved = interrupted(recording(with_jump(drive, at, [2.0, 0, 0, 0, 0, 0])), Notes()).odometry
         assert at in moved.breaks
     once_only = straight(seconds, 1.2, heave=0.01 * once, yaw=np.radians(degrees) * once)
     assert find_jumps(once_only) == ()
@@ -185,7 +185,7 @@ def test_what_poses_tell_that_are_far_apart_in_time(rate: float, metres: float) 
 
 
 def test_odometry_that_jumps_everywhere_is_interrupted_at_large_jumps_only() -> None:
-    odometry, spoken = driven(), Spoken()
+    odometry, spoken = driven(), Notes()
     for at in range(20, 380, 30):
         odometry = with_jump(odometry, at, [0.4, 0, 0, 0, 0, 0])
     assert interrupted(recording(odometry), spoken).odometry.breaks == ()

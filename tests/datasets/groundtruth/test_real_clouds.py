@@ -105,7 +105,7 @@ def test_scans_that_are_missing_or_cut_off_are_named(tmp_path: Path) -> None:
         room(400, k).astype("<f4").tofile(tmp_path / "two" / f"{k:02d}.bin")
     np.testing.assert_allclose(read_scans(tmp_path, source).by_graph((0, 1))[:3, 3], [1, 0, 0])
     (tmp_path / "two" / "01.bin").write_bytes(b"12345")
-    with refused(DatasetError, tmp_path / "two"):
+    with refused(DatasetError, tmp_path / "two" / "graph.txt", None, "points"):
         read_scans(tmp_path, source)
 
 

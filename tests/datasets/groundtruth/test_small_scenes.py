@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lidar_street import Street, drive_street
 from numpy.typing import NDArray
-from recorded_street import Spoken, StreetDrive, record_street
+from recorded_street import StreetDrive, record_street
+from refusals import Notes
 from repository import TRUTH
 
 from relocbench.datasets.core.build import Build
@@ -59,7 +60,7 @@ def test_lengths_in_words_are_reduced_and_nothing_else(words: str, expected: str
     assert reduced_words(words, 8.0) == expected
     assert reduced_words(words, 1.0) == words
     assert kind_of(reduced_words(words, 8.0)) == kind_of(words)
-    told = Spoken()
+    told = Notes()
     ReducedReporter(told, 8.0).note(words)
     assert told.notes == [expected]
 
@@ -189,8 +190,8 @@ def _shrunk(recording: FieldRecording) -> FieldRecording:
     )
 
 
-def _built(recordings: list[FieldRecording], options: FieldOptions, out: Path) -> tuple[Dataset, Spoken]:
-    spoken = Spoken()
+def _built(recordings: list[FieldRecording], options: FieldOptions, out: Path) -> tuple[Dataset, Notes]:
+    spoken = Notes()
     writer = DatasetWriter(out, "drives", {"options": options.recorded()}, "unknown")
     return build_ground_truth(recordings, Build(writer, options, spoken, Run(1))), spoken
 

@@ -6,21 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refused
+from refusals import Notes, refused
 
 from relocbench.datasets.importers.generic.scans import USUAL_COLUMNS, read_lidars
 from relocbench.errors import DatasetError
-
-
-class Notes:
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.told.append(message)
-
-    def stage(self, description: str, total: int) -> None:
-        raise NotImplementedError
 
 
 def scan(columns: int, points: int = 2000) -> np.ndarray:
@@ -50,7 +39,8 @@ def test_columns_and_type_are_found_and_told(tmp_path: Path, columns: int, dtype
     lidar = read_lidars(folder(tmp_path / "drive", values, dtype), np.eye(4), notes)[0]  # type: ignore[arg-type]
     assert np.allclose(lidar.read(1).points, values[:, :3], atol=1e-5)
     kind = {"<f4": "float32", "<f8": "float64"}[dtype]
-    assert notes.told == [f"drive: scans of top are read as {kind} {' '.join(USUAL_COLUMNS[columns])}, told from 1.bin"]
+    named = " ".join(USUAL_COLUMNS[columns])
+    assert notes.notes == [f"drive: scans of top are read as {kind} {named}, told from 1.bin"]
 
 
 def test_what_is_named_is_not_told_from_values(tmp_path: Path) -> None:
@@ -58,7 +48,7 @@ def test_what_is_named_is_not_told_from_values(tmp_path: Path) -> None:
     given = ", columns: [y, x, z, ring], dtype: float64"
     lidar = read_lidars(folder(tmp_path, values, "<f8", given), np.eye(4), notes)[0]  # type: ignore[arg-type]
     assert np.allclose(lidar.read(0).points, values[:, [1, 0, 2]])
-    assert notes.told == []
+    assert notes.notes == []
 
 
 @pytest.mark.parametrize("data", [b"", b"12345", bytes(range(256)) * 9, np.full(12, 1.5, "<f4").tobytes()])

@@ -189,16 +189,16 @@ def renamed_scan(folder: Path) -> None:
     [
         (without("lidar"), ("lidar", None, "TIME.bin")),
         (renamed_scan, ("scan_3.bin", None, "scan_3")),
-        (cut_scan, (".bin", None, "24 bytes")),
-        (absurd_times, (".bin",)),
-        (emptied("lidar"), (".bin",)),
-        (without("calib/T_applanix_lidar.txt"), ("T_applanix_lidar.txt",)),
-        (rewritten("calib/T_applanix_lidar.txt", "6.86", "9.86"), ("T_applanix_lidar.txt",)),
-        (emptied("calib/T_camera_lidar.txt"), ("T_camera_lidar.txt",)),
+        (cut_scan, ("lidar/1709287200340000.bin", None, "24 bytes")),
+        (absurd_times, ("lidar/1709287200340000.bin", None, "second")),
+        (emptied("lidar"), ("lidar/1709287200240000.bin", None, "empty")),
+        (without("calib/T_applanix_lidar.txt"), ("T_applanix_lidar.txt", None, "missing")),
+        (rewritten("calib/T_applanix_lidar.txt", "6.86", "9.86"), ("T_applanix_lidar.txt", None, "rotation")),
+        (emptied("calib/T_camera_lidar.txt"), ("T_camera_lidar.txt", None, "found 0")),
         (rewritten("calib/P_camera.txt", "e+02", "x"), ("P_camera.txt", 1, "m0")),
         (rewritten("applanix/gps_post_process.csv", "heading", "yaw"), ("gps_post_process.csv", 1, "heading")),
         (emptied("applanix/gps_post_process.csv"), ("gps_post_process.csv", 1)),
-        (emptied("camera"), (".png",)),
+        (emptied("camera"), ("camera/1709287200200000.png", None, "empty")),
     ],
 )
 def test_a_fault_is_told_with_its_file(

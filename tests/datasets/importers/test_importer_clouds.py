@@ -13,16 +13,8 @@ from command_line import relocbench
 from lidar_layouts import compensated, matrix_rows, pose_times, quaternion_rows, scans_of, write
 from numpy.typing import NDArray
 from projected_depth import agrees
-from recorded_street import (
-    SMALL,
-    Spoken,
-    StreetDrive,
-    assert_pairs_are_right,
-    errors_of,
-    from_poses,
-    with_camera,
-)
-from refusals import ErrorData, noted, refused
+from recorded_street import SMALL, StreetDrive, assert_pairs_are_right, errors_of, from_poses, with_camera
+from refusals import ErrorData, Notes, noted, refused
 
 from relocbench.datasets.importers.clouds.recording import SweptClouds, read_clouds
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
@@ -69,9 +61,9 @@ def by_time(suffix: str) -> Callable[[int, int], str]:
     return lambda _, time_ns: f"{time_ns}.{suffix}"
 
 
-def read(folder: Path, **options: object) -> tuple[Spoken, list[NDArray[np.int64]]]:
+def read(folder: Path, **options: object) -> tuple[Notes, list[NDArray[np.int64]]]:
     """What was said, and the times of the points of the third cloud relative to its own."""
-    spoken = Spoken()
+    spoken = Notes()
     lidar = read_clouds(folder, "a", spoken, **options).lidars[0]  # type: ignore[arg-type]
     scan = lidar.read(3)
     return spoken, [lidar.times_ns, scan.times_ns - lidar.times_ns[3]]
@@ -157,10 +149,10 @@ def test_clouds_with_times_of_points_are_where_the_surfaces_are(
     write_clouds(drive, tmp_path, by_time("pcd"), pcd("timestamp", "<f8", 1e-9, True))
     times = pose_times(drive)
     write(tmp_path / "poses.txt", quaternion_rows(times, drive.T_world_car(times) @ drive.T_car_lidar))
-    recording = with_camera(drive, from_poses(read_clouds(tmp_path, "a", Spoken())))
+    recording = with_camera(drive, from_poses(read_clouds(tmp_path, "a", Notes())))
     assert agrees(errors_of(drive, recording, "camera", 6, scene))
     write(tmp_path / "poses.txt", quaternion_rows(times, invert(drive.T_world_car(times) @ drive.T_car_lidar)))
-    recording = with_camera(drive, from_poses(read_clouds(tmp_path, "a", Spoken())))
+    recording = with_camera(drive, from_poses(read_clouds(tmp_path, "a", Notes())))
     assert not agrees(errors_of(drive, recording, "camera", 6, scene))
 
 
@@ -174,13 +166,13 @@ def test_distorted_clouds_without_times_are_placed_by_azimuth(
     write(tmp_path / "poses.txt", matrix_rows(at, poses, " "))
     rows = [line.split(" ", 1)[1] for line in (tmp_path / "poses.txt").read_text().splitlines()]
     write(tmp_path / "poses.txt", "\n".join(rows) + "\n")  # twelve numbers for each cloud
-    right = read_clouds(tmp_path, "a", Spoken(), motion="distorted")
+    right = read_clouds(tmp_path, "a", Notes(), motion="distorted")
     assert agrees(errors_of(drive, with_camera(drive, from_poses(right)), "camera", 6, scene))
-    wrong = read_clouds(tmp_path, "a", Spoken())
+    wrong = read_clouds(tmp_path, "a", Notes())
     assert not agrees(errors_of(drive, with_camera(drive, from_poses(wrong)), "camera", 6, scene))
     write(tmp_path / "poses.txt", "\n".join(rows[1:]) + "\n")
     with refused(DatasetError, "poses.txt", None, "25", "26"):
-        read_clouds(tmp_path, "a", Spoken())
+        read_clouds(tmp_path, "a", Notes())
 
 
 @pytest.mark.thorough
@@ -192,12 +184,12 @@ def test_whether_motion_distorts_clouds_is_told_from_them(drives: list[StreetDri
         table = np.column_stack([points, np.ones(len(points))]).astype("<f4")
         write(tmp_path / "compensated" / f"{found.middle_ns}.bin", table.tobytes())
     for motion, turning in (("distorted", True), ("compensated", False)):
-        spoken = Spoken()
+        spoken = Notes()
         lidar = read_clouds(tmp_path / motion, "a", spoken, motion="auto").lidars[0]
         assert isinstance(lidar, SweptClouds) == turning, spoken.notes
         assert noted(spoken.notes, motion), spoken.notes
     write_clouds(drive, tmp_path / "timed", by_time("bin"), floats(6))
-    spoken = Spoken()
+    spoken = Notes()
     read_clouds(tmp_path / "timed", "a", spoken, motion="auto")
     assert not noted(spoken.notes, "--motion")
 
@@ -209,7 +201,7 @@ def numbered(number: int, _: int) -> str:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda d: None, (".bin", None, "times.txt", "--rate-hz")),
+        (lambda d: None, ("10.bin", None, "times.txt", "--rate-hz")),
         (lambda d: write(d / "times.txt", "1.5\n2.5\n"), ("times.txt", None, "2", "26")),
         (
             lambda d: write(d / "times.txt", "".join(f"{i}.5 7.bin\n" for i in range(26))),
@@ -230,7 +222,7 @@ def test_what_cannot_be_told_is_said(
     write_clouds(drives[0], tmp_path, numbered, floats(4))
     spoil(tmp_path)
     with refused(DatasetError, *words):
-        read_clouds(tmp_path, "a", Spoken())
+        read_clouds(tmp_path, "a", Notes())
 
 
 def test_bytes_that_are_no_points_are_refused_and_columns_can_be_given(
@@ -242,8 +234,8 @@ def test_bytes_that_are_no_points_are_refused_and_columns_can_be_given(
         return noise.bytes(4800)
 
     write_clouds(drives[0], tmp_path / "junk", by_time("bin"), junk)
-    with refused(DatasetError, ".bin", None, "float32", "float64"):
-        read_clouds(tmp_path / "junk", "a", Spoken())
+    with refused(DatasetError, "1709287200040000000.bin", None, "float32", "float64"):
+        read_clouds(tmp_path / "junk", "a", Notes())
 
     def swapped(table: Table, _: int) -> bytes:
         return table[:, [5, 0, 1, 2, 3]].astype("<f4").tobytes()
@@ -259,7 +251,7 @@ def test_a_cloud_without_points_in_the_middle_of_the_drive_does_no_harm(
 ) -> None:
     write_clouds(drives[0], tmp_path, by_time("bin"), floats(4))
     sorted(tmp_path.iterdir())[13].write_bytes(np.zeros((300, 4), dtype="<f4").tobytes())
-    spoken = Spoken()
+    spoken = Notes()
     lidar = read_clouds(tmp_path, "a", spoken).lidars[0]
     assert noted(spoken.notes, "float32 x y z intensity")
     assert (len(lidar.read(13).points), len(lidar.read(12).points) > 200) == (0, True)
@@ -267,7 +259,7 @@ def test_a_cloud_without_points_in_the_middle_of_the_drive_does_no_harm(
 
 def test_a_rate_numbers_clouds_in_the_order_that_people_count(drives: list[StreetDrive], tmp_path: Path) -> None:
     write_clouds(drives[0], tmp_path, numbered, floats(4))
-    lidar = read_clouds(tmp_path, "a", Spoken(), rate_hz=10.0).lidars[0]
+    lidar = read_clouds(tmp_path, "a", Notes(), rate_hz=10.0).lidars[0]
     np.testing.assert_array_equal(lidar.times_ns, np.arange(26) * 100_000_000)
     np.testing.assert_allclose(lidar.read(10).points[:50], scans_of(drives[0])[10].points[:50])
 

@@ -271,10 +271,10 @@ def test_results_of_hloc_are_scored(model: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("dusk.png 1 0 0 0 0 0 0\n", ("", None, "dusk.png", "map__query__photo")),
-        ("4.png 1 0 0 0 0 0 0\nnight/4.png 1 0 0 0 0 0 0\n", ("", None, "night/4.png")),
-        ("4.png 2 0 0 0 0 0 0\n", ("", None, "1", "2")),
-        ("4.png 1 0 0 0 0 0 0\n4.png 1 0 0 0 0 0\n", ("", None, "2", "7")),
+        ("dusk.png 1 0 0 0 0 0 0\n", ("p.txt", None, "dusk.png", "map__query__photo")),
+        ("4.png 1 0 0 0 0 0 0\nnight/4.png 1 0 0 0 0 0 0\n", ("p.txt", None, "night/4.png", "second time")),
+        ("4.png 2 0 0 0 0 0 0\n", ("p.txt", 1, "norm 2")),
+        ("4.png 1 0 0 0 0 0 0\n4.png 1 0 0 0 0 0\n", ("p.txt", 2, "7 numbers", "found 6")),
     ],
 )
 def test_bad_results_of_hloc_are_refused(model: Path, tmp_path: Path, text: str, message: ErrorData) -> None:
@@ -345,7 +345,7 @@ def test_a_binary_file_that_is_cut_off_is_refused(model: Path, tmp_path: Path, n
         read_model(tmp_path / "m")
     assert bad.value.path == path
     path.write_bytes(data + b"\0")
-    with refused(DatasetError, "", None, "1"):
+    with refused(DatasetError, path, None, "1 bytes"):
         read_model(tmp_path / "m")
 
 
@@ -354,42 +354,41 @@ def damaged(text: str, old: str, new: str) -> str:
     return text.replace(old, new, 1)
 
 
-FAULTS: list[tuple[str, Callable[[list[str]], None], ErrorData]] = [
-    ("cameras", lambda rows: rows.append("9 PINHOLE 4 4 1 1 1"), ("", None, "4", "3")),
-    ("cameras", lambda rows: rows.append("9 FOV 4 4 1 1 1 1 1"), ("", None, "FOV")),
-    ("cameras", lambda rows: rows.append("9 PINHOLE 4 4"), ("", None, "CAMERA_ID")),
-    ("cameras", lambda rows: rows.append("9 PINHOLE 4 x 1 1 1 1"), ("", None, "x")),
-    ("images", lambda rows: rows.append("9 2 0 0 0 0 0 0 1 a.png"), ("", None, "2", "1")),
-    ("images", lambda rows: rows.append("9 1 0 0 0 0 0 1 a.png"), ("", None, "IMAGE_ID")),
-    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 7 a.png", ""]), ("", None, "7")),
-    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 a.png", "1 1 777777"]), ("", None, "777777")),
-    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 a.png", "1 1"]), ("", None, "POINTS2D")),
-    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 day/1.png", ""]), ("", None, "day/1.png")),
-    ("points3D", lambda rows: rows.append("1 2 3"), ("", None, "POINT3D_ID")),
-    ("points3D", lambda rows: rows.append("900000 2 3 nan 0 0 0 1"), ("", None, "Z")),
+FAULTS: list[tuple[str, Callable[[list[str]], None], tuple[object, ...]]] = [
+    ("cameras", lambda rows: rows.append("9 PINHOLE 4 4 1 1 1"), ("PINHOLE", "4 parameters", 3)),
+    ("cameras", lambda rows: rows.append("9 FOV 4 4 1 1 1 1 1"), ("FOV",)),
+    ("cameras", lambda rows: rows.append("9 PINHOLE 4 4"), ("CAMERA_ID",)),
+    ("cameras", lambda rows: rows.append("9 PINHOLE 4 x 1 1 1 1"), ("size", "x")),
+    ("images", lambda rows: rows.append("9 2 0 0 0 0 0 0 1 a.png"), ("norm 2", 1)),
+    ("images", lambda rows: rows.append("9 1 0 0 0 0 0 1 a.png"), ("IMAGE_ID",)),
+    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 7 a.png", ""]), ("a.png", "camera 7")),
+    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 a.png", "1 1 777777"]), ("a.png", "point 777777")),
+    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 a.png", "1 1"]), ("POINTS2D",)),
+    ("images", lambda rows: rows.extend(["9 1 0 0 0 0 0 0 1 day/1.png", ""]), ("second", "day/1.png")),
+    ("points3D", lambda rows: rows.append("1 2 3"), ("POINT3D_ID",)),
+    ("points3D", lambda rows: rows.append("900000 2 3 nan 0 0 0 1"), ("Z",)),
 ]
 
 
-@pytest.mark.parametrize(("name", "change", "message"), FAULTS)
+@pytest.mark.parametrize(("name", "change", "names"), FAULTS)
 def test_a_bad_line_is_refused(
-    model: Path, tmp_path: Path, name: str, change: Callable[[list[str]], None], message: ErrorData
+    model: Path, tmp_path: Path, name: str, change: Callable[[list[str]], None], names: tuple[object, ...]
 ) -> None:
     shutil.copytree(model / "text", tmp_path / "m")
     path = tmp_path / "m" / f"{name}.txt"
     rows = path.read_text().rstrip("\n").split("\n")
     change(rows)
     path.write_text("\n".join(rows) + "\n")
-    with refused(DatasetError, *message) as bad:
+    with refused(DatasetError, path, None, *names):
         read_model(tmp_path / "m")
-    assert bad.value.path == path
 
 
 def test_options_that_do_not_fit_are_refused(model: Path, tmp_path: Path) -> None:
     for options, told in (
         ({"queries": ["dusk/*"]}, ("", None, "dusk/*")),
-        ({"queries": ["*"]}, ()),
+        ({"queries": ["*"]}, ("", None, "all 6 images")),
         ({"query_poses": tmp_path}, ("", None, "--query-poses")),
-        ({"query_list": tmp_path, "queries": ["a"]}, ()),
+        ({"query_list": tmp_path, "queries": ["a"]}, ("", None, "--queries", "--query-list")),
         ({"query_list": tmp_path}, ("", None, "--pairs")),
         ({"pairs": tmp_path, "elsewhere": 3}, ("", None, "--pairs")),
         ({"images": tmp_path / "none"}, ("none",)),
@@ -397,7 +396,7 @@ def test_options_that_do_not_fit_are_refused(model: Path, tmp_path: Path) -> Non
         with refused((DatasetError, ConfigError), *told):
             build(model / "text", tmp_path / "d", **options)
     (tmp_path / "pairs.txt").write_text("day/0.png day/9.png\n")
-    with refused(DatasetError, "", None, "day/9.png"):
+    with refused(DatasetError, "pairs.txt", 1, "day/9.png"):
         build(model / "text", tmp_path / "p", pairs=tmp_path / "pairs.txt")
 
 

@@ -114,19 +114,22 @@ def test_a_scan_of_the_sick_described_by_hand_is_decoded(folder: Path, tmp_path:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda d: shutil.rmtree(d / "sensor_data"), ("", None, "sensor_data", "VLP_left", "VLP_right")),
+        (lambda d: shutil.rmtree(d / "sensor_data"), ("sensor_data", None, "VLP_left", "VLP_right")),
         (
             lambda d: (d / "calibration" / "Vehicle2LeftVLP.txt").write_text("R: 1 2\n"),
-            ("VLP.txt", 1, "9"),
+            ("Vehicle2LeftVLP.txt", 1, "9 numbers"),
         ),
-        (lambda d: (d / "calibration" / "Vehicle2LeftVLP.txt").write_text("T: 1 2 3\n"), ("", None, "R:")),
+        (
+            lambda d: (d / "calibration" / "Vehicle2LeftVLP.txt").write_text("T: 1 2 3\n"),
+            ("Vehicle2LeftVLP.txt", None, "R:"),
+        ),
         (lambda d: (d / "calibration" / "left.yaml").write_text("a: 1\n"), ("left.yaml", None, "image_width")),
         (
             lambda d: (d / "calibration" / "left.yaml").write_text("distortion_model: equidistant\n"),
             ("left.yaml", None, "distortion_model", "plumb_bob"),
         ),
         (lambda d: (d / "calibration" / "Vehicle2Stereo.txt").unlink(), ("Vehicle2Stereo.txt",)),
-        (lambda d: (d / "global_pose.csv").write_text("1,2\n"), ("global_pose.csv", 1, "12")),
+        (lambda d: (d / "global_pose.csv").write_text("1,2\n"), ("global_pose.csv", 1, "12 numbers")),
     ],
 )
 def test_a_fault_is_told_with_its_file(

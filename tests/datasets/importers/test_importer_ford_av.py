@@ -14,15 +14,8 @@ from command_line import relocbench
 from ford_layout import URDF, Made, calibration_file, stamped, urdf_pose, write_ford, write_yaml
 from made_bags import Bag
 from projected_depth import agrees
-from recorded_street import (
-    SMALL,
-    Spoken,
-    StreetDrive,
-    assert_pairs_are_right,
-    errors_of,
-    from_poses,
-)
-from refusals import ErrorData, assert_names, noted, refused
+from recorded_street import SMALL, StreetDrive, assert_pairs_are_right, errors_of, from_poses
+from refusals import ErrorData, Notes, assert_names, noted, refused
 
 from relocbench.datasets.importers.ford_av.calibration import read_camera_pose, read_lidar_pose
 from relocbench.datasets.importers.ford_av.files import find_logs
@@ -41,8 +34,8 @@ def logs(drives: list[StreetDrive], scene: LidarScene, tmp_path_factory: pytest.
     return [write_ford(drive, root, scene, name) for drive, name in zip(drives, NAMES, strict=True)]
 
 
-def read(source: Path, how: ReadingOptions | None = None, calibration: Path | None = None) -> tuple[DriveFiles, Spoken]:
-    spoken = Spoken()
+def read(source: Path, how: ReadingOptions | None = None, calibration: Path | None = None) -> tuple[DriveFiles, Notes]:
+    spoken = Notes()
     return read_ford(find_logs([source], calibration)[0], how or ReadingOptions(), spoken), spoken
 
 
@@ -159,7 +152,7 @@ def test_poses_are_those_of_the_topic_and_prior_of_the_map(drives: list[StreetDr
     bare, _ = read(logs[0].folder, ReadingOptions(odometry="lidar"))
     assert bare.poses is None
     assert bare.prior is not None
-    with refused(DatasetError, "Log1.bag", None, "pose_localized", "--odometry"):
+    with refused(DatasetError, "2017-08-04-V2-Log1.bag", None, "pose_localized", "--odometry"):
         read(logs[0].folder, ReadingOptions(odometry="localized"))
     assert noted(spoken.notes, "/gps")
 
@@ -223,36 +216,55 @@ def test_calibrations_are_found_where_users_keep_them(logs: list[Made], tmp_path
     assert find_logs(bags[:1], tmp_path / "own")[0].calibration == tmp_path / "own"
     with refused((DatasetError, ConfigError), "", None, "V2", "V3"):
         find_logs(bags, tmp_path / "own")
-    with refused(DatasetError, "sample.bag", None, "Calibration-V2", "V3"):
+    with refused(DatasetError, tmp_path, None, "sample.bag", "Calibration-V2", "V3"):
         find_logs([tmp_path / "sample.bag"], None)
     with refused(DatasetError, "", None, "V2"):
         find_logs(bags[:1], bags[0])
 
 
+RED, INTRINSICS = "lidarRed_body.yaml", "cameraFrontLeftIntrinsics.yaml"
+
+
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
-        ("lidarRed_body.yaml", lambda v: v.pop("transform"), ("lidarRed_body.yaml", 1, "transform")),
-        ("lidarRed_body.yaml", lambda v: v.update(child_frame_id="body"), ("lidarRed_body.yaml", None, "body")),
+        (RED, lambda v: v.pop("transform"), (RED, 1, "transform")),
+        (RED, lambda v: v.update(child_frame_id="body"), (RED, None, "body")),
         (
-            "lidarRed_body.yaml",
+            RED,
             lambda v: v["header"].update(frame_id="imu"),
-            ("lidarRed_body.yaml", None, "lidar_red", "imu"),
+            (RED, None, "lidar_red", "imu"),
         ),
-        ("lidarRed_body.yaml", lambda v: v["transform"]["rotation"].update(x=2.0), ("lidarRed_body.yaml", None, 1)),
-        ("lidarRed_body.yaml", quaternion_from_w, ("lidarRed_body.yaml",)),
+        (
+            RED,
+            lambda v: v["transform"]["rotation"].update(x=2.0),
+            (RED, None, "norm"),
+        ),
+        (RED, quaternion_from_w, (RED, None, "z axis")),
         (
             "cameraFrontLeft_body.yaml",
             lambda v: v["transform"].update(rotation={"x": 0, "y": 0, "z": 0, "w": 1}),
-            ("cameraFrontLeft_body.yaml",),
+            ("cameraFrontLeft_body.yaml", None, "axes"),
         ),
-        ("cameraFrontLeftIntrinsics.yaml", lambda v: v.update(P=[1.0, 2.0]), ("Intrinsics.yaml", None, "12")),
-        ("cameraFrontLeftIntrinsics.yaml", lambda v: v.update(P=[0.0] * 12), ("Intrinsics.yaml", None, "P", 0)),
-        ("cameraFrontLeftIntrinsics.yaml", lambda v: (v.pop("P"), v.pop("K")), ("Intrinsics.yaml", None, "P", "K")),
         (
-            "cameraFrontLeftIntrinsics.yaml",
+            INTRINSICS,
+            lambda v: v.update(P=[1.0, 2.0]),
+            (INTRINSICS, None, "P", 12),
+        ),
+        (
+            INTRINSICS,
+            lambda v: v.update(P=[0.0] * 12),
+            (INTRINSICS, None, "focal lengths", 0),
+        ),
+        (
+            INTRINSICS,
+            lambda v: (v.pop("P"), v.pop("K")),
+            (INTRINSICS, None, "neither P nor K"),
+        ),
+        (
+            INTRINSICS,
             lambda v: v.update(width=9),
-            (".png", None, "196x164", "9x164"),
+            ("2017-08-04-V2-Log1-FL/1709287200000000.png", None, "196x164", "9x164"),
         ),
     ],
 )
@@ -280,14 +292,14 @@ def test_logs_are_brought_together_by_one_command(drives: list[StreetDrive], log
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["{0}"], ("", None, 1)),
+        (["{0}"], ("", None, "reference", "query", "got 1")),
         (["{0}", "{1}", "--cameras", "center"], ("", None, "center", "front_left")),
         (["{0}", "{1}", "--lidars", "pink"], ("", None, "pink")),
         (["{0}", "{1}", "--lidars", "green"], ("", None, "lidar_green_scan", "lidar_green_pointcloud")),
         (["{0}/..", "{1}"], ("2017-08-04-V2-Log1.bag",)),
         (["{0}/none.bag", "{1}"], ("none.bag",)),
-        (["{0}", "{1}", "--calibration-folder", "{0}/none"], ("/none",)),
-        (["{0}", "{1}", "--lidar-intrinsics", "{0}/none"], ("/none",)),
+        (["{0}", "{1}", "--calibration-folder", "{0}/none"], ("Log1/none",)),
+        (["{0}", "{1}", "--lidar-intrinsics", "{0}/none"], ("Log1/none",)),
         (["{0}", "{1}", "--odometry", "imu"], ("", None, "odometry")),
     ],
 )

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from refusals import noted, refused
+from refusals import Notes, noted, refused
 from small_dataset import render, small_camera, small_pose
 
 from relocbench.datasets.core import images
@@ -33,7 +32,6 @@ from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, so3_exp
-from relocbench.progress import Advance, Silent
 
 Array = NDArray[np.float64]
 RealData = Callable[[str], Path]
@@ -49,20 +47,6 @@ POINT_COUNTS = {
 @pytest.fixture(scope="module")
 def sample(real_data: RealData) -> Path:
     return real_data("fourseasons_sample") / RECORDING
-
-
-class Notes(Silent):
-    """A reporter that keeps what it is told."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    @contextmanager
-    def stage(self, description: str, total: int) -> Iterator[Advance]:
-        yield lambda count: None
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
 
 
 def test_real_keyframes_hold_their_points_and_one_carries_a_gps_fix(sample: Path) -> None:

@@ -274,7 +274,7 @@ def test_unknown_key_of_the_camera_is_named_with_its_line(tmp_path: Path) -> Non
         ("no_images", ("images",)),
         ("bad_name", ("first.png", None, "first")),
         ("wrong_size", ("", None, "48x36", "96x72")),
-        ("truncated", (".png",)),
+        ("truncated", (f"images/{frame_time(1)}.png", None, "truncated")),
         ("no_scale", ("camera.yaml", None, "depth_scale")),
         ("orphan_depth", ("5.png",)),
         ("no_depth", ("", None, "depth")),
@@ -339,7 +339,7 @@ def test_what_is_no_time_is_refused(text: str) -> None:
 def test_two_files_of_one_time_are_refused(tmp_path: Path) -> None:
     (tmp_path / "1000000000.png").touch()
     (tmp_path / "1.0.png").touch()
-    with refused(DatasetError, ".png", None, "1000000000.png"):
+    with refused(DatasetError, "1000000000.png", None, "1.0.png"):
         timed_files(tmp_path)
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
-from refusals import ErrorData, assert_names, refused
+from refusals import ErrorData, Notes, assert_names, refused
 from scipy.spatial.transform import Rotation
 from small_dataset import photograph, render, small_pose
 
@@ -47,16 +47,6 @@ old, , camera, UNKNOWN_CAMERA, 64, 48
 gps, , gnss, EPSG:4326
 wifi, , wifi
 """
-
-
-class Notes(Silent):
-    """Keeps what the user is told."""
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.told.append(message)
 
 
 def car_at(time: int) -> Array:
@@ -232,7 +222,7 @@ def test_map_and_queries_become_a_dataset(made: Path, tmp_path: Path) -> None:
     notes = Notes()
     dataset = build([made / "mapping", made / "query"], tmp_path / "d", notes)
     assert not validate_dataset(dataset.root, Silent()).faults
-    assert notes.told[:2] == [
+    assert notes.notes[:2] == [
         "mapping: 1 of 7 images have no pose and are left out",
         "query: 1 of 3 images have no pose: they are in no pair",
     ]
@@ -311,7 +301,7 @@ def test_a_depth_sensor_elsewhere_is_not_used(copy: Path, tmp_path: Path) -> Non
     records.write_text("\n".join(line for line in records.read_text().split("\n") if "right" not in line))
     notes = Notes()
     dataset = build(copy, tmp_path / "d", notes)
-    assert any(note.startswith("mapping: no depth map is used: none is of the time of") for note in notes.told)
+    assert any(note.startswith("mapping: no depth map is used: none is of the time of") for note in notes.notes)
     at = times_of(dataset, "mapping")["map/left/10.png"]
     assert dataset.traversal("mapping").depth("photo", at) is None
     assert dataset.traversal("mapping").points("photo", at) is not None
@@ -415,18 +405,18 @@ FAULTS: list[tuple[Callable[[Path], Path], int | None, ErrorData]] = [
         ("", None, "old", "UNKNOWN_CAMERA"),
     ),
     (added(f"{TABLES}/rigs.txt", f"left, right, {UNIT}"), 8, ("", None, "left")),
-    (added(f"{TABLES}/rigs.txt", f"mast, lefty, {UNIT}"), 8, ("sensors.txt", None, "lefty")),
+    (added(f"{TABLES}/rigs.txt", f"mast, lefty, {UNIT}"), 8, ("", None, "sensors.txt", "lefty")),
     (added(f"{TABLES}/rigs.txt", f"mast, left, {UNIT}"), 8, ("", None, "mast")),
     (added(f"{TABLES}/rigs.txt", f"mast, car, {UNIT}"), None, ()),
     (added(f"{TABLES}/rigs.txt", "mast, left, 1, 0"), 8, ("", None, "rig_id", "sensor_id", "4")),
-    (added(f"{TABLES}/trajectories.txt", f"50, lefty, {UNIT}"), 7, ("sensors.txt", None, "lefty")),
+    (added(f"{TABLES}/trajectories.txt", f"50, lefty, {UNIT}"), 7, ("", None, "sensors.txt", "lefty")),
     (added(f"{TABLES}/trajectories.txt", f"10, car, {UNIT}"), 7, ("", None, "car", "10")),
     (added(f"{TABLES}/trajectories.txt", "50, car, 2, 0, 0, 0, 0, 0, 0"), 7, ("", None, "2", "1")),
     (added(f"{TABLES}/trajectories.txt", "50, car, 1, 0, 0, 0, 0, 0"), 7, ("", None, "8")),
     (added(f"{TABLES}/trajectories.txt", "5.5, car, 1, 0, 0, 0, 0, 0, 0"), 7, ("", None, "5.5")),
     (without(f"{TABLES}/trajectories.txt"), None, ()),
     (without(f"{TABLES}/records_camera.txt"), None, ("", None, "device_id")),
-    (added(f"{TABLES}/records_camera.txt", "50, lefty, a.png"), 9, ("sensors.txt", None, "lefty")),
+    (added(f"{TABLES}/records_camera.txt", "50, lefty, a.png"), 9, ("", None, "sensors.txt", "lefty")),
     (added(f"{TABLES}/records_camera.txt", "50, gps, a.png"), 9, ("", None, "gps", "gnss")),
     (added(f"{TABLES}/records_camera.txt", "10, left, a.png"), 9, ("", None, "left", "10")),
     (added(f"{TABLES}/records_camera.txt", "50, left, map/left/10.png"), 9, ("", None, "map/left/10.png")),

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from kitti_wall import BASELINE, CALIBRATION, FOCAL, write_kitti_recording
-from refusals import ErrorData, noted, refused
+from refusals import ErrorData, Notes, noted, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -22,17 +22,6 @@ from relocbench.datasets.sensors.velodyne import hidden, project_scan, read_scan
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, rotation_angle
-from relocbench.progress import Silent
-
-
-class Notes(Silent):
-    """A reporter that keeps what it was told."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
 
 
 @pytest.fixture

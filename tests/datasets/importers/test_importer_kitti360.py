@@ -109,7 +109,10 @@ def test_times_keep_their_nine_decimals(tmp_path: Path) -> None:
             lambda r: (r / "calibration" / "perspective.txt").write_text("x: 1\n"),
             ("perspective.txt", None, "R_rect_00:"),
         ),
-        (lambda r: (r / "calibration" / "calib_cam_to_velo.txt").write_text("1 2\n"), ("velo.txt", 1, "12")),
+        (
+            lambda r: (r / "calibration" / "calib_cam_to_velo.txt").write_text("1 2\n"),
+            ("calib_cam_to_velo.txt", 1, "12 numbers"),
+        ),
         (lambda r: (r / "calibration" / "calib_cam_to_pose.txt").unlink(), ("calib_cam_to_pose.txt",)),
         (
             lambda r: (r / "data_poses" / "2013_05_28_drive_0000_sync" / "poses.txt").write_text("99 1\n"),
@@ -117,7 +120,7 @@ def test_times_keep_their_nine_decimals(tmp_path: Path) -> None:
         ),
         (
             lambda r: shutil.rmtree(r / "data_3d_raw" / "2013_05_28_drive_0000_sync" / "velodyne_points" / "data"),
-            ("", None, "velodyne_points/data"),
+            ("velodyne_points/data", None, "FRAME.bin"),
         ),
     ],
 )

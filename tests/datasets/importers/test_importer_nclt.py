@@ -119,14 +119,14 @@ def test_scans_give_the_motion_by_default_and_the_truth_is_a_prior(folder: Path)
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda d, p: shutil.rmtree(d / "velodyne_sync"), ("", None, "velodyne_sync")),
-        (lambda d, p: shutil.rmtree(p), ("", None, "cam_params")),
-        (lambda d, p: (p / "U2D_Cam5_1616X1232.txt").unlink(), ("", None, "cam_params", "U2D_Cam5_*.txt")),
-        (lambda d, p: (p / "K_cam5.csv").write_text("1,2\n"), ("K_cam5.csv", 1, "3")),
-        (lambda d, p: (p / "x_lb3_c5.csv").write_text("1,2,3\n"), ("x_lb3_c5.csv", 1, "6")),
+        (lambda d, p: shutil.rmtree(d / "velodyne_sync"), ("velodyne_sync", None, "TIME.bin")),
+        (lambda d, p: shutil.rmtree(p), (DATE, None, "cam_params")),
+        (lambda d, p: (p / "U2D_Cam5_1616X1232.txt").unlink(), ("cam_params", None, "U2D_Cam5_*.txt")),
+        (lambda d, p: (p / "K_cam5.csv").write_text("1,2\n"), ("K_cam5.csv", 1, "3 numbers")),
+        (lambda d, p: (p / "x_lb3_c5.csv").write_text("1,2,3\n"), ("x_lb3_c5.csv", 1, "6 numbers")),
         (
             lambda d, p: sorted((d / "lb3" / "Cam5").iterdir())[0].write_bytes(b"II*\0junk"),
-            (".tiff",),
+            ("lb3/Cam5/1709287200000000.tiff", None, "TIFF"),
         ),
         (
             lambda d, p: (d / f"groundtruth_{DATE}.csv").write_text("1,2,3,x,0,0,0\n"),
@@ -134,7 +134,7 @@ def test_scans_give_the_motion_by_default_and_the_truth_is_a_prior(folder: Path)
         ),
         (
             lambda d, p: (d / f"groundtruth_{DATE}.csv").write_text("1,nan,nan,nan,0,0,0\n"),
-            (f"groundtruth_{DATE}.csv",),
+            (f"groundtruth_{DATE}.csv", None, "no pose"),
         ),
     ],
 )

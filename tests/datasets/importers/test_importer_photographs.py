@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from killing import Fault, run_until_killed
-from refusals import assert_names, refused
+from refusals import Notes, assert_names, refused
 
 from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core.dataset import Dataset
@@ -24,16 +24,6 @@ from relocbench.progress import Silent
 
 SMALL = {"size": "80x60", "correspondences": 60}
 COMMAND = ("--size", "80x60", "--correspondences", "60", "-q")
-
-
-class Notes(Silent):
-    """Keeps what the user is told."""
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.told.append(message)
 
 
 def write_photographs(folder: Path, count: int, size: tuple[int, int] = (160, 120), seed: int = 0) -> Path:
@@ -102,7 +92,7 @@ def test_no_photograph_is_in_two_splits_and_neighbours_by_name_stay_together(tmp
         "validation": {"a/street03.png", "a/street04.png", "b/street02.png"},
         "test": {"a/street05.png", "b/street03.png"},
     }
-    (told,) = notes.told
+    (told,) = notes.notes
     assert_names(told, "", None, 1, 11)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from lidar_layouts import pose_times, write, write_velodynes
 from projected_depth import agrees
-from recorded_street import Spoken, StreetDrive, errors_of, record_street
-from refusals import ErrorData, noted, refused
+from recorded_street import StreetDrive, errors_of, record_street
+from refusals import Notes, noted, refused
 
 from relocbench.datasets.importers.robotcar.files import transform_from_xyzrpy
 from relocbench.datasets.importers.robotcar.recording import read_robotcar
@@ -105,7 +105,7 @@ def test_without_visual_odometry_motion_comes_from_the_scans(folder: Path, tmp_p
         asked.append(lidar)
         return Trajectory(np.array([0, 1]), np.tile(np.eye(4), (2, 1, 1)))
 
-    spoken = Spoken()
+    spoken = Notes()
     where = folder.parent / "extrinsics"
     found = read_robotcar(bare, extrinsics=where, reporter=spoken, from_lidar=from_lidar)
     assert asked == [found.lidars[0]]
@@ -120,7 +120,7 @@ def test_damaged_scans_are_told_with_their_file(folder: Path, tmp_path: Path) ->
     (bad / "vo").symlink_to(folder / "vo")
     source = sorted((folder / "velodyne_left").iterdir())[3]
     target = bad / "velodyne_left" / source.name
-    damaged: list[tuple[bytes, ErrorData]]
+    damaged: list[tuple[bytes, tuple[object, ...]]]
     if source.suffix == ".png":
         image = cv2.imread(str(source), cv2.IMREAD_UNCHANGED)
         assert image is not None
@@ -128,14 +128,14 @@ def test_damaged_scans_are_told_with_their_file(folder: Path, tmp_path: Path) ->
         late[104] ^= 1
         encoded = [cv2.imencode(".png", each)[1].tobytes() for each in (image[:100], late)]
         damaged = [
-            (source.read_bytes()[:-200], (".png",)),
-            (encoded[0], (".png", None, "PNG", 106)),
-            (encoded[1], (".png",)),
+            (source.read_bytes()[:-200], ("truncated",)),
+            (encoded[0], ("PNG", 106)),
+            (encoded[1], ("second",)),
         ]
     else:
-        damaged = [(source.read_bytes()[:-3], (".bin", None, "float32")), (b"", (".bin",))]
+        damaged = [(source.read_bytes()[:-3], ("float32",)), (b"", ("empty",))]
     for data, told in damaged:
         target.write_bytes(data)
         lidar = read_robotcar(bad, extrinsics=folder.parent / "extrinsics").lidars[0]
-        with refused(DatasetError, *told):
+        with refused(DatasetError, target, None, *told):
             lidar.read(0)

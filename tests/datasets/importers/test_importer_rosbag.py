@@ -214,5 +214,5 @@ def test_without_the_package_one_line_names_the_extra(
 
 
 def test_a_bag_is_never_written_over(bags: dict[Storage, list[Path]], recordings: list[FieldRecording]) -> None:
-    with refused(ConfigError, "", None, bags["rosbag1"][0].name):
+    with refused(ConfigError, bags["rosbag1"][0], None, "exists"):
         write_bag(recordings[0], bags["rosbag1"][0])

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from refusals import ErrorData, noted, refused
+from refusals import ErrorData, Notes, noted, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -18,19 +18,8 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, rotation_angle
-from relocbench.progress import Silent
 
 SECONDS = "1305031102"
-
-
-class Notes(Silent):
-    """A reporter that keeps what it was told."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import pytest
 from command_line import relocbench
 from made_bags import SECOND, Bag
 from numpy.typing import NDArray
-from refusals import ErrorData, refused
+from refusals import ErrorData, Notes, refused
 
 from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending, later
@@ -40,24 +40,6 @@ LIDAR = (1.0, 0.0, 1.8, 0.0, 0.0, 0.0, 1.0)
 OPTICAL = (0.5, 0.1, 1.5, -0.5, 0.5, -0.5, 0.5)
 """x right, y down, z forward on a rig with x forward, y left, z up"""
 FORMATS = ("rosbag1", "rosbag2", "mcap")
-
-
-class Notes:
-    """A reporter that keeps its notes."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def stage(self, description: str, total: int) -> Any:
-        from relocbench.progress import Silent
-
-        return Silent().stage(description, total)
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
-
-    def __contains__(self, words: str) -> bool:
-        return any(words in note for note in self.notes)
 
 
 def points(k: int, count: int = 40) -> NDArray[Any]:
@@ -621,41 +603,41 @@ def test_an_unclosed_bag_and_a_truncated_one_say_what_helps(whole: dict[str, Pat
     unclosed = tmp_path / "unclosed.bag"
     start = data.index(b"index_pos=") + 10
     unclosed.write_bytes(data[:start] + bytes(8) + data[start + 8 :])
-    with refused(DatasetError, "unclosed.bag"):
+    with refused(DatasetError, "unclosed.bag", None, "rosbag reindex"):
         read(unclosed)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole["mcap"].read_bytes()[:-500])
-    with refused(DatasetError, "cut.mcap"):
+    with refused(DatasetError, "cut.mcap", None, "mcap recover"):
         read(cut)
 
 
 def test_what_is_no_bag_is_told(tmp_path: Path) -> None:
-    with refused(DatasetError, "nothing.bag"):
+    with refused(DatasetError, "nothing.bag", None, "missing"):
         parts_of(tmp_path / "nothing.bag")
     (tmp_path / "drive.txt").write_text("")
     with refused(DatasetError, "drive.txt", None, "db3"):
         parts_of(tmp_path / "drive.txt")
     folder = tmp_path / "folder"
     folder.mkdir()
-    with refused(DatasetError, folder):
+    with refused(DatasetError, folder, None, "no bag", ".bag"):
         parts_of(folder)
     drive(ros1=False).write(folder / "summer")
     with refused(DatasetError, folder, None, "summer"):
         parts_of(folder)
     (folder / "a.bag").touch()
     (folder / "b.mcap").touch()
-    with refused(DatasetError, folder):
+    with refused(DatasetError, folder, None, "several formats", ".bag", ".mcap"):
         parts_of(folder)
     metadata = folder / "summer" / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("compression_mode: ''", "compression_mode: FILE"))
-    with refused(DatasetError, "metadata.yaml"):
+    with refused(DatasetError, "metadata.yaml", None, "ros2 bag convert"):
         parts_of(folder / "summer")
 
 
 def test_an_empty_bag_and_one_without_lidar_are_told(tmp_path: Path) -> None:
-    with refused(DatasetError, "empty.bag"):
+    with refused(DatasetError, "empty.bag", None, "message"):
         read(Bag().write(tmp_path / "empty.bag"))
-    with refused(DatasetError, "blind.bag"):
+    with refused(DatasetError, "blind.bag", None, "lidar"):
         read(drive(lidar=False).write(tmp_path / "blind.bag"))
 
 

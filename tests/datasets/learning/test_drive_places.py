@@ -69,14 +69,14 @@ def test_drives_in_different_worlds_are_refused(tmp_path: Path) -> None:
     off = np.eye(4)
     off[0, 3] = 40.0
     other = make_small_dataset(tmp_path / "off", splits=LEARNT, pose_fault=off)
-    with refused(DatasetError, other.root):
+    with refused(DatasetError, other.layout.pair_file(ACROSS), None, "summer", "winter", "40.0 m"):
         drive_places(other.root)
 
 
 def test_a_build_that_was_not_finished_is_called_so(tmp_path: Path) -> None:
     (tmp_path / "half").mkdir()
     (tmp_path / "half" / "build.yaml").write_text("kind: synthetic\n")
-    with refused(DatasetError, tmp_path / "half"):
+    with refused(DatasetError, tmp_path / "half", None, "not finished"):
         training_places([tmp_path / "half"], Silent())
 
 

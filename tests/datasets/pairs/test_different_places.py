@@ -93,7 +93,7 @@ def test_a_road_too_short_is_one_line_with_its_numbers(tmp_path: Path) -> None:
 def test_options_that_make_no_sense_are_refused() -> None:
     with refused(ValidationError, "", None, "elsewhere_distance", "4", "max_distance", "5"):
         RuleOptions(elsewhere=3, elsewhere_distance=4.0)
-    with refused(ValidationError):
+    with refused(ValidationError, "", None, "elsewhere_distance has no effect"):
         RuleOptions(elsewhere_distance=40.0)
     with refused(ValidationError, "", None, "relocalization_files"):
         FourSeasons(elsewhere=3, relocalization_files=(Path("x"),))

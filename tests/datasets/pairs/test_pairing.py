@@ -99,7 +99,7 @@ def test_an_empty_step_says_which_step_there_is() -> None:
 def test_no_keyframe_is_said_as_such() -> None:
     frames = row_of_cameras([0.0, 1.0])
     bare = PosedFrames(frames.timestamps, frames.T_world_cam, frozenset())
-    with refused(DatasetError):
+    with refused(DatasetError, "", None, "keyframe", "depth"):
         make_pairs(bare, bare, RuleOptions(), same_traversal=True, source="test")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import noted, refused
+from refusals import Notes, noted, refused
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -14,14 +14,6 @@ from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.progress import Silent
-
-
-class Notes(Silent):
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +94,7 @@ def test_a_traversal_is_not_asked_about_itself(dataset: Dataset, tmp_path: Path)
     opened = open_set(dataset.root, tmp_path, SetOptions(split="all"), notes)
     assert [t.name for t in opened.chosen] == [ACROSS]
     assert any(WITHIN in note for note in notes.notes)
-    with refused(ConfigError):
+    with refused(ConfigError, "", None, WITHIN):
         open_set(dataset.root, tmp_path, SetOptions(tasks=(WITHIN,)), notes)
 
 
@@ -122,7 +114,7 @@ def test_drives_in_different_worlds_are_refused_by_radius_alone(tmp_path: Path) 
     fault = np.eye(4)
     fault[0, 3] = 30.0
     made = make_small_dataset(tmp_path / "d", frames=4, pose_fault=fault)
-    with refused(DatasetError, "", None, "30", "--positives"):
+    with refused(DatasetError, made.layout.pair_file(ACROSS), None, "30.0 m", "--positives"):
         StreetPlaces(made).tasks()
     assert len(StreetPlaces(made, rule="pairs").tasks()[0].queries) == 4
 

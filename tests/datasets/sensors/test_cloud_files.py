@@ -160,7 +160,7 @@ def test_poses_are_read_in_every_format(tmp_path: Path) -> None:
     with refused(DatasetError, "", None, "3", "4"):
         read_cloud_poses(tmp_path / "tum", 4)
     (tmp_path / "bad").write_text("1 2 3\n")
-    with refused(DatasetError, "", None, "bad:1"):
+    with refused(DatasetError, "bad", 1, "1 2 3"):
         read_cloud_poses(tmp_path / "bad", 1)
 
 

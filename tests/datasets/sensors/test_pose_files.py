@@ -116,8 +116,8 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path: Path, text: str, words: Err
 @pytest.mark.parametrize(
     ("times", "words"),
     [
-        ("1.0\n", ("t.txt", None, "1", "2")),
-        ("1.0\n2.0\n3.0\n", ("t.txt", None, "3", "2")),
+        ("1.0\n", ("times.txt", None, "1", "t.txt", "2")),
+        ("1.0\n2.0\n3.0\n", ("times.txt", None, "3", "t.txt", "2")),
         ("1.0\n1.0\n", ("times.txt", 2, "1.0")),
         ("1.0 2.0\n", ("times.txt", 1, "2")),
         ("one\n", ("times.txt", 1, "one")),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
-from refusals import refused
+from refusals import ErrorData, Notes, refused
 from scipy.spatial import cKDTree
 
 from relocbench.datasets.core import images
@@ -39,21 +39,6 @@ from relocbench.geometry import (
 Array = NDArray[np.float64]
 FRAMES = 64
 RANGE_NOISE_M = 0.012
-
-
-class Notes:
-    """A reporter that keeps its notes."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def stage(self, description: str, total: int) -> Any:
-        from relocbench.progress import Silent
-
-        return Silent().stage(description, total)
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
 
 
 @dataclass(frozen=True)
@@ -294,20 +279,20 @@ def test_a_scan_that_left_out_beams_gets_its_times_from_their_azimuth(copied: Pa
 
 
 @pytest.mark.parametrize(
-    ("gone", "name"),
+    ("gone", "message"),
     [
-        ("vo/vo.csv", "vo/vo.csv"),
-        ("../extrinsics", "extrinsics"),
-        ("../extrinsics/lms_rear.txt", "extrinsics/lms_rear.txt"),
+        ("vo/vo.csv", ("", None, "vo/vo.csv")),
+        ("../extrinsics", ("", None, "extrinsics")),
+        ("../extrinsics/lms_rear.txt", ("extrinsics/lms_rear.txt", None, "missing")),
     ],
 )
-def test_what_is_needed_and_missing_is_named(copied: Path, gone: str, name: str) -> None:
+def test_what_is_needed_and_missing_is_named(copied: Path, gone: str, message: ErrorData) -> None:
     path = copied / gone
     if path.is_dir():
         shutil.rmtree(path)
     else:
         path.unlink()
-    with refused(DatasetError, "", None, name):
+    with refused(DatasetError, *message):
         read_robotcar(copied)
 
 
@@ -321,7 +306,7 @@ def test_without_gnss_there_is_no_prior_and_it_is_said(copied: Path) -> None:
 def test_an_unknown_lidar_or_camera_is_named(copied: Path) -> None:
     with refused(ConfigError, "", None, "lms_top"):
         read_robotcar(copied, lidars=["lms_top"])
-    with refused(DatasetError, copied):
+    with refused(DatasetError, copied / "stereo" / "left", None, "no such folder"):
         read_robotcar(copied, cameras=["stereo_left"])
 
 

@@ -546,9 +546,9 @@ def test_a_finished_recording_is_left_alone(tmp_path: Path) -> None:
 
 def test_another_recording_of_the_name_is_refused(tmp_path: Path) -> None:
     drive(tmp_path, cameras=(), frames=3)
-    with refused(DatasetError, tmp_path):
+    with refused(DatasetError, "settings.yaml", None, "recording"):
         drive(tmp_path, cameras=(), frames=4)
-    with refused(DatasetError, tmp_path):
+    with refused(DatasetError, "models/stereo_wide_left.txt", None, "image size"):
         drive(tmp_path, cameras=(), frames=3, number=1, scale=0.2)
 
 

@@ -154,7 +154,7 @@ def test_a_process_that_speaks_out_of_turn_gains_nothing(asked: dict[str, Method
 
 
 def test_a_process_that_sends_no_answer_ends_the_run(dataset: Dataset, tmp_path: Path) -> None:
-    with refused(RelocbenchError):
+    with refused(RelocbenchError, "", None, "JSON"):
         Context().run(evaluate, dataset, tmp_path, f"cheat={HERE}:Forger", set=("how=pickle",))
     assert not list(tmp_path.rglob("scores.yaml"))
 
@@ -174,7 +174,7 @@ def test_nothing_that_a_process_may_send_is_taken_for_an_answer(how: str) -> Non
 
 def test_a_method_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
     for path in (dataset.root, dataset.root / "pairs", dataset.root.parent / "." / dataset.root.name):
-        with refused(MethodError, "", None, "cheat", "weights"):
+        with refused(MethodError, "", None, "cheat", "weights", "evaluated dataset"):
             evaluate(dataset, tmp_path / "r", "cheat=trackers_for_tests:Required", set=(f"weights={path}",))
     assert not (tmp_path / "r").exists(), "nothing was begun"
 
@@ -214,13 +214,13 @@ def test_no_other_way_of_naming_the_dataset_is_taken(
         root=root, slashless=root[1:], links=links, copy=tmp_path / "elsewhere" / "copy", above=dataset.root.parent
     )
     (spec,) = parse_methods(["cheat=trackers_for_tests:Required"], [f"weights='{filled}'"])
-    with refused(MethodError, "", None, "cheat", "weights"):
+    with refused(MethodError, "", None, "cheat", "weights", "evaluated dataset"):
         check_blind([spec], dataset.root)
 
 
 def test_a_program_is_not_given_the_path_of_the_dataset(dataset: Dataset) -> None:
     (spec,) = parse_methods([f"cheat=subprocess:cat --data={dataset.root}/pairs"])
-    with refused(MethodError, "", None, "cheat"):
+    with refused(MethodError, "", None, "cheat", "command line", "evaluated dataset"):
         check_blind([spec], dataset.root)
 
 
@@ -230,7 +230,7 @@ def test_the_other_evaluations_do_not_give_it_either(dataset: Dataset, tmp_path:
     options = RetrievalOptions(
         dataset=views, out=tmp_path / "out", methods=("mine=misbehaving:Describes",), set=(f"mark={some_file}",)
     )
-    with refused(MethodError, "", None, "mine", "mark"):
+    with refused(MethodError, "", None, "mine", "mark", "evaluated dataset"):
         evaluate_retrievers(options, Silent())
     pipeline = RelocalizationOptions(
         dataset=dataset.root,
@@ -239,7 +239,7 @@ def test_the_other_evaluations_do_not_give_it_either(dataset: Dataset, tmp_path:
         methods=("cheat=trackers_for_tests:Required",),
         set=(f"cheat.weights={dataset.root}",),
     )
-    with refused(MethodError, "", None, "cheat", "weights"):
+    with refused(MethodError, "", None, "cheat", "weights", "evaluated dataset"):
         evaluate_pipelines(pipeline, Silent())
 
 

@@ -14,7 +14,7 @@ import pytest
 from board_pages import board_pages
 from command_line import relocbench
 from forgery import change_yaml, forge_errors, forge_summary, reseal
-from refusals import assert_names, refused
+from refusals import Notes, assert_names, refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from typer.testing import CliRunner
 
@@ -274,20 +274,15 @@ def test_scores_against_another_truth_are_refused(results: Path, dataset: Datase
 def test_a_dataset_beside_the_results_is_used_unless_it_is_damaged(
     results: Path, dataset: Dataset, tmp_path: Path
 ) -> None:
-    notes: list[str] = []
-
-    class Notes(Silent):
-        def note(self, message: str) -> None:
-            notes.append(message)
-
+    kept = Notes()
     beside = tmp_path / "data"
     shutil.copytree(dataset.root, beside)
     assert all(m.rescored for m in load_results(results)[0].methods)
     assert all(m.rescored for m in load_results(next(results.glob("*@*")))[0].methods)
     path = beside / "pairs" / f"{ACROSS}.txt"
     path.write_text(path.read_text().replace(" 0.", " 1.", 1))
-    assert not any(m.rescored for m in load_results(results, datasets=lookup(results, reporter=Notes()))[0].methods)
-    assert_names(notes[0], "", None, beside, path)
+    assert not any(m.rescored for m in load_results(results, datasets=lookup(results, reporter=kept))[0].methods)
+    assert_names(kept.notes[0], "", None, beside, path)
     with refused(DatasetError, path):
         load_results(results, datasets=lookup(results, beside))
 

@@ -267,7 +267,7 @@ def test_a_real_retriever_leaves_the_results_of_place_recognition(dataset: Datas
 
 def test_without_truth_there_is_nothing_to_judge(tmp_path: Path) -> None:
     made = make_small_dataset(tmp_path / "d", frames=3, truth=False, size=(32, 24))
-    with refused(ConfigError):
+    with refused(ConfigError, made.root, None, "ground truth"):
         run(made, tmp_path / "r", "oracle", f"t={KNOWS}")
 
 

@@ -125,7 +125,7 @@ def test_basins_are_given_measured_or_the_reach(tmp_path: Path) -> None:
     assert [basins.knows(name) for name in ("dso", "orb-pnp", "weak")] == [True, False, False]
     assert Basins((1.0, 2.0)).of("dso", "a", "b", (9.0, 9.0)).limits == (1.0, 2.0)
     table.write_text("method,what,level,conditions,radius\ndso,translation,,a,wide\n")
-    with refused(PredictionError, "radii.csv", 2, "wide", "2"):
+    with refused(PredictionError, "radii.csv", 2, "radius", "wide"):
         read_basins(table)
     table.write_text("method,offset\n")
     with refused(PredictionError, "radii.csv", 1):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from forgery import change_yaml
-from refusals import refused
+from refusals import Notes, refused
 from small_dataset import ACROSS, make_small_dataset
 from small_views import make_small_views
 
@@ -311,16 +311,11 @@ def test_a_damaged_set_beside_the_results_is_noted_once_and_not_used(results: Pa
     image = min(beside.glob("test/query_drone/*/*.png"))
     image.unlink()
     image.symlink_to("nowhere.png")
-    notes: list[str] = []
-
-    class Notes(Silent):
-        def note(self, message: str) -> None:
-            notes.append(message)
-
-    board = load_retrieval(results, datasets=DatasetLookup(results, (), Notes()))
+    kept = Notes()
+    board = load_retrieval(results, datasets=DatasetLookup(results, (), kept))
     assert board is not None
     assert {row.rescored for table in board.sets[0].tables for row in table.rows} == {"no"}
-    assert [note.startswith(f"not scored again with {beside}") for note in notes] == [True]
+    assert [note.startswith(f"not scored again with {beside}") for note in kept.notes] == [True]
     with pytest.raises(DatasetError):
         load_retrieval(results, datasets=DatasetLookup(results, [beside]))
 

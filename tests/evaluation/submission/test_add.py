@@ -93,10 +93,10 @@ def test_a_row_with_errors_of_its_own_or_another_card_is_refused(town: Dataset, 
     card = row.root / "card.yaml"
     before = card.read_bytes()
     card.write_bytes(before.replace(b"my ", b"our "))
-    with refused(PredictionError, "card.yaml"):
+    with refused(PredictionError, card, None, "original"):
         load_results(tmp_path / "r")
     card.unlink()
-    with refused(PredictionError, "card.yaml"):
+    with refused(PredictionError, card, None, "missing"):
         load_results(tmp_path / "r")
     card.write_bytes(before)
     lines = row.predictions(ACROSS).read_text().splitlines()
@@ -188,7 +188,7 @@ def test_two_at_once_wait_for_no_one_and_break_nothing(town: Dataset, tmp_path: 
     (tmp_path / "r").mkdir()
     descriptor = os.open(tmp_path / "r", os.O_RDONLY)  # as another process has it
     fcntl.flock(descriptor, fcntl.LOCK_EX)
-    with refused(PredictionError):
+    with refused(PredictionError, tmp_path / "r", None, "lock"):
         add.add_submission(checked, tmp_path / "r", SubmissionOptions((town.root,)), Silent())
     os.close(descriptor)
     assert list((tmp_path / "r").iterdir()) == []
@@ -273,5 +273,5 @@ def test_an_imported_record_cannot_claim_to_be_a_submission(town: Dataset, tmp_p
     assert (run.submitted, run.remarks, run.answered_blind) == ({}, (), "")
     change_yaml(folder / "run.yaml", lambda run: run.update(submitted={"card.yaml": "0" * 64}))
     reseal(MethodResults(folder))
-    with refused(PredictionError):
+    with refused(PredictionError, folder / "card.yaml", None, "original"):
         load_results(tmp_path / "r")

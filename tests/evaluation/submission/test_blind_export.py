@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import relocbench
-from refusals import refused
-from small_dataset import ACROSS, make_small_dataset
+from refusals import assert_names, refused
+from small_dataset import ACROSS, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, DatasetError
@@ -75,7 +75,7 @@ def test_keys_need_the_truth_and_differ_by_edition_and_truth(town: Dataset, blin
         tmp_path / "other", frames=4, size=(48, 36), pose_fault=make_transform(np.eye(3), [0.2, 0.0, 0.0])
     )
     assert BlindKeys(other).name.id != first.name.id
-    with refused(DatasetError):
+    with refused(DatasetError, blind.root, None, WITHIN, "withheld"):
         BlindKeys(blind)
 
 
@@ -96,12 +96,13 @@ def test_the_name_says_what_it_is_of() -> None:
 
 
 def test_what_cannot_be_exported_is_refused(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
-    with refused(ConfigError):
+    with refused(ConfigError, blind.root, None, blind.name, "already"):
         export_blind(blind, tmp_path / "b", 1, Silent())
-    with refused(ConfigError):
+    with refused(ConfigError, town.root / "b", None, "--out"):
         export_blind(town, town.root / "b", 1, Silent())
     outcome = relocbench("export", "-d", town.root, "-f", "tum", "--edition", 2, "-o", tmp_path / "t")
     assert (outcome.status, "--format blind" in outcome.complaint) == (2, True)
     outcome = relocbench("export", "-d", town.root, "-f", "blind", "-m", "x", "-o", tmp_path / "t")
     assert outcome.status == 2
+    assert_names(outcome.complaint, "", None, "--edition")
     assert not (tmp_path / "t").exists()

@@ -125,7 +125,7 @@ def test_keys_follow_from_the_truth_and_the_edition(root: Path, tmp_path: Path) 
     fault = make_transform(np.eye(3), [0.2, 0.0, 0.0])
     town = make_small_dataset(tmp_path / "town", frames=5, size=(24, 18), name="town", pose_fault=fault)
     assert BlindImages(opened(town.root)).name.id != BlindImages(opened(root / "town")).name.id
-    with refused(DatasetError):
+    with refused(DatasetError, "", None, str(first.name), "withheld"):
         BlindImages(opened(root / "views-blind"))
 
 
@@ -134,13 +134,13 @@ def test_an_export_has_the_same_bytes_again_and_takes_nobodys_folder(root: Path,
     again = export_blind_images(asked, root / "views", tmp_path / "b", 1, Silent())
     assert again == open_blind_set(root / "views-blind")[0]
     export_blind_images(asked, root / "views", tmp_path / "b", 1, Silent())  # begun anew over its own files
-    with refused(ConfigError):
+    with refused(ConfigError, tmp_path / "b", None, str(BlindImages(asked, 2).name)):
         export_blind_images(asked, root / "views", tmp_path / "b", 2, Silent())
     (tmp_path / "c").mkdir()
     (tmp_path / "c" / "thesis.tex").write_text("mine")
     with refused(ConfigError, "", None, "thesis.tex"):
         export_blind_images(asked, root / "views", tmp_path / "c", 1, Silent())
-    with refused(ConfigError):
+    with refused(ConfigError, root / "views-blind", None, str(BlindImages(asked).name), "already"):
         export_blind_images(opened(root / "views-blind"), root / "views-blind", tmp_path / "d", 1, Silent())
 
 
@@ -149,17 +149,17 @@ def test_a_changed_export_is_refused_with_the_file(root: Path, tmp_path: Path) -
     queries = tmp_path / "b" / "tasks" / f"{D2S}.queries.txt"
     text = queries.read_text()
     queries.write_text("".join(text.splitlines(keepends=True)[:-1]))
-    with refused(DatasetError):
+    with refused(DatasetError, "blind.yaml", None, "fingerprint", "images.csv"):
         open_blind_set(tmp_path / "b")
     queries.write_text(text + "abc\n")
-    with refused(DatasetError, "", None, "abc"):
+    with refused(DatasetError, queries, len(text.splitlines()) + 1, "abc"):
         open_blind_set(tmp_path / "b")
     queries.write_text(text)
     image = next((tmp_path / "b" / "images").iterdir())
     cv2.imwrite(str(image), np.zeros((4, 4, 3), np.uint8))
     _, tasks = open_blind_set(tmp_path / "b")
     (view,) = {one.key: one for t in tasks for one in (*t.queries, *t.gallery) if one.key == image.stem}.values()
-    with refused(DatasetError):
+    with refused(DatasetError, image, None, "images.csv"):
         view.read()
 
 

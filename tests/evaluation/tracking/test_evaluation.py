@@ -344,7 +344,7 @@ def test_validation_names_a_negative_error_as_reading_does(dataset: Dataset, tmp
     rows = [line.split(",") for line in path.read_text().splitlines()]
     rows[1][4] = "-0.5"
     path.write_text("".join(",".join(row) + "\n" for row in rows))
-    with refused(PredictionError, "errors.csv", 2, "rotation_error_deg", -0.5):
+    with refused(PredictionError, path, 2, "rotation_error_deg", -0.5):
         read_errors(path)
     faults = validate_results(report.results, dataset, Silent()).faults
     assert [fault.line for fault in faults if "rotation_error_deg" in fault.message] == [2]

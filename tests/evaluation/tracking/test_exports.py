@@ -235,7 +235,7 @@ def test_pairs_outside_the_set_are_refused(dataset: Dataset, tmp_path: Path) -> 
 
 def test_nothing_is_exported_from_no_pose(dataset: Dataset, tmp_path: Path) -> None:
     failed = [PoseLine(*line.key, None) for line in truth_lines(dataset, ACROSS)]
-    with refused(PredictionError):
+    with refused(PredictionError, "", None, ACROSS):
         export_tum(dataset, ACROSS, failed, tmp_path / "t.txt")
 
 
@@ -257,5 +257,5 @@ def test_ground_truth_and_predictions_are_exported_by_name(dataset: Dataset, tmp
 
 def test_withheld_truth_is_not_exported(tmp_path: Path) -> None:
     withheld = make_small_dataset(tmp_path / "withheld", frames=2, truth=False)
-    with refused(PredictionError):
+    with refused(PredictionError, "", None, ACROSS, "withheld"):
         export_poses(withheld, [ACROSS], "mlad", tmp_path / "s.zip", tmp_path, None)

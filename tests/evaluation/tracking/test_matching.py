@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from board_pages import board_pages
 from forgery import reseal
-from refusals import refused
+from refusals import Notes, refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -43,14 +43,6 @@ MATCHING = "m=trackers_for_tests:Matching"
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return make_small_dataset(tmp_path_factory.mktemp("data") / "small", correspondences=60, size=(160, 120))
-
-
-class Notes(Silent):
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
 
 
 def evaluate(
@@ -303,19 +295,19 @@ def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Datas
     rows = read_matching(folder.matching(ACROSS))
     better = replace(rows[0], found=replace(rows[0].found, within_1px=0, within_3px=0))
     write_matching(folder.matching(ACROSS), [better, *rows[1:]])
-    with refused(PredictionError, "matching.csv"):
+    with refused(PredictionError, folder.matching(ACROSS), None, "changed"):
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     reseal(folder)
-    with refused(PredictionError, "matching.csv", None, "scores.yaml"):
+    with refused(PredictionError, folder.matching(ACROSS), None, "differs", "scores.yaml"):
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     folder.matching(ACROSS).unlink()
-    with refused(PredictionError, "matching.csv", None, "scores.yaml"):
+    with refused(PredictionError, folder.matching(ACROSS), None, "missing", "scores.yaml"):
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     write_matching(folder.matching(ACROSS), rows[1:])
-    with refused(PredictionError, "matching.csv"):
+    with refused(PredictionError, folder.matching(ACROSS), None, len(rows) // len(OFFSETS_PX), "one row"):
         evaluate(dataset, tmp_path / "r", MATCHING)
 
 

@@ -162,7 +162,7 @@ def test_forged_numbers_and_groups_are_refused(dataset: Dataset, tmp_path: Path)
 
     summary = copy("summary")
     change_yaml(summary.scores_yaml, lambda scores: scores["elsewhere"][ACROSS].update(confident=0))
-    with refused(PredictionError, "", None, "confident", 3, 0):
+    with refused(PredictionError, summary.errors(ACROSS), None, "confident", "3 here", "0 in scores.yaml"):
         load_results(tmp_path / "summary")
 
     def claims_failure(row: PairErrors) -> PairErrors:
@@ -178,7 +178,7 @@ def test_forged_numbers_and_groups_are_refused(dataset: Dataset, tmp_path: Path)
     )
     reseal(errors)
     load_results(tmp_path / "errors")
-    with refused(PredictionError, "", None, "confidence", 0.1, 0.9):
+    with refused(PredictionError, errors.errors(ACROSS), None, "confidence", 0.1, 0.9):
         load_results(tmp_path / "errors", datasets=DatasetLookup(tmp_path / "errors", [dataset.root]))
 
     record = copy("record")
@@ -186,7 +186,7 @@ def test_forged_numbers_and_groups_are_refused(dataset: Dataset, tmp_path: Path)
         record.root.parent / "dataset.yaml",
         lambda values: values["pair_sets"][ACROSS].update(elsewhere=COUNT - 1, pairs=1),
     )
-    with refused(PredictionError, "", None, 6):
+    with refused(PredictionError, record.errors(ACROSS), None, f"{COUNT} pairs"):
         load_results(tmp_path / "record")
 
 
