@@ -183,11 +183,11 @@ def test_what_is_wrong_with_a_folder_is_said(official: Path, tmp_path_factory: p
 
 def test_a_set_to_train_on_alone_has_nothing_to_ask_and_the_other_way_about(tmp_path: Path) -> None:
     put(tmp_path, "train/drone/0001/a.jpg", "train/satellite/0001/a.jpg")
-    with refused(DatasetError, tmp_path, None, "training"):
+    with refused(DatasetError, tmp_path, None, "no task", "training"):
         open_cross_view(tmp_path).tasks()
     other = tmp_path / "other"
     put(other, "test/query_drone/0001/a.jpg", "test/gallery_satellite/0001/a.jpg")
-    with refused(DatasetError, other, None, "--split train"):
+    with refused(DatasetError, other, None, "learn", "--split train"):
         open_cross_view(other).training()
 
 
