@@ -104,6 +104,6 @@ def test_methods_run_where_what_they_need_is_installed(tmp_path: Path, monkeypat
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(np.zeros(1).tobytes())
     notes = Notes()
-    assert demo._able(notes) == ("identity", "aliked-pnp")  # type: ignore[arg-type]
+    assert demo._able(notes) == ("identity", "aliked-pnp")
     assert len(notes.notes) == 1
     assert notes.notes[0].startswith("absent is left out: ")

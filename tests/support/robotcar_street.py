@@ -57,8 +57,9 @@ def record_robotcar(
     cameras: tuple[str, ...] = CAMERAS,
     frames: int = FRAMES,
 ) -> Recorded:
-    how = {"frames": frames, "scale": 0.06, "number": number, "cameras": cameras}
-    return record_fenced(out, "robotcar", CONDITIONS[condition].factors, path, **how)
+    return record_fenced(
+        out, "robotcar", CONDITIONS[condition].factors, path, frames=frames, scale=0.06, number=number, cameras=cameras
+    )
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,10 @@ from relocbench.progress import Silent
 
 
 def recorded(out: Path, distorted: bool) -> Path:
-    how = {"frames": 20, "scale": 0.06, "rings": 16, "azimuths": 360, "cameras": ()}
-    record_fenced(out, "kitti", CONDITIONS["Sunny"].factors, motion_distorted=distorted, **how)
+    record_fenced(
+        out, "kitti", CONDITIONS["Sunny"].factors, frames=20, scale=0.06, rings=16, azimuths=360, cameras=(),
+        motion_distorted=distorted,
+    )  # fmt: skip
     return out
 
 

@@ -36,7 +36,7 @@ def folder(root: Path, values: np.ndarray, dtype: str, settings: str = "") -> Pa
 @pytest.mark.parametrize("columns", [3, 4, 5, 6])
 def test_columns_and_type_are_found_and_told(tmp_path: Path, columns: int, dtype: str) -> None:
     values, notes = scan(columns), Notes()
-    lidar = read_lidars(folder(tmp_path / "drive", values, dtype), np.eye(4), notes)[0]  # type: ignore[arg-type]
+    lidar = read_lidars(folder(tmp_path / "drive", values, dtype), np.eye(4), notes)[0]
     assert np.allclose(lidar.read(1).points, values[:, :3], atol=1e-5)
     kind = {"<f4": "float32", "<f8": "float64"}[dtype]
     named = " ".join(USUAL_COLUMNS[columns])
@@ -46,7 +46,7 @@ def test_columns_and_type_are_found_and_told(tmp_path: Path, columns: int, dtype
 def test_what_is_named_is_not_told_from_values(tmp_path: Path) -> None:
     values, notes = scan(4), Notes()
     given = ", columns: [y, x, z, ring], dtype: float64"
-    lidar = read_lidars(folder(tmp_path, values, "<f8", given), np.eye(4), notes)[0]  # type: ignore[arg-type]
+    lidar = read_lidars(folder(tmp_path, values, "<f8", given), np.eye(4), notes)[0]
     assert np.allclose(lidar.read(0).points, values[:, [1, 0, 2]])
     assert notes.notes == []
 
