@@ -134,14 +134,18 @@ def leaderboard(
     progress, chosen = reporter(quiet), check_formats(formats, html)
     lookup = DatasetLookup(results, dataset or (), progress)
     with locked_output(out):
-        board, found, pipelines = _load(results, lookup, ranked_by, split, seed, progress)
-        if found is not None:
-            note_missing(found, progress)
+        board, retrievers, pipelines = _load(results, lookup, ranked_by, split, seed, progress)
+        if retrievers is not None:
+            note_missing(retrievers, progress)
         if pipelines is not None:
             note_missing_pipelines(pipelines, progress)
-        files = write_formats(Boards(board, found, pipelines), out, chosen, How(plots, pairs, progress))
+        files = write_formats(Boards(board, retrievers, pipelines), out, chosen, How(plots, pairs, progress))
     if json:
-        retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
+        retrieval = (
+            {}
+            if retrievers is None
+            else {"retrieval_metric": retrievers.metric, "retrieval": retrieval_rows(retrievers)}
+        )
         if pipelines is not None:
             retrieval |= {"relocalization_metric": pipelines.metric, "relocalization": pipeline_rows(pipelines)}
         rows = [] if board is None else leaderboard_rows(board)
@@ -155,8 +159,8 @@ def leaderboard(
     else:
         if board is not None:
             print_board(board)
-        if found is not None:
-            _print_retrieval(found)
+        if retrievers is not None:
+            _print_retrieval(retrievers)
         if pipelines is not None:
             _print_pipelines(pipelines)
         if not quiet:
@@ -241,17 +245,17 @@ def _load(
     from relocbench.leaderboard.tracking.write import compare
 
     asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": lookup}
-    found = load_retrieval(results, metric=ranked_by["--retrieval-metric"], **asked)
+    retrievers = load_retrieval(results, metric=ranked_by["--retrieval-metric"], **asked)
     pipelines = load_pipelines(results, metric=ranked_by["--relocalization-metric"], **asked)
     entries = None
-    if (found is None and pipelines is None) or holds_tracking(results):
+    if (retrievers is None and pipelines is None) or holds_tracking(results):
         ranking_metric(ranked_by["--metric"])  # a mistyped metric is reported before anything is read
         entries = load_results(results, split, datasets=lookup)
     lookup.check_used()  # before anything is written
     board = None
     if entries is not None:
         board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=progress)
-    return board, found, pipelines
+    return board, retrievers, pipelines
 
 
 def _ranked_by(

@@ -6,7 +6,7 @@ views: the drone and satellite images of a batch show different places, as in th
 show the same place by drone and by satellite in each row: the first half of the rows follows the rounds of the
 satellite's images, the second half those of the drone's, and the partner is drawn from the place's images.
 
-Where the backbone is frozen, batches have remembered maps of its images, each of a version drawn at random, in place of
+Where the backbone is frozen, batches have cached maps of its images, each of a version drawn at random, in place of
 images.
 """
 
@@ -29,7 +29,7 @@ from relocbench.errors import ConfigError
 from relocbench.retrieval import PlaceData
 
 Batch = dict[View, tuple[Tensor, Tensor]]
-"""by view: images (B, 3, S, S) uint8, or remembered maps (B, C, h, w) float16, and places (B,) int64"""
+"""by view: images (B, 3, S, S) uint8, or cached maps (B, C, h, w) float16, and places (B,) int64"""
 
 _ROUND, _PARTNER, _AUGMENT, _VERSION = range(4)
 

@@ -104,7 +104,7 @@ class MapsOfFrozen:
         gigabytes = sum(self._bytes.values()) / GIGABYTE
         return f"maps of the frozen backbone: {counts}, {gigabytes:.2f} GB in {self._folder}"
 
-    def remembered(self, reporter: Reporter) -> CachedMaps:
+    def cached(self, reporter: Reporter) -> CachedMaps:
         """All maps; those that are missing are computed first.
 
         Raises:

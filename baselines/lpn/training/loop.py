@@ -101,7 +101,7 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
             folder = Path(self.options.maps) if self.options.maps else self.run.out / "maps"
             maps = MapsOfFrozen(self.network, self._data, self.options, folder, self.device)
             self.run.reporter.note(maps.summary)
-            self._place_batches.maps = maps.remembered(self.run.reporter)
+            self._place_batches.maps = maps.cached(self.run.reporter)
 
     @property
     def stage_steps(self) -> range:
@@ -140,7 +140,7 @@ class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
         return value.total, value.parts
 
     def _output(self, view: View, images: Tensor) -> ViewOutput:
-        """The network's output for images, or for remembered maps of them."""
+        """The network's output for images, or for cached maps of them."""
         if images.dtype != torch.float16:
             return cast(ViewOutput, self.network(view, as_network_takes_them(images, self.device)))
         maps = images.to(self.device, non_blocking=True).float().contiguous(memory_format=torch.channels_last)

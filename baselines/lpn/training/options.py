@@ -50,14 +50,14 @@ class TrainOptions(Options):
     """file of an LPN network to start from; configurations of several stages then omit the first one"""
     frozen: Literal["nothing", "layer3"] = "nothing"
     """``layer3``: the backbone keeps its first weights and statistics up to and including ``layer3``, of which maps are
-    remembered (``versions``), so that a step only computes what follows"""
+    cached (``versions``), so that a step only computes what follows"""
     frozen_blocks: int = 0
     """with ``frozen``: number of first blocks of ``layer4`` that are frozen, too"""
     versions: dict[View, int] = field(default_factory=lambda: {"drone": 12, "satellite": 48, "street": 12})
-    """with ``frozen``: number of augmented versions of each image, by view, of which maps are remembered; each step
+    """with ``frozen``: number of augmented versions of each image, by view, of which maps are cached; each step
     takes one of them at random"""
     maps: str = ""
-    """with ``frozen``: folder of the remembered maps, which other trainings can share; empty: ``maps`` in the output"""
+    """with ``frozen``: folder of the cached maps, which other trainings can share; empty: ``maps`` in the output"""
     maps_limit: float = 8.0
     """with ``frozen``: room in GB that the maps may take"""
     backbone_rate: float | None = None
@@ -153,7 +153,7 @@ class TrainOptions(Options):
 
     @property
     def cached_blocks(self) -> int:
-        """The number of blocks of ``layer4`` that remembered maps have passed; none where attention, which learns, is
+        """The number of blocks of ``layer4`` that cached maps have passed; none where attention, which learns, is
         in front of them."""
         return 0 if "layer3" in self.network.attention.after else self.frozen_blocks
 

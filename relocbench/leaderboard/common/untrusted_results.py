@@ -75,10 +75,10 @@ def _entries(folder: Path) -> Iterator[tuple[Path, int]]:
     while folders:
         try:
             with os.scandir(folders.pop()) as entries:
-                found = sorted(entries, key=lambda entry: entry.name)
+                in_order = sorted(entries, key=lambda entry: entry.name)
         except (NotADirectoryError, FileNotFoundError):
             continue
-        for entry in found:
+        for entry in in_order:
             path = Path(entry.path)
             yield path, entry.stat(follow_symlinks=False).st_mode
             if entry.is_dir(follow_symlinks=False):

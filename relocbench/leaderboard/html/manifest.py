@@ -23,11 +23,11 @@ def earlier_files(site: Path) -> set[Path]:
         return set()
     manifest = site / MANIFEST
     if not manifest.is_file():
-        found = next((path for path in sorted(site.iterdir()) if not path.name.startswith(".")), None)
-        if found is None:
+        entry = next((path for path in sorted(site.iterdir()) if not path.name.startswith(".")), None)
+        if entry is None:
             return set()
         raise ConfigError(
-            f"holds '{found.name}' and no earlier site; expected a new or an empty folder for pages", site
+            f"holds '{entry.name}' and no earlier site; expected a new or an empty folder for pages", site
         )
     first, *names = manifest.read_text(encoding="utf-8", errors="replace").splitlines() or [""]
     if first != _FIRST:

@@ -124,13 +124,13 @@ def _pairs(dataset: DatasetBoard) -> int:
 
 
 def _write_methods(boards: Boards, site: Path) -> set[Path]:
-    found: dict[str, list[tuple[DatasetBoard, Method]]] = {label: [] for label in retriever_labels(boards)}
+    by_label: dict[str, list[tuple[DatasetBoard, Method]]] = {label: [] for label in retriever_labels(boards)}
     board = boards.tracking
     for dataset in board.datasets if board else ():
         for method in dataset.entry.methods:
-            found.setdefault(method.label, []).append((dataset, method))
+            by_label.setdefault(method.label, []).append((dataset, method))
     written = set()
-    for label, own in found.items():
+    for label, own in by_label.items():
         page = site / links.method_page(label)
         numbers = [n for dataset, method in own if board for n in _numbers(board, dataset, method)]
         runs = [_run(dataset, method) for dataset, method in own]
@@ -144,12 +144,12 @@ def _write_methods(boards: Boards, site: Path) -> set[Path]:
 
 def _numbers(board: Board, dataset: DatasetBoard, method: Method) -> list[dict[str, Any]]:
     """The rows of a method on the totals and pair sets of a dataset."""
-    found = []
+    rows = []
     for table in [*dataset.totals, *dataset.pair_sets]:
         row = next((row for row in table.rows if row.method is method), None)
         if row is not None:
-            found.append(line(board, dataset, table, row))
-    return found
+            rows.append(line(board, dataset, table, row))
+    return rows
 
 
 def _run(dataset: DatasetBoard, method: Method) -> dict[str, Any]:

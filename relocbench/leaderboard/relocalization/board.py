@@ -158,14 +158,14 @@ def load_pipelines(
         check_folder(results)
     for folder in there:
         check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
-    found = [s for s in there if split is None or split in s.record.splits]
-    if there and not found and not holds_tracking(results):
+    chosen = [s for s in there if split is None or split in s.record.splits]
+    if there and not chosen and not holds_tracking(results):
         known = sorted({name for s in there for name in s.record.splits})
         raise ConfigError(f"no split '{split}'{available(str(split), known)}", results)
     lookup = datasets or DatasetLookup(results)
     named = {(each.record.dataset, each.record.dataset_fingerprint) for each in there}
     lookup.mark_used(lambda one: (one.name, one.fingerprint) in named)
-    boards = [board for s in found if (board := _set(s, metric, split, seed, lookup)) is not None]
+    boards = [board for s in chosen if (board := _set(s, metric, split, seed, lookup)) is not None]
     return PipelineBoard(tuple(boards), metric, seed, split) if boards else None
 
 

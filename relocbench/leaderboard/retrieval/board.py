@@ -171,20 +171,20 @@ def load_retrieval(
     """
     if metric not in METRICS:
         raise ConfigError(f"retrievers cannot be ranked by '{metric}'; expected one of {', '.join(METRICS)}")
-    found = [folder for folder in all_sets(results) if not folder.record.is_withheld]
-    if not found:
+    scored = [folder for folder in all_sets(results) if not folder.record.is_withheld]
+    if not scored:
         return None
     check_folder(results)
-    for folder in found:
+    for folder in scored:
         check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
     lookup = datasets or DatasetLookup(results)
-    for folder in found:
+    for folder in scored:
         lookup.mark_used(partial(belongs, record=folder.record))
-    chosen = found if split is None else [s for s in found if split in s.record.splits]
+    chosen = scored if split is None else [s for s in scored if split in s.record.splits]
     if not chosen and holds_tracking(results):
         return None  # the split is one of the trackers' datasets
     if not chosen:
-        known = sorted({name for s in found for name in s.record.splits})
+        known = sorted({name for s in scored for name in s.record.splits})
         raise ConfigError(f"no split '{split}'{available(str(split), known)}", results)
     sets = tuple(_set(copies, metric, split, seed, lookup) for copies in _group_copies(chosen))
     return RetrievalBoard(sets, metric, seed, split)
@@ -234,10 +234,10 @@ def _is_part(name: str, tasks: Mapping[str, TaskRecord]) -> bool:
 
 def _group_copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
     """Group the folders of one question: the same recipe, with images that differ in last digits."""
-    found: dict[tuple[str, str], list[SetResults]] = {}
+    by_set: dict[tuple[str, str], list[SetResults]] = {}
     for folder in folders:
-        found.setdefault((folder.record.name, folder.record.compared_by), []).append(folder)
-    return list(found.values())
+        by_set.setdefault((folder.record.name, folder.record.compared_by), []).append(folder)
+    return list(by_set.values())
 
 
 def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int, lookup: DatasetLookup) -> SetBoard:
@@ -293,7 +293,7 @@ def _methods_of(
     copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord], lookup: DatasetLookup
 ) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults], RetrievalTruth | None]:
     """The methods by label, the folder of each, and the tasks of the first copy that is available."""
-    found: dict[str, Retriever] = {}
+    by_label: dict[str, Retriever] = {}
     folders: dict[str, RetrieverResults] = {}
     first: RetrievalTruth | None = None
     for copy in copies:
@@ -301,10 +301,10 @@ def _methods_of(
         first = first or truth
         for folder in copy.methods():
             method = load_retriever(folder, copy.record, tasks, truth)
-            label = distinct_label(method.label, found, copy.record.fingerprint)
+            label = distinct_label(method.label, by_label, copy.record.fingerprint)
             method = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
-            found[method.label], folders[method.label] = method, folder
-    return tuple(found[label] for label in sorted(found)), folders, first
+            by_label[method.label], folders[method.label] = method, folder
+    return tuple(by_label[label] for label in sorted(by_label)), folders, first
 
 
 def load_retriever(

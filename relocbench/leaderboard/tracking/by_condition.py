@@ -160,15 +160,15 @@ def _columns(dataset: DatasetBoard) -> list[Column]:
     entry = dataset.entry
     split_of = {name: split for split, names in entry.splits.items() for name in names}
     splits = [split for split in (*entry.splits, "") if any(split_of.get(name, "") == split for name in entry.used)]
-    found: dict[tuple[int, bool, str, str], list[str]] = {}
+    names_of: dict[tuple[int, bool, str, str], list[str]] = {}
     for name in entry.used:
         record, split = entry.pair_sets[name], splits.index(split_of.get(name, ""))
         across = record.reference != record.query
         key = split, across, record.reference_condition, record.query_condition
-        found.setdefault(key, []).append(name)
+        names_of.setdefault(key, []).append(name)
     finer = finer_thresholds(entry)
     columns = []
-    for (split, across, map_condition, condition), own in sorted(found.items(), key=lambda item: item[0][:2]):
+    for (split, across, map_condition, condition), own in sorted(names_of.items(), key=lambda item: item[0][:2]):
         shown = splits[split] if len(splits) > 1 else ""
         pairs = sum(entry.pair_sets[name].pairs for name in own)
         column = Column(dataset, tuple(own), map_condition, condition, shown, pairs, not across)

@@ -78,16 +78,16 @@ def check_truth(dataset: Dataset, pair_sets: Iterable[str], reporter: Reporter) 
     jobs = [_Job(dataset, s.name, pair.key) for s in sets for pair in spread_pairs(s.pairs, count)]
     if not jobs:
         return {}
-    found: dict[str, list[tuple[ImageAgreement, int]]] = {}
+    comparisons: dict[str, list[tuple[ImageAgreement, int]]] = {}
     workers = default_workers() if len(jobs) >= _MANY else 1
     with reporter.stage("comparing images with the truth", len(jobs)) as advance:
         for index, each in run_units(_compare, jobs, Run(workers)):
             if isinstance(each, str):
                 reporter.note(f"the truth of a pair of {jobs[index].pair_set} is not compared with its images: {each}")
             else:
-                found.setdefault(jobs[index].pair_set, []).append(each)
+                comparisons.setdefault(jobs[index].pair_set, []).append(each)
             advance(1)
-    return {name: _check_of(each) for name, each in found.items()}
+    return {name: _check_of(each) for name, each in comparisons.items()}
 
 
 def doubts_of(checks: Mapping[str, TruthCheck], pair_sets: Iterable[str]) -> list[tuple[str, str]]:
@@ -124,7 +124,9 @@ def _compare(job: _Job) -> tuple[ImageAgreement, int] | str:
         return str(why)
 
 
-def _check_of(found: Sequence[tuple[ImageAgreement, int]]) -> TruthCheck:
-    apart = [agreement.shift_px for agreement, _ in found if agreement.verdict == "apart"]
-    agree = sum(agreement.verdict == "agree" for agreement, _ in found)
-    return TruthCheck(len(found), agree, len(apart), float(np.median(apart)) if apart else np.nan, found[0][1])
+def _check_of(comparisons: Sequence[tuple[ImageAgreement, int]]) -> TruthCheck:
+    apart = [agreement.shift_px for agreement, _ in comparisons if agreement.verdict == "apart"]
+    agree = sum(agreement.verdict == "agree" for agreement, _ in comparisons)
+    return TruthCheck(
+        len(comparisons), agree, len(apart), float(np.median(apart)) if apart else np.nan, comparisons[0][1]
+    )

@@ -147,14 +147,14 @@ def _confidences(dataset: DatasetBoard, *, elsewhere: bool) -> str:
 
 def _elsewhere_cells(row: Row) -> list[str]:
     """The number of pairs of different places, and the shares answered and confidently answered, with the bound."""
-    found = row.elsewhere
-    if found is None or found.answered_share is None:
+    places = row.elsewhere
+    if places is None or places.answered_share is None:
         return [""] * len(ELSEWHERE)
     return [
-        str(found.pairs),
-        number(found.answered_share, "share"),
-        number(found.confident_share, "share"),
-        number(found.confident_high, "share"),
+        str(places.pairs),
+        number(places.answered_share, "share"),
+        number(places.confident_share, "share"),
+        number(places.confident_high, "share"),
     ]
 
 

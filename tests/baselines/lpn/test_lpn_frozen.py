@@ -82,12 +82,12 @@ def network_of(options: TrainOptions) -> LpnNetwork:
 
 
 @pytest.mark.parametrize("blocks", [0, 1])
-def test_remembered_maps_are_what_the_network_makes_of_the_augmented_images(
+def test_cached_maps_are_what_the_network_makes_of_the_augmented_images(
     tmp_path: Path, resnet: Path, blocks: int
 ) -> None:
     data, options = made_places(), options_of(resnet, frozen_blocks=blocks)
     network = network_of(options).train()
-    maps = MapsOfFrozen(network, data, options, tmp_path, torch.device("cpu")).remembered(Silent())
+    maps = MapsOfFrozen(network, data, options, tmp_path, torch.device("cpu")).cached(Silent())
     assert all(module.training for module in network.modules())
     again = pickle.loads(pickle.dumps(maps))
     images = [each for each in data.images if each.image.view == "satellite"]
@@ -108,7 +108,7 @@ def test_a_batch_has_maps_of_its_own_images_for_every_order_of_images(tmp_path: 
     options = options_of(resnet, pad=0, flip=0, satellite_turn_deg=0, paired=True, batch=4)
     network = initial_network(options, options.stages[0], 0, 6)
     batches = PlaceBatches(mixed, options, 4)
-    batches.maps = MapsOfFrozen(network, mixed, options, tmp_path, torch.device("cpu")).remembered(Silent())
+    batches.maps = MapsOfFrozen(network, mixed, options, tmp_path, torch.device("cpu")).cached(Silent())
     plain = PlaceBatches(mixed, options, 4)
     for step in range(4):
         for view, (maps, places) in batches[step].items():
@@ -175,7 +175,7 @@ def test_trainings_that_see_other_maps_do_not_share_files(tmp_path: Path, resnet
     def names(data: PlaceData | None = None, **other: Any) -> set[str]:
         options = options_of(resnet, **other)
         maps = MapsOfFrozen(network_of(options), data or made_places(), options, tmp_path, torch.device("cpu"))
-        return {path.name for paths in maps.remembered(Silent()).files.values() for path in paths}
+        return {path.name for paths in maps.cached(Silent()).files.values() for path in paths}
 
     first = names()
     assert names(seed=1, rate=0.5) == first

@@ -174,7 +174,7 @@ def _answers(
         return {"poses": _poses([None] * len(keys), axes), "messages": {}, "matches": {}}
     path = method.results.predictions(name)
     lines = read_pose_lines(path, PredictionError, allow_non_finite=True, only=only)
-    found = {line.key: line.T_query_ref for line in lines}
+    poses = {line.key: line.T_query_ref for line in lines}
     table = method.results.answers(name)
     answers = read_answers(table, only) if table.exists() else {}
     messages = {place: answers[key].message for place, key in enumerate(keys) if key in answers}
@@ -184,7 +184,7 @@ def _answers(
         if keys[place] in answers
     }
     return {
-        "poses": _poses([found.get(key) for key in keys], axes),
+        "poses": _poses([poses.get(key) for key in keys], axes),
         "messages": {place: message for place, message in messages.items() if message},
         "matches": {place: some for place, some in matches.items() if some},
     }

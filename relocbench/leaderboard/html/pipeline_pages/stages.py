@@ -23,13 +23,13 @@ def retrieval_seconds(asked: PipelineSetBoard, pipeline: Pipeline, task: str) ->
     ran, folder = pipeline.run.retriever_run, asked.folder
     if ran is None or folder is None:
         return None
-    found = RetrieverResults(folder.root.parent / f"{ran.dataset}@{ran.fingerprint[:SHORT]}" / pipeline.run.retriever)
-    if not found.run_yaml.exists() or not found.complete(task):
+    results = RetrieverResults(folder.root.parent / f"{ran.dataset}@{ran.fingerprint[:SHORT]}" / pipeline.run.retriever)
+    if not results.run_yaml.exists() or not results.complete(task):
         return None
-    now = found.run_record()
+    now = results.run_record()
     if (now.target, now.parameters, now.files, now.seed) != (ran.target, ran.parameters, ran.files, ran.seed):
         return None
-    seconds = {Path(answer.query).stem: answer.seconds for answer in read_answers(found.answers(task))}
+    seconds = {Path(answer.query).stem: answer.seconds for answer in read_answers(results.answers(task))}
     out = np.full(len(pipeline.answers[task]), np.nan)
     for row, answer in enumerate(pipeline.answers[task]):
         known = seconds.get(str(answer.query_timestamp_ns))

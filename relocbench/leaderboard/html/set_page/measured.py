@@ -16,13 +16,13 @@ _NEAR = ("1px", "3px")
 
 def matching_payload(dataset: DatasetBoard) -> dict[str, Any]:
     """By pair set: the shares of pixels that each method found, and of starts that were near already, by offset."""
-    found = {}
+    pair_sets = {}
     for name in dataset.entry.pair_sets:
         lines = matching_lines(dataset, name)
         if lines:
             methods = {method.label: _shares(summary, "match") for method, summary in lines}
-            found[name] = {"methods": methods, "starts": _shares(lines[0][1], "start")}
-    return {"offsets": list(OFFSETS_PX), "pair_sets": found} if found else {}
+            pair_sets[name] = {"methods": methods, "starts": _shares(lines[0][1], "start")}
+    return {"offsets": list(OFFSETS_PX), "pair_sets": pair_sets} if pair_sets else {}
 
 
 def probes_of(dataset: DatasetBoard) -> list[ProbeTables]:

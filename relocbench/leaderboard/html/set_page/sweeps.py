@@ -63,10 +63,10 @@ def _by_names(across: Mapping[str, PairSetRecord]) -> dict[str, Any] | None:
     sides = {
         name: (_STEP.fullmatch(r.reference_condition), _STEP.fullmatch(r.query_condition)) for name, r in across.items()
     }
-    found = [match for both in sides.values() for match in both]
-    if not found or None in found:
+    steps = [match for both in sides.values() for match in both]
+    if not steps or None in steps:
         return None
-    names = {match[1] for match in found if match is not None}
+    names = {match[1] for match in steps if match is not None}
     if len(names) != 1 or not names <= SWEEPS.keys():
         return None
     values = {pair_set: float(query[2]) for pair_set, (_, query) in sides.items() if query is not None}
