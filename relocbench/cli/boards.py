@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 COLUMNS = (RANKING, "median_translation_error_m", "median_rotation_error_deg", "coverage", "median_seconds")
 """the metrics that the terminal shows of trackers, in this order"""
+RETRIEVAL_COLUMNS = ("R@1", "R@5", "R@10", "AP")
+"""of retrievers, in this order; all metrics stand in ``--json``, in CSV and on the pages"""
 SHORT_HEADINGS = {
     RANKING: "found, %",
     "median_translation_error_m": "median m",

@@ -130,9 +130,9 @@ def _print_report(report: RelocalizationReport) -> None:
             f"{record.reach_m:.3g} m, {record.reach_deg:.3g}°)"
         )
         found = [(folder.run_record(), report.scores(folder)[name]) for folder in report.folders]
-        medians = {"median_translation_error_m": "m", "median_rotation_error_deg": "deg"}
+        median = "median_translation_error_m"
         lost = [share for share in FAILURES if share != "failed_unreachable" or any(v[share] for _, v in found)]
-        shares = ("recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit", "right_without_hit", *lost)
+        of_lost = f"lost, %: {' / '.join(share.removeprefix('failed_') for share in lost)}"
         rows = []
         for run, values in found:
             low, high = values[f"{RANKING}_low"], values[f"{RANKING}_high"]
@@ -143,8 +143,8 @@ def _print_report(report: RelocalizationReport) -> None:
                     run.tracker,
                     str(run.top),
                     number(values[RANKING], "share") + bounds,
-                    *(number(values[share], "share") for share in shares),
-                    *(number(values[name], unit) for name, unit in medians.items()),
+                    " / ".join(number(values[share], "share") for share in lost),
+                    number(values[median], "m"),
                 ]
             )
-        print_table(title, [RETRIEVER, TRACKER, TOP, *map(short_heading, (RANKING, *shares, *medians))], rows)
+        print_table(title, [RETRIEVER, TRACKER, TOP, short_heading(RANKING), of_lost, short_heading(median)], rows)

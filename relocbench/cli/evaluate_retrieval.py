@@ -156,32 +156,32 @@ def evaluate_retrieval(
 
 
 def _print_report(report: RetrievalReport) -> None:
+    from relocbench.cli.boards import RETRIEVAL_COLUMNS, short_heading
     from relocbench.cli.console import print_table
-    from relocbench.evaluation.retrieval.records import METRICS
     from relocbench.leaderboard.common.headings import COUNTS, METHOD, SECONDS, heading
 
     for task in report.asked.chosen:
         record = report.record.tasks[task.name]
         without = f", {record.without_positives} of them without a right one" if record.without_positives else ""
         title = f"{report.asked.name}: {task.name} ({record.queries} queries{without}, {record.gallery} images)"
+        scores = {folder.label: values for folder in report.folders if (values := report.scores(folder).get(task.name))}
+        unanswered = [COUNTS] if any(values["failed"] or values["broke"] for values in scores.values()) else []
         rows = []
-        for folder in report.folders:
-            values = report.scores(folder).get(task.name)
-            if values:
-                broke = f"{values['failed']} / {values['broke']}"
-                seconds = values["median_seconds"]
-                cells = [_percent(values, metric) for metric in METRICS]
-                rows.append([folder.label, *cells, broke, "" if seconds is None else f"{seconds:.3g}"])
+        for label, values in scores.items():
+            seconds = values["median_seconds"]
+            counts = [f"{values['failed']} / {values['broke']}"] if unanswered else []
+            cells = [_percent(values, metric) for metric in RETRIEVAL_COLUMNS]
+            rows.append([label, *cells, "" if seconds is None else f"{seconds:.3g}", *counts])
         if rows:
-            rows.append(["(chance)", *(f"{100 * record.chance[metric]:.1f}" for metric in METRICS), "", ""])
-            print_table(title, [METHOD, *map(heading, METRICS), COUNTS, SECONDS], rows)
+            chance = [f"{100 * record.chance[metric]:.1f}" for metric in RETRIEVAL_COLUMNS]
+            rows.append(["(chance)", *chance, "", *[""] * len(unanswered)])
+            heads = [METHOD, *map(heading, RETRIEVAL_COLUMNS), short_heading(SECONDS), *unanswered]
+            print_table(title, heads, rows)
 
 
 def _percent(values: dict[str, float | int | None], metric: str) -> str:
     value, low, high = (values[name] for name in (metric, f"{metric}_low", f"{metric}_high"))
     if value is None:
         return ""
-    bounds = (
-        "" if low is None or high is None or metric not in ("R@1", "AP") else f" [{100 * low:.1f}, {100 * high:.1f}]"
-    )
+    bounds = "" if low is None or high is None or metric != "R@1" else f" [{100 * low:.1f}, {100 * high:.1f}]"
     return f"{100 * value:.1f}{bounds}"

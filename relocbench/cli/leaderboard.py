@@ -290,21 +290,22 @@ def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None
 
 
 def _print_retrieval(board: RetrievalBoard) -> None:
+    from relocbench.cli.boards import RETRIEVAL_COLUMNS
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import METHOD, RANK, heading
     from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
     from relocbench.leaderboard.common.text import number
 
+    shown = dict.fromkeys((board.metric, *(m for m in board.shown if m in RETRIEVAL_COLUMNS)))
     for asked in board.sets:
         for table in asked.tables:
             title = f"{asked.title}: {table.name} ({table.queries} queries)"
             rows = [
-                [rank_text(row, table.rows), *(number(row.values[m], "share") for m in board.shown)]
-                for row in table.rows
+                [rank_text(row, table.rows), *(number(row.values[m], "share") for m in shown)] for row in table.rows
             ]
             names = [row.method.label for row in table.rows]
-            chance = ["(chance)", "", *(number(table.chance[m], "share") for m in board.shown)]
-            columns = [METHOD, RANK, *map(heading, board.shown)]
+            chance = ["(chance)", "", *(number(table.chance[m], "share") for m in shown)]
+            columns = [METHOD, RANK, *map(heading, shown)]
             print_table(title, columns, [*([name, *row] for name, row in zip(names, rows, strict=True)), chance])
             if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
                 print(why)
@@ -318,7 +319,7 @@ def _print_pipelines(board: PipelineBoard) -> None:
     from relocbench.leaderboard.common.text import number
 
     median = "median_translation_error_m"
-    metrics = (board.metric, "recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit")
+    metrics = (board.metric, "hit")
     for asked in board.sets:
         for table in asked.tables:
             title = f"{asked.title}: {table.name} ({table.queries} queries)"
