@@ -127,7 +127,7 @@ def test_one_ctrl_c_ends_a_command_that_does_not_hear_of_it(tmp_path: Path) -> N
         "def hear_nothing(*_): ctypes.CDLL(None).sleep(1000)\n"
         "import signal, relocbench.cli.interruption as interruption\n"
         "interruption._interrupt = hear_nothing\n"
-        "relocbench.cli.app.app = stuck\n"
+        "relocbench.cli.app._commands = lambda: stuck\n"
         "relocbench.cli.main()\n"
     )
     interrupted([sys.executable, "-c", program], (tmp_path / "mark").exists, signal.SIGINT, True, tmp_path)
@@ -165,7 +165,7 @@ def test_one_ctrl_c_ends_a_command_whose_interpreter_would_take_long_to_end(tmp_
         "def work(**_):\n"
         "    pathlib.Path('mark').touch()\n"
         "    time.sleep(1000)\n"
-        "relocbench.cli.app.app = work\n"
+        "relocbench.cli.app._commands = lambda: work\n"
         f"{keep}\n"
         "relocbench.cli.main()\n"
     )
