@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from refusals import ErrorData, Notes, noted, refused
+from refusals import Notes, noted, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -131,21 +131,23 @@ def test_workers_and_interruptions_do_not_change_the_bytes(recording: Path, tmp_
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("name", "line", "names"),
     [
-        (f"{SECONDS}.1000 0.1 0 nan 0 0 0 1", ("groundtruth.txt", 6)),
-        (f"{SECONDS}.1000 0.1 0 0 0 0 0 1.1", ("groundtruth.txt", 6, "1.1", "1")),
-        (f"{SECONDS}.1000 0.1 0 0 0 0 1", ("groundtruth.txt", 6, "8")),
-        (f"{SECONDS}.0010 0.1 0 0 0 0 0 1", ("groundtruth.txt", 6)),
-        ("noon 0.1 0 0 0 0 0 1", ("groundtruth.txt", 6, "noon")),
+        ("groundtruth.txt", f"{SECONDS}.1000 0.1 0 nan 0 0 0 1", ("tz", "nan")),
+        ("groundtruth.txt", f"{SECONDS}.1000 0.1 0 0 0 0 0 1.1", ("norm 1.1", "1")),
+        ("groundtruth.txt", f"{SECONDS}.1000 0.1 0 0 0 0 1", ("8 columns", "found 7")),
+        ("groundtruth.txt", f"{SECONDS}.0010 0.1 0 0 0 0 0 1", (f"{SECONDS}.0010", "previous")),
+        ("groundtruth.txt", "noon 0.1 0 0 0 0 0 1", ("noon",)),
+        ("rgb.txt", f"{SECONDS}.100000 rgb/again.png", (f"{SECONDS}.100000", "again")),
+        ("rgb.txt", f"{SECONDS}.950000 rgb/a b.png", ("2 columns", "found 3")),
     ],
 )
-def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line: str, said: ErrorData) -> None:
-    path = recording / "groundtruth.txt"
+def test_a_bad_line_is_named(recording: Path, tmp_path: Path, name: str, line: str, names: tuple[str, ...]) -> None:
+    path = recording / name
     lines = path.read_text().splitlines()
     lines[5] = line
     path.write_text("\n".join(lines) + "\n")
-    with refused(DatasetError, *said):
+    with refused(DatasetError, path, 6, *names):
         build([recording], tmp_path / "out")
 
 
@@ -173,7 +175,7 @@ def test_a_folder_that_does_not_tell_its_camera_needs_the_option(recording: Path
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "groundtruth.txt"])
 def test_a_missing_list_is_named(recording: Path, tmp_path: Path, name: str) -> None:
     (recording / name).unlink()
-    with refused(DatasetError, name):
+    with refused(DatasetError, name, None, "missing"):
         build([recording], tmp_path / "out")
 
 
