@@ -114,7 +114,9 @@ def test_honest_results_are_rescored_bit_for_bit(results: Path, dataset: Dataset
 def test_who_edits_the_errors_is_named(results: Path) -> None:
     folder = method(results, "orb-pnp")
     forge_errors(folder, ACROSS, better)
-    assert refused_file(results, "relocbench evaluate") == folder.errors(ACROSS)
+    assert refused_file(results, "changed", "relocbench evaluate") == folder.errors(ACROSS)
+    folder.errors(ACROSS).unlink()
+    assert refused_file(results, "missing", "scores.yaml") == folder.errors(ACROSS)
 
 
 def test_who_edits_the_scores_is_named(results: Path) -> None:
@@ -127,7 +129,7 @@ def test_who_edits_errors_and_scores_is_named(results: Path) -> None:
     folder = method(results, "orb-pnp")
     forge_errors(folder, ACROSS, better)
     forge_summary(folder, ACROSS)
-    assert refused_file(results) == folder.errors(ACROSS)
+    assert refused_file(results, "changed") == folder.errors(ACROSS)
 
 
 def test_who_computes_the_digests_again_is_exposed_by_the_truth(
@@ -157,7 +159,7 @@ def test_who_edits_predictions_is_named(results: Path) -> None:
     folder = method(results, "orb-pnp")
     path = folder.predictions(ACROSS)
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
-    assert refused_file(results) == path
+    assert refused_file(results, "changed") == path
 
 
 def test_who_edits_predictions_and_digests_is_exposed_by_the_truth(results: Path, dataset: Dataset) -> None:
@@ -166,7 +168,7 @@ def test_who_edits_predictions_and_digests_is_exposed_by_the_truth(results: Path
     write_pose_lines(folder.predictions(ACROSS), lines)
     reseal(folder)
     load_results(results)
-    assert refused_file(results, dataset=dataset) == folder.errors(ACROSS)
+    assert refused_file(results, "predictions and truth", dataset=dataset) == folder.errors(ACROSS)
 
 
 @pytest.mark.parametrize(
@@ -178,7 +180,7 @@ def test_who_edits_the_record_of_a_run_is_named(
     evaluate(dataset, tmp_path / "results", "cheat=cheating_trackers:DeclaredClock", workers=0)
     folder = method(tmp_path / "results", "cheat")
     change_yaml(folder.run_yaml, lambda run: run.update({**change, "seed": 7}))
-    assert refused_file(tmp_path / "results", "--overwrite") == folder.run_yaml
+    assert refused_file(tmp_path / "results", "changed", "--overwrite") == folder.run_yaml
 
 
 def test_what_the_record_of_a_run_admits_is_on_the_page(made: Path, dataset: Dataset, tmp_path: Path) -> None:
@@ -256,9 +258,9 @@ def test_what_results_say_of_the_dataset_is_compared_with_the_dataset(
 def test_scores_of_another_version_of_the_formulas_are_scored_again(results: Path, dataset: Dataset) -> None:
     folder = method(results, "identity")
     change_yaml(folder.scores_yaml, lambda scores: scores.update(formulas=99))
-    assert refused_file(results, 99) == folder.scores_yaml
+    assert refused_file(results, "version 99") == folder.scores_yaml
     change_yaml(folder.scores_yaml, lambda scores: [scores.pop(k) for k in ("formulas", "errors", "truth", "run")])
-    assert refused_file(results) == folder.scores_yaml
+    assert refused_file(results, "earlier version") == folder.scores_yaml
     evaluate(dataset, results, "identity", pair_sets=(WITHIN,))
     assert load_results(results, datasets=lookup(results, dataset.root))[0].methods[1].rescored, (
         "both pair sets are scored again"
@@ -268,7 +270,7 @@ def test_scores_of_another_version_of_the_formulas_are_scored_again(results: Pat
 def test_scores_against_another_truth_are_refused(results: Path, dataset: Dataset) -> None:
     folder = method(results, "identity")
     change_yaml(folder.scores_yaml, lambda scores: scores["truth"].update({ACROSS: "0" * 64}))
-    assert refused_file(results, dataset=dataset) == folder.scores_yaml
+    assert refused_file(results, "truth", ACROSS, dataset=dataset) == folder.scores_yaml
 
 
 def test_a_dataset_beside_the_results_is_used_unless_it_is_damaged(
@@ -332,7 +334,7 @@ def test_predictions_hash_covers_the_table_of_answers(results: Path) -> None:
     before = predictions_hash(folder, ACROSS)
     folder.answers(ACROSS).write_text(folder.answers(ACROSS).read_text().replace("ok", "failed", 1))
     assert predictions_hash(folder, ACROSS) != before
-    assert refused_file(results) == folder.predictions(ACROSS)
+    assert refused_file(results, "changed") == folder.predictions(ACROSS)
 
 
 @pytest.mark.parametrize("seconds", ["-1.0", "1e300", "nan"])
