@@ -173,6 +173,13 @@ def test_other_forged_cells_are_exposed(
     assert refused_file(results, *told, dataset=town) is not None
 
 
+def test_queries_that_the_dataset_does_not_have_are_exposed(results: Path, town: Path) -> None:
+    first = read_answers(only_set(results).method("good").answers(D2S))[0].query
+    for label in ("good", "ties", "few", "fewties"):
+        forge(only_set(results).method(label), D2S, lambda a: replace(a, query="other.png") if a.query == first else a)
+    refused_file(results, "other queries", dataset=town)
+
+
 def test_a_rank_that_the_images_behind_the_kept_ones_cannot_have_is_refused(results: Path, town: Path) -> None:
     folder = only_set(results).method("few")
     forge(folder, D2S, lambda a: replace(a, ranks=(3,)) if a.ranks[0] > 3 else a)
@@ -199,13 +206,13 @@ def test_edited_files_are_refused_without_the_truth(results: Path) -> None:
     folder = only_set(results).method("few")
     run, lists = folder.run_yaml.read_text(), folder.predictions(D2S).read_text()
     change_yaml(folder.run_yaml, lambda record: record.update(keep=1000))
-    assert refused_file(results) == folder.run_yaml
+    assert refused_file(results, "record") == folder.run_yaml
     folder.run_yaml.write_text(run)
     folder.predictions(D2S).write_text("\n".join(lists.splitlines()[1:]) + "\n")
-    assert refused_file(results) == folder.predictions(D2S)
+    assert refused_file(results, "changed") == folder.predictions(D2S)
     folder.predictions(D2S).write_text(lists)
     change_yaml(folder.scores_yaml, lambda scores: [scores.pop("run"), scores.pop("lists")])
-    assert refused_file(results) == folder.scores_yaml
+    assert refused_file(results, "earlier versions") == folder.scores_yaml
 
 
 def test_claiming_that_more_images_are_kept_than_there_are_exposes_the_ranks_behind_them(
@@ -328,10 +335,10 @@ def test_no_images_kept_and_ranks_without_an_answer_are_refused(results: Path, t
     folder.run_yaml.write_text(kept)
     change_yaml(folder.run_yaml, lambda record: record.update(keep=2))
     reseal(folder)
-    refused_file(results, 2, dataset=town)
+    assert refused_file(results, 2, "run.yaml", dataset=town) == folder.predictions(D2S)
     folder.run_yaml.write_text(kept)
     folder.predictions(D2S).unlink()
-    assert refused_file(results) == folder.predictions(D2S)
+    assert refused_file(results, "missing") == folder.predictions(D2S)
 
 
 def test_a_summary_that_is_not_that_of_the_table_is_refused(results: Path) -> None:
