@@ -19,7 +19,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 # No test cuts the power, and waiting for the disk is a tenth of the run.
-os.fsync = lambda descriptor: None
+os.fsync = lambda fd: None
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts a job in the background so, and Python leaves it so; the tests press Ctrl-C.

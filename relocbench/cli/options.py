@@ -183,5 +183,5 @@ def scheduler_values(
     if given:
         from relocbench.errors import ConfigError
 
-        raise ConfigError(f"--scheduler-{next(iter(given)).replace('_', '-')} is only for --scheduler")
+        raise ConfigError(f"--scheduler-{next(iter(given)).replace('_', '-')} has no effect without --scheduler")
     return None

@@ -185,7 +185,7 @@ class _Document:
             self._height = 0
             value = _scalar(event)
         elif depth == MAX_DEPTH:
-            raise YamlFault(f"nested more than {MAX_DEPTH} deep", _line(event))
+            raise YamlFault(f"nested more than {MAX_DEPTH} levels deep", _line(event))
         else:
             value = self._list(event, depth + 1) if kind is yaml.SequenceStartEvent else self._map(event, depth + 1)
         if anchor is not None:
@@ -204,7 +204,7 @@ class _Document:
         if self._aliased > MAX_ALIASED:
             raise YamlFault(f"aliases expand to more than {MAX_ALIASED:,} values", _line(event))
         if depth + self._height > MAX_DEPTH:
-            raise YamlFault(f"nested more than {MAX_DEPTH} deep", _line(event))
+            raise YamlFault(f"nested more than {MAX_DEPTH} levels deep", _line(event))
         return value
 
     def _list(self, event: Any, depth: int) -> list[Any]:
@@ -254,7 +254,7 @@ def _line(event: Any) -> int:
 
 def _check_tag(event: Any, kind: str) -> None:
     if event.tag not in (None, "!", _TAG + kind):
-        raise YamlFault(f"the tag {_shown(event.tag)} is not taken here", _line(event))
+        raise YamlFault(f"the tag {_shown(event.tag)} is not allowed here", _line(event))
 
 
 def _shown(tag: str) -> str:
@@ -271,7 +271,7 @@ def _merged(value: Any, event: Any) -> dict[Scalar, Any]:
     """What ``<<`` brings: of several mappings the first that has a key says its value."""
     mappings = value if isinstance(value, list) else [value]
     if not all(isinstance(mapping, dict) for mapping in mappings):
-        raise YamlFault("'<<' merges something else than mappings", _line(event))
+        raise YamlFault("'<<' merges something other than mappings", _line(event))
     found: dict[Scalar, Any] = {}
     for mapping in reversed(mappings):
         found.update(mapping)
@@ -292,7 +292,7 @@ def _scalar(event: Any) -> Scalar:
                 return _typed(tag.removeprefix(_TAG), text, event)
         return _text(text, event)
     if not event.tag.startswith(_TAG):
-        raise YamlFault(f"the tag {_shown(event.tag)} is not taken here", _line(event))
+        raise YamlFault(f"the tag {_shown(event.tag)} is not allowed here", _line(event))
     return _typed(event.tag.removeprefix(_TAG), text, event)
 
 
@@ -306,7 +306,7 @@ def _typed(kind: str, text: str, event: Any) -> Scalar:
     if kind in ("str", "value"):
         return _text(text, event)
     if kind not in _MAKERS:
-        raise YamlFault(f"the tag {_shown(_TAG + kind)} is not taken here", _line(event))
+        raise YamlFault(f"the tag {_shown(_TAG + kind)} is not allowed here", _line(event))
     what, make = _MAKERS[kind]
     if len(text) > MAX_SCALAR:
         raise YamlFault(f"{quoted(text, 30)} has {len(text)} characters, too many for {what}", _line(event))

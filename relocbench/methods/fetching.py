@@ -95,7 +95,7 @@ def fetch(file: PublishedFile, path: Path, reporter: Reporter | None = None) -> 
     with _answer(file.address) as answer, atomic_write(path, "wb") as stream:
         digest = _copy(answer, stream, file, reporter or Silent())
         if path.exists() or path.is_symlink():
-            raise MethodError("there is a file by now, which is kept", path)
+            raise MethodError("another program has written this file meanwhile; it is kept", path)
     return digest
 
 

@@ -17,7 +17,7 @@ pytest.importorskip("distributed")
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--scheduler-tls-ca", "ca.pem"], "--scheduler-tls-ca is only for --scheduler"),
+        (["--scheduler-tls-ca", "ca.pem"], "--scheduler-tls-ca has no effect without --scheduler"),
         (["--scheduler", "tcp://127.0.0.1:9", "--scheduler-tls-ca", "ca.pem"], "certificates are for a tls:// address"),
         (["--scheduler", "tls://127.0.0.1:9"], "tls://127.0.0.1:9 needs --scheduler-tls-ca"),
         (

@@ -45,7 +45,11 @@ class EvenDraw:
             left -= share
         others = sorted(index for of_dataset in by_dataset.values() for index in of_dataset)
         if bool(others) != (left > 0):
-            rest = f"nothing is left for {', '.join(sorted(by_dataset))}" if others else "they are all datasets"
+            rest = (
+                f"nothing is left for {', '.join(sorted(by_dataset))}"
+                if others
+                else "every dataset has one, and expected is 1"
+            )
             raise ConfigError(f"shares add up to {float(1 - left):g}, but {rest}")
         if others:
             parts.append((Fraction(1), _Rounds(data, others, seed)))
@@ -73,7 +77,7 @@ def _owners_text(name: str, datasets: Collection[str]) -> str:
         return of_name[0]
     if of_name:
         raise ConfigError(f"shares.{name}: {len(of_name)} datasets have that name, such as {of_name[0]}; say which")
-    raise ConfigError(f"shares.{name}: the data has pairs of {', '.join(sorted(datasets))}")
+    raise ConfigError(f"shares.{name}: no dataset has that name; the data has pairs of {', '.join(sorted(datasets))}")
 
 
 class _Rounds:

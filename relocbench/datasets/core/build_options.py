@@ -95,7 +95,7 @@ class PairingOptions(DatasetOptions):
     @model_validator(mode="after")
     def _elsewhere_is_farther(self) -> Self:
         if not self.elsewhere and "elsewhere_distance" in self.model_fields_set:
-            raise ValueError("elsewhere_distance has no effect without elsewhere, the number of such pairs")
+            raise ValueError("elsewhere_distance has no effect without elsewhere, the number of negative pairs")
         if self.elsewhere and self.elsewhere_distance <= self.max_distance:
             raise ValueError(
                 f"elsewhere_distance is {self.elsewhere_distance:g} m, expected more than max_distance, "

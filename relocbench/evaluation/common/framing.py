@@ -83,7 +83,7 @@ def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tupl
     if len(about) > _MOST_ARRAYS or sum(sizes) > _MOST_BYTES:
         raise FramingFault(f"{len(about)} arrays of {sum(sizes)} bytes together")
     if any(not numbers or numbers[0] not in _ITEM_BYTES for numbers in about):
-        raise FramingFault("arrays of something else than floats")
+        raise FramingFault("arrays whose numbers are not floats")
     arrays: list[Floats] = [
         np.frombuffer(_bytes(connection, size, alive), dtype=f"<f{numbers[0]}").reshape(numbers[1:])
         for size, numbers in zip(sizes, about, strict=True)

@@ -30,7 +30,7 @@ from relocbench.methods import MethodSpec
 
 Arrays = list[NDArray[np.floating]]
 
-FORGED = "the method's process sent something else than answers"
+FORGED = "the method's process sent something other than answers"
 NEEDS = "needs"
 """key of an answer by which the method's process asks for something before it can answer"""
 _ENDING_S = 1.0

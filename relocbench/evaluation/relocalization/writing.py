@@ -83,7 +83,10 @@ def _drop_other(folder: PipelineResults, run: PipelineRun, tasks: PipelineTasks)
         return
     before = folder.run_record()
     if before.fingerprint != run.fingerprint:
-        raise PredictionError(f"was made for the set with fingerprint {before.fingerprint}", folder.run_yaml)
+        raise PredictionError(
+            f"was made for a set with the fingerprint {before.fingerprint}, and this one has {run.fingerprint}",
+            folder.run_yaml,
+        )
     if _made(before) == _made(run):
         return
     for path in [*folder.root.glob("*.csv"), *folder.root.glob("*.txt"), folder.scores_yaml]:

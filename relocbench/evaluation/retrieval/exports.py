@@ -102,7 +102,7 @@ def _rankings(dataset: Dataset, results: Path, retriever: str) -> tuple[SetResul
         )
     if len(having) > 1:
         raise PredictionError(
-            f"{len(having)} sets of rankings of '{retriever}'; name the folder of one: --results "
+            f"there are {len(having)} sets of rankings of '{retriever}'; name the folder of one: --results "
             f"{' or '.join(str(one.root) for one in having)}",
             results,
         )

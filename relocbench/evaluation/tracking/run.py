@@ -291,7 +291,10 @@ def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool)
         return
     before = folder.run_record()
     if before.fingerprint != record.fingerprint:
-        raise PredictionError(f"was made for the dataset with fingerprint {before.fingerprint}", folder.run_yaml)
+        raise PredictionError(
+            f"was made for a dataset with the fingerprint {before.fingerprint}, and this one has {record.fingerprint}",
+            folder.run_yaml,
+        )
     way_out = f"give this run a label (LABEL={record.target}) or use --overwrite always"
     if before.target != record.target:
         raise PredictionError(

@@ -121,7 +121,7 @@ def check_recordings(
         return (RIG,), _first_pose(recordings, options)
     wanted = options.cameras or tuple(cameras)[:1]
     if not wanted:
-        raise DatasetError(f"holds no images, and others do: {_ALONE}", recordings[0].folder)
+        raise DatasetError(f"holds no images, but other recordings do: {_ALONE}", recordings[0].folder)
     for recording in recordings:
         for name in wanted:
             if name not in recording.cameras:

@@ -65,7 +65,9 @@ def read_registrations(path: Path) -> list[Registration]:
         try:
             out.append(_read(dict(zip(COLUMNS, row, strict=True))))
         except ValueError as bad:
-            raise DatasetError(f"no registration ({bad}); remove the file and build again", path, number) from None
+            raise DatasetError(
+                f"is not a registration ({bad}); remove the file and build again", path, number
+            ) from None
     return out
 
 

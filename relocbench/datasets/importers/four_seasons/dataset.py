@@ -227,7 +227,9 @@ def _calibrations(
             found[recording.name] = StereoCalibration(read_keyframe(next(iter(recording.keyframes.values()))).camera)
             reporter.note(f"{recording.name} has no calibration folder; the intrinsics of its first keyframe are used")
         else:
-            raise DatasetError("has neither a calibration folder nor a keyframe; give --calibration", recording.root)
+            raise DatasetError(
+                "has neither a calibration folder nor a keyframe; give --calibration-folder", recording.root
+            )
     return found
 
 

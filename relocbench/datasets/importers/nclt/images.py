@@ -77,7 +77,7 @@ def tiff_size(data: bytes, path: Path) -> tuple[int, int]:
                 (tags[tag],) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, at + 10 + 12 * k)
         return tags[_WIDTH], tags[_HEIGHT]
     except (struct.error, ValueError, KeyError):
-        raise DatasetError("is damaged or no TIFF image", path) from None
+        raise DatasetError("is damaged or not a TIFF image", path) from None
 
 
 @lru_cache(maxsize=6)

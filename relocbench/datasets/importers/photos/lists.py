@@ -66,7 +66,7 @@ def pairs_by_name(
         reference, found = references.get(reference_name), asked.get(query_name)
         if reference is None or found is None:
             unknown, what = (reference_name, "keyframe") if reference is None else (query_name, "query")
-            raise DatasetError(f"{quoted(unknown)} is no {what} of this dataset", path, line)
+            raise DatasetError(f"{quoted(unknown)} is not a {what} of this dataset", path, line)
         if query_name in twice:
             raise DatasetError(f"{quoted(query_name)} is a query of two traversals of this dataset", path, line)
         traversal, query = found

@@ -117,7 +117,9 @@ def _keys(sources: Sequence[Path], options: Options) -> list[SetKey]:
             raise DatasetError(f"{what}; expected a file of pairs (ref_ts query_ts tx ty tz qx qy qz qw)", source)
         key = _key(source, options)
         if key in keys:
-            raise DatasetError(f"is of the same pair set as {keys[key]}, {'__'.join(key)}", source)
+            raise DatasetError(
+                f"holds pairs of {'__'.join(key)}, as {keys[key]} does; expected one file for each pair set", source
+            )
         keys[key] = source
     try:
         check_distinct(sorted({name for key in keys for name in key[:2]}), "traversals")

@@ -151,7 +151,9 @@ def drive_names(sources: Sequence[Path]) -> list[str]:
             raise DatasetError("its name cannot name a traversal; rename or link it", source) from None
         if name in names:
             again = names[name].resolve() == found
-            message = "is given twice; expected different recordings" if again else f"is the second called '{name}'"
+            message = (
+                "is given twice; expected different recordings" if again else f"is the second recording called '{name}'"
+            )
             raise DatasetError(message if again else f"{message} (first: {names[name]})", source)
         names[name] = source
     try:

@@ -180,7 +180,12 @@ def _take(rows: _Rows, kind: str, part: Part, topic: str, raw: bytes, place: tup
         parent, child, pose = _pose(kind, message)
         names = (frame_name(parent), frame_name(child))
         if rows.times and rows.names != names:
-            raise part.fault(topic, received_ns, f"is of {names[1]!r} in {names[0]!r}, those before of {rows.names}")
+            raise part.fault(
+                topic,
+                received_ns,
+                f"is the pose of {names[1]!r} in {names[0]!r}, and those before are of {rows.names[1]!r} in "
+                f"{rows.names[0]!r}",
+            )
         rows.names = names
         rows.values.append(_checked(pose, part, topic, received_ns))
     rows.times.append((stamp, *place))

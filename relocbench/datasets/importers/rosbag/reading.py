@@ -68,7 +68,9 @@ class Reading:
         places = self.index.places[topic]
         times, kept = self.times(topic, places.stamps_ns, places.received_ns)
         if len(times) < 2:
-            raise DatasetError(f"{topic} has {len(times)} messages with times of their own; expected more", self.source)
+            raise DatasetError(
+                f"{topic} has {len(times)} messages of different times; expected at least 2", self.source
+            )
         files = tuple(part.path for part in self.survey.parts)
         found = (places.part[kept], places.received_ns[kept], places.ordinal[kept])
         return Messages(files, topic, self.survey.topics[topic].type, *found), times
