@@ -270,6 +270,9 @@ def test_arrows_walk_the_list_and_the_address_finds_the_pair_again(page: Any, si
     page.locator("#method").select_option("far")
     page.locator("#plan-key", has_text="outside").wait_for()
     assert "method=far" in page.url
+    page.locator("#verdict .missed").wait_for()
+    page.evaluate("location.hash += '&within=1000000,360'")  # the thresholds of the list that a pair is opened from
+    page.locator("#verdict .found").wait_for()
     assert page.told == []
 
 
