@@ -172,6 +172,15 @@ def test_a_folder_that_does_not_tell_its_camera_needs_the_option(recording: Path
     assert build([renamed], tmp_path / "out", intrinsics=("ros-default",)).traversal("office").camera("rgb").fx == 525
 
 
+@pytest.mark.parametrize(
+    ("text", "words"), [("# nothing\n", "holds no pose"), ("5.0 0 0 0 0 0 0 1\n", "time of any image")]
+)
+def test_a_truth_that_is_none_of_the_images_is_named(recording: Path, tmp_path: Path, text: str, words: str) -> None:
+    (recording / "groundtruth.txt").write_text(text)
+    with refused(DatasetError, "groundtruth.txt", None, words):
+        build([recording], tmp_path / "out")
+
+
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "groundtruth.txt"])
 def test_a_missing_list_is_named(recording: Path, tmp_path: Path, name: str) -> None:
     (recording / name).unlink()
