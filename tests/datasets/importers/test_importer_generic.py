@@ -267,17 +267,17 @@ def test_unknown_key_of_the_camera_is_named_with_its_line(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("no_poses", ("poses.txt",)),
-        ("bad_pose", ("poses.txt", 3, "8")),
-        ("backwards", ("poses.txt", 3)),
-        ("other_clock", ("poses.txt",)),
-        ("no_images", ("images",)),
+        ("no_poses", ("poses.txt", None, "missing")),
+        ("bad_pose", ("poses.txt", 3, "8 columns", "found 3")),
+        ("backwards", ("poses.txt", 3, "previous")),
+        ("other_clock", ("poses.txt", None, 2_000_000_000)),
+        ("no_images", ("images", None, "TIMESTAMP.png")),
         ("bad_name", ("first.png", None, "first")),
         ("wrong_size", ("", None, "48x36", "96x72")),
         ("truncated", (f"images/{frame_time(1)}.png", None, "truncated")),
         ("no_scale", ("camera.yaml", None, "depth_scale")),
-        ("orphan_depth", ("5.png",)),
-        ("no_depth", ("", None, "depth")),
+        ("orphan_depth", ("5.png", None, "no image", "depth")),
+        ("no_depth", ("summer", None, "keyframe", "depth")),
     ],
 )
 def test_faults_of_a_folder_are_named_with_file_and_line(tmp_path: Path, fault: str, message: ErrorData) -> None:

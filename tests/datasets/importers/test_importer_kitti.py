@@ -107,7 +107,7 @@ def test_a_folder_with_something_else_is_left_alone(recording: Path, tmp_path: P
     out = tmp_path / "thesis"
     out.mkdir()
     (out / "chapter.tex").write_text("years of work")
-    with refused(DatasetError, out):
+    with refused(DatasetError, out, None, "something else"):
         build(recording, out)
     assert [p.name for p in out.iterdir()] == ["chapter.tex"]
 
@@ -134,6 +134,31 @@ def test_a_missing_calibration_line_is_named(recording: Path, tmp_path: Path) ->
         build(recording, tmp_path / "out")
 
 
+def test_a_line_of_the_calibration_too_many_or_without_a_focal_length_is_named(recording: Path, tmp_path: Path) -> None:
+    path = recording / "sequences/03/calib.txt"
+    replace_line(path, 1, "P0: 0 0 1 0 0 0 1 0 0 0 1 0")
+    with refused(DatasetError, path, None, "P0:", "projection"):
+        build(recording, tmp_path / "out")
+    path.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 6)
+    with refused(DatasetError, path, 6, "at most"):
+        build(recording, tmp_path / "out")
+
+
+def test_what_a_sequence_lacks_is_named(recording: Path, tmp_path: Path) -> None:
+    (recording / "poses/03.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    with refused(DatasetError, "poses/03.txt", None, "1 poses"):
+        build(recording, tmp_path / "out")
+    for path in (recording / "sequences/03/image_0").iterdir():
+        path.unlink()
+    with refused(DatasetError, "image_0", None, "no images"):
+        build(recording, tmp_path / "out")
+    (recording / "sequences/04").mkdir()
+    with refused(ConfigError, "", None, "--sequence", "03, 04"):
+        build(recording, tmp_path / "out")
+    with refused(ConfigError, "", None, "one folder", "got 2"):
+        kitti.build([recording] * 2, kitti.Options(), tmp_path / "out", Notes(), Run(1))
+
+
 def test_a_missing_lidar_calibration_is_named(recording: Path, tmp_path: Path) -> None:
     replace_line(recording / "sequences/03/calib.txt", 3, None)
     scans = recording / "sequences/03/velodyne"
@@ -154,7 +179,7 @@ def test_a_calibration_without_names_is_read_in_order(recording: Path, tmp_path:
     ("line", "said"),
     [
         ("1 0 0 nan 0 1 0 0 0 0 1 0", ("03.txt", 3, "m03")),
-        ("1 0 0 0 0 1 0 0 0 0 1", ("03.txt", 3, "12", "11")),
+        ("1 0 0 0 0 1 0 0 0 0 1", ("03.txt", 3, "12 numbers", "found 11")),
         ("1 0 0 0 0 1 0 0 0 0 2 0", ("03.txt", 3, "3x3")),
         ("1 0 0 0 0 one 0 0 0 0 1 0", ("03.txt", 3, "one", "m11")),
     ],
@@ -169,13 +194,13 @@ def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line
 def test_a_truncated_image_is_named(recording: Path, tmp_path: Path, folder: str) -> None:
     path = recording / "sequences/03" / folder / "000003.png"
     path.write_bytes(path.read_bytes()[:-100])
-    with refused(DatasetError, f"{folder}/000003.png"):
+    with refused(DatasetError, f"{folder}/000003.png", None, "truncated"):
         build(recording, tmp_path / "out")
 
 
 def test_missing_poses_are_named(recording: Path, tmp_path: Path) -> None:
     (recording / "poses/03.txt").unlink()
-    with refused(DatasetError, "poses/03.txt", None, "03"):
+    with refused(DatasetError, "poses/03.txt", None, "missing", "03"):
         build(recording, tmp_path / "out")
 
 
@@ -194,7 +219,7 @@ def test_times_that_go_back_are_named(recording: Path, tmp_path: Path) -> None:
 
 
 def test_options_that_give_no_pair_leave_no_folder_behind(recording: Path, tmp_path: Path) -> None:
-    with refused(DatasetError, "", None, "1", "--pair-step"):
+    with refused(DatasetError, "sequences/03", None, "+1", "--pair-step 1"):
         build(recording, tmp_path / "out", pair_step=(7,))
     assert not (tmp_path / "out").exists()
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -176,5 +178,28 @@ def test_half_a_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
     write_correspondences(path, [((1, 2), some_rows(50, 0))])
     path.write_bytes(path.read_bytes()[:-20])
-    with refused(DatasetError, "a.parquet"):
+    with refused(DatasetError, path, None, "whole"):
+        read_correspondences(path)
+    path.unlink()
+    with refused(DatasetError, path, None, "missing"):
+        read_correspondences(path)
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "names"),
+    [
+        ("depth_ref", None, ("columns", "depth_ref")),
+        ("depth_ref", pa.array([1, 2], pa.int32()), ("depth_ref", "int32", "float")),
+        ("depth_ref", pa.array([1.0, None], pa.float32()), ("depth_ref", "1 rows")),
+    ],
+)
+def test_a_column_that_does_not_fit_is_named(
+    tmp_path: Path, column: str, values: pa.Array | None, names: tuple[str, ...]
+) -> None:
+    path = tmp_path / "a.parquet"
+    write_correspondences(path, [((1, 2), some_rows(2, 0))])
+    table = pq.read_table(path)
+    at = table.column_names.index(column)
+    pq.write_table(table.remove_column(at) if values is None else table.set_column(at, column, values), path)
+    with refused(DatasetError, path, None, *names):
         read_correspondences(path)
