@@ -103,7 +103,7 @@ def unknown_method(case: Case) -> list[object]:
 
 def unknown_key_in_yaml(case: Case) -> list[object]:
     config = case.scratch / "run.yaml"
-    config.write_text(f"dataset: {case.dataset}\nmethods: [identity]\nout: {case.results}\nworker: 3\n")
+    config.write_text(f"dataset: {case.dataset}\nmethods: [identity]\nout: {case.results}\nwrokers: 3\n")
     return ["evaluate", "--config", config]
 
 
@@ -135,7 +135,7 @@ CASES: list[tuple[Damage, Told]] = [
     (duplicate_pair, (f"theirs/{ACROSS}.txt", 2, (1,))),
     (wrong_quaternion_norm, (f"theirs/{ACROSS}.txt", 1, ("norm",))),
     (unknown_method, ("", None, ("orb-pmp", "orb-pnp"))),
-    (unknown_key_in_yaml, ("run.yaml", 4, ("worker",))),
+    (unknown_key_in_yaml, ("run.yaml", 4, ("wrokers", "workers"))),
     (predictions_for_another_fingerprint, ("identity/run.yaml", None, ())),
     (results_of_another_configuration, ("orb-pnp/run.yaml", None, ("features", 3000, 500))),
 ]

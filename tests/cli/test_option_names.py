@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
+from pydantic import BaseModel, ConfigDict
+from refusals import refused
 from typer.main import get_command
 
 from relocbench.cli.app import app
 from relocbench.cli.build_dataset import _command
+from relocbench.cli.configuration import merged
 from relocbench.cli.options import split_names
 from relocbench.cli.spellings import OTHER_NAMES, as_shown
 from relocbench.datasets.importers import KINDS
+from relocbench.errors import ConfigError
 
 OF_TWO_MEANINGS = {"--poses"}
 """files of poses (register), or whether poses are started (probe)"""
@@ -67,6 +72,20 @@ def test_other_spellings_are_understood(
     options: dict[str, dict[str, Any]], command: str, words: str, understood: str
 ) -> None:
     assert as_shown(words.split(), options[command], OTHER_NAMES.get(command, {})) == understood.split()
+
+
+class _Options(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    methods: tuple[str, ...] = ()
+
+
+def test_a_file_of_options_takes_singular_and_plural(tmp_path: Path) -> None:
+    file = tmp_path / "options.yaml"
+    file.write_text("method: [dso]\n")
+    assert merged(_Options, file, {}).methods == ("dso",)
+    file.write_text("# one\nmethod: [[]]\n")
+    with refused(ConfigError, file, 2, "methods.0"):
+        merged(_Options, file, {})
 
 
 def test_methods_are_repeated_or_joined_by_commas() -> None:
