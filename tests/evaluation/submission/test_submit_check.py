@@ -72,6 +72,21 @@ def _line(number: int, change: Callable[[list[str]], list[str]]) -> Callable[[Pa
     return run
 
 
+def _table(change: Callable[[list[str]], list[str]]) -> Callable[[Path], None]:
+    """Changes the rows of the table beside a file of poses."""
+
+    def run(path: Path) -> None:
+        table = path.with_suffix(".csv")
+        table.write_text("\n".join(change(table.read_text().splitlines())) + "\n")
+
+    return run
+
+
+def _long_info(rows: list[str]) -> list[str]:
+    keys = [",".join(row.split(",")[:2]) for row in rows[:2]]
+    return [f"{keys[0]},info", f"{keys[1]},{'x' * 8193}"]
+
+
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
@@ -93,6 +108,9 @@ def _line(number: int, change: Callable[[list[str]], list[str]]) -> Callable[[Pa
         (lambda p: p.rename(p.with_name("..__a__b.txt")), ".csv: has no predictions (.txt)"),
         (lambda p: p.with_suffix(".csv").write_text("ref_timestamp_ns,query_timestamp_ns,speed\n"), "found 'speed'"),
         (lambda p: p.with_suffix(".csv").write_text("a,b\n1,2\n"), ":1: expected the header"),
+        (_table(lambda rows: [*rows, "1,2"]), "columns, found 2"),
+        (_table(lambda rows: [*rows, rows[1]]), "occurs again (first on line 2)"),
+        (_table(_long_info), ":2: info has 8193 characters"),
         (_line(1, lambda w: w[:2]), f"is 'ok' but has no valid pose in {ACROSS}.txt"),
     ],
 )
