@@ -144,6 +144,19 @@ def test_a_line_of_the_calibration_too_many_or_without_a_focal_length_is_named(r
         build(recording, tmp_path / "out")
 
 
+def test_what_stereo_depth_lacks_is_named(recording: Path, tmp_path: Path) -> None:
+    path = recording / "sequences/03/calib.txt"
+    first, second, *_ = path.read_text().splitlines()
+    replace_line(path, 1, second.replace("P1", "P0"))
+    replace_line(path, 2, first.replace("P0", "P1"))
+    with refused(DatasetError, path, None, "right camera"):
+        build(recording, tmp_path / "out")
+    shutil.rmtree(recording / "sequences/03/image_1")
+    for depth in ("auto", "stereo"):
+        with refused(DatasetError, "sequences/03", None, "image_1"):
+            build(recording, tmp_path / "out", depth=depth)
+
+
 def test_what_a_sequence_lacks_is_named(recording: Path, tmp_path: Path) -> None:
     (recording / "poses/03.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     with refused(DatasetError, "poses/03.txt", None, "1 poses"):
