@@ -173,12 +173,25 @@ def test_a_folder_that_does_not_tell_its_camera_needs_the_option(recording: Path
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("# nothing\n", "holds no pose"), ("5.0 0 0 0 0 0 0 1\n", "time of any image")]
+    ("name", "text", "words"),
+    [
+        ("groundtruth.txt", "# nothing\n", "holds no pose"),
+        ("groundtruth.txt", "5.0 0 0 0 0 0 0 1\n", "time of any image"),
+        ("rgb.txt", "# nothing\n", "empty"),
+        ("rgb.txt", "5.0 rgb/none.png\n", "exist"),
+    ],
 )
-def test_a_truth_that_is_none_of_the_images_is_named(recording: Path, tmp_path: Path, text: str, words: str) -> None:
-    (recording / "groundtruth.txt").write_text(text)
-    with refused(DatasetError, "groundtruth.txt", None, words):
+def test_a_list_of_nothing_that_is_there_is_named(
+    recording: Path, tmp_path: Path, name: str, text: str, words: str
+) -> None:
+    (recording / name).write_text(text)
+    with refused(DatasetError, recording / name, None, words):
         build([recording], tmp_path / "out")
+
+
+def test_three_sequences_are_one_too_many(recording: Path, tmp_path: Path) -> None:
+    with refused(ConfigError, "", None, "one or two", "got 3"):
+        build([recording] * 3, tmp_path / "out")
 
 
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "groundtruth.txt"])
