@@ -15,10 +15,14 @@ from typer.main import get_command
 from relocbench.cli.app import app
 from relocbench.cli.build_dataset import _command
 from relocbench.cli.configuration import merged
+from relocbench.cli.leaderboard import _USUAL
 from relocbench.cli.options import split_names
 from relocbench.cli.spellings import OTHER_NAMES, as_shown
 from relocbench.datasets.importers import KINDS
 from relocbench.errors import ConfigError
+from relocbench.evaluation.relocalization import score
+from relocbench.leaderboard.retrieval import board as retrieval
+from relocbench.leaderboard.tracking import tables
 
 OF_TWO_MEANINGS = {"--poses"}
 """files of poses (register), or whether poses are started (probe)"""
@@ -86,6 +90,14 @@ def test_a_file_of_options_takes_singular_and_plural(tmp_path: Path) -> None:
     file.write_text("# one\nmethod: [[]]\n")
     with refused(ConfigError, file, 2, "methods.0"):
         merged(_Options, file, {})
+
+
+def test_help_names_the_metrics_that_rank() -> None:
+    assert _USUAL == {
+        "--metric": tables.RANKING,
+        "--retrieval-metric": retrieval.RANKING,
+        "--relocalization-metric": score.RANKING,
+    }
 
 
 def test_methods_are_repeated_or_joined_by_commas() -> None:

@@ -32,6 +32,7 @@ from relocbench.leaderboard.tracking.matching import matching_file, matching_lin
 from relocbench.leaderboard.tracking.matrix_text import matrix_text
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.leaderboard.tracking.reservations import reservations
+from relocbench.leaderboard.tracking.tables import RANKING
 from relocbench.metrics import CONFIDENT, CORRECT, LEVEL, Metric, Spread, metric_named
 from relocbench.pages import render
 from relocbench.pages.markdown import code, escaped, table_text
@@ -257,7 +258,7 @@ def _counts(row: Row) -> str:
 
 def _pivoted(board: Board) -> list[Metric]:
     """The metrics that are tabulated by group: the ranking metric and a recall that readers may know."""
-    return list({m.name: m for m in (board.metric, metric_named("recall@(0.25m,2deg)"))}.values())
+    return list({m.name: m for m in (board.metric, metric_named(RANKING))}.values())
 
 
 def _pivot(table: Table, groups: Sequence[Table], metric: Metric) -> str:
