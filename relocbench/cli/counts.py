@@ -79,7 +79,7 @@ def of_pipelines(report: RelocalizationReport) -> Counts:
     return {
         "tasks": len(tasks),
         "queries": sum(task.queries for task in tasks.values()),
-        "chains": len(report.folders),
+        "pipelines": len(report.folders),
         "failed": total(v["failed"] for v in values),
         "broke": total(v["broke"] for v in values),
     }

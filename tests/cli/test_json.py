@@ -101,7 +101,7 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
     ),
     "evaluate-relocalization": (
         lambda d, t: ["-d", d.dataset, "-r", "oracle", "-m", "identity", "-o", t / "r", "-j", 0],
-        {"chains": 2, "broke": 0},
+        {"pipelines": 2, "broke": 0},
     ),
     "probe": (
         lambda d, t: [

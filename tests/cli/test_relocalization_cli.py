@@ -102,8 +102,8 @@ def test_one_json_object(results: Path, dataset: Dataset) -> None:
         "-j", 1,
     )  # fmt: skip
     told = json.loads(out.out, parse_constant=pytest.fail)
-    assert [c["chain"] for c in told["chains"]] == ["oracle+keyframe-pose.top1", "oracle+good.top2"]
-    assert told["chains"][1]["tasks"][ACROSS]["hit"] == 1.0
+    assert [c["pipeline"] for c in told["pipelines"]] == ["oracle+keyframe-pose.top1", "oracle+good.top2"]
+    assert told["pipelines"][1]["tasks"][ACROSS]["hit"] == 1.0
     assert told["tasks"][ACROSS]["queries"] == 12
     page = json.loads(relocbench("leaderboard", results, "--out", results.parent / "j", "--json", "-q").out)
     assert len(page["relocalization"]) == 9

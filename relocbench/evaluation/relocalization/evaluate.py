@@ -112,9 +112,9 @@ class RelocalizationReport:
             "fingerprint": self.tasks.record.fingerprint,
             "results": str(self.results),
             "tasks": {name: record.model_dump() for name, record in self.tasks.record.tasks.items()},
-            "chains": [
+            "pipelines": [
                 {
-                    "chain": folder.label,
+                    "pipeline": folder.label,
                     "retriever": run.retriever,
                     "tracker": run.tracker,
                     "top": run.top,
@@ -124,7 +124,7 @@ class RelocalizationReport:
                 for folder in self.folders
                 for run in (folder.run_record(),)
             ],
-            "broken": [{"chain": label, "message": message} for label, message in self.crashed],
+            "broken": [{"pipeline": label, "message": message} for label, message in self.crashed],
         }
 
 

@@ -1,4 +1,4 @@
-"""Rows of chains follow from rankings, trackers' answers and truth, or are refused where the truth is at hand."""
+"""Rows of pipelines follow from rankings, trackers' answers and truth, or are refused where the truth is at hand."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def pipeline(results: Path) -> PipelineResults:
 
 
 def forge(results: Path, change: Callable[[PipelineAnswer], PipelineAnswer]) -> Path:
-    """Change the rows of a chain, and make the digest fit again."""
+    """Change the rows of a pipeline, and make the digest fit again."""
     folder = pipeline(results)
     path = folder.answers(ACROSS)
     write_pipeline(path, [change(row) for row in read_pipeline(path)])
