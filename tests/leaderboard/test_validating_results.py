@@ -1,4 +1,4 @@
-"""``relocbench validate RESULTS`` looks at all that a results folder holds: trackers, retrievers, pipelines and cards."""
+"""``relocbench validate RESULTS`` looks at all that results hold: trackers, retrievers, pipelines and cards."""
 
 from __future__ import annotations
 

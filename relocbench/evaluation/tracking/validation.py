@@ -94,8 +94,8 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
 
 
 def _is_trackers(top: Path) -> bool:
-    """Whether a ``NAME@FINGERPRINT`` folder is one of trackers, and not of retrievers or pipelines, which have no record
-    of a dataset but one of their own."""
+    """Whether a ``NAME@FINGERPRINT`` folder is one of trackers, and not of retrievers or pipelines, which have
+    no record of a dataset but one of their own."""
     return top.is_dir() and ((top / "dataset.yaml").exists() or not any((top / name).exists() for name in _OTHERS))
 
 
