@@ -12,7 +12,7 @@ import pytest
 from board_pages import board_pages
 from command_line import Outcome, relocbench
 from forgery import change_yaml, reseal
-from refusals import refused
+from refusals import assert_names, refused
 from small_dataset import ACROSS, make_small_dataset
 from submissions import change_card, submit
 
@@ -180,6 +180,20 @@ def test_copies_of_another_row_are_named(town: Dataset, tmp_path: Path) -> None:
     outcome = adding(submit(tmp_path / "b", town, label="later"), tmp_path / "r", town)
     assert "answers are those of 'my-method'" in outcome.out
     assert any("'my-method'" in told for told in row_of(tmp_path / "r", town, "later").run_record().remarks)
+
+
+def test_a_place_that_holds_no_results_is_refused(town: Dataset, tmp_path: Path) -> None:
+    root = submit(tmp_path / "s", town)
+    assert adding(root, tmp_path / "r", town).status == 0
+    rows = row_of(tmp_path / "r", town).root.parent
+    for place, what in (
+        (root / "r", "inside the submission"),
+        (town.root, "inside the dataset"),
+        (rows, "results of one"),
+    ):
+        outcome = adding(root, place, town)
+        assert outcome.status == 2
+        assert_names(outcome.complaint, "", None, place, "--results", what)
 
 
 def test_two_at_once_wait_for_no_one_and_break_nothing(town: Dataset, tmp_path: Path) -> None:
