@@ -123,6 +123,8 @@ def test_options_that_contradict_each_other_are_refused(dataset: Dataset, tmp_pa
     for options, names in (
         (SetOptions(positives="pairs", radius_m=3.0), ("--radius",)),
         (SetOptions(positives="pairs", heading_deg=3.0), ("--heading", "--positives")),
+        (SetOptions(radius_m=-3.0), ("--radius", "-3.0")),
+        (SetOptions(heading_deg=200.0), ("--heading", "200.0")),
         (SetOptions(by_condition=True), ("--by-condition",)),
         (SetOptions(split="absent"), ("absent",)),
         (SetOptions(tasks=("absent",)), ("absent",)),
