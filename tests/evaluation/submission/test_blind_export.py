@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from refusals import assert_names, refused
-from small_dataset import ACROSS, WITHIN, make_small_dataset
+from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, DatasetError
@@ -75,7 +75,7 @@ def test_keys_need_the_truth_and_differ_by_edition_and_truth(town: Dataset, blin
         tmp_path / "other", frames=4, size=(48, 36), pose_fault=make_transform(np.eye(3), [0.2, 0.0, 0.0])
     )
     assert BlindKeys(other).name.id != first.name.id
-    with refused(DatasetError, blind.root, None, WITHIN, "withheld"):
+    with refused(DatasetError, blind.root, None, blind.pair_sets()[0].name, "withheld"):
         BlindKeys(blind)
 
 
