@@ -250,7 +250,7 @@ def test_report_ranks_by_any_metric_and_refuses_those_of_tasks_that_are_not_ther
         "recall@(1m,5deg)",
     )
     assert told.status == 0, told.err
-    assert "recall@(1m,5deg), %" in (where / "index.html").read_text()
+    assert "Ranked by <code>recall@(1m,5deg)</code>" in (where / "index.html").read_text()
     assert list((where / "data" / "maps").glob("*/*.js"))
     told = relocbench("report", tmp_path / "results", "-o", where, "-q", "--retrieval-metric", "R@5")
     assert told.status == 2

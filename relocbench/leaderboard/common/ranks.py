@@ -9,6 +9,7 @@ from relocbench.metrics import MIN_EFFECTIVE, Interval
 
 NO_RANK = "–"
 """in place of the rank that all methods of a table share"""
+SHARED = "Methods share a rank where the pairs show no significant difference between them"
 
 
 class HasRank(Protocol):

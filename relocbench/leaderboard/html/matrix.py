@@ -13,6 +13,7 @@ from relocbench.leaderboard.html.pair_page.write import middle_picture
 from relocbench.leaderboard.html.payloads import id_of, marks_of
 from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall, Line, by_condition
 from relocbench.leaderboard.tracking.model import DatasetBoard, short_title
+from relocbench.metrics import CORRECT
 
 
 def matrix_of(datasets: Sequence[DatasetBoard], *, pictures: bool) -> dict[str, Any] | None:
@@ -32,22 +33,22 @@ def matrix_of(datasets: Sequence[DatasetBoard], *, pictures: bool) -> dict[str, 
         ],
         "columns": [_column(results, column, pictures) for column in results.columns],
         "lines": [_line(results, line) for line in results.lines],
-        "total": ranked and results.has_total,
+        "total": results.total_title if ranked and results.has_total else "",
         "across": results.across_pairs,
     }
 
 
 def matrix_columns(dataset: DatasetBoard) -> list[dict[str, Any]]:
-    """The columns as the script of a set's page takes them: a link to a cell names one by its place among them."""
+    """The columns as the script of a set's page takes them: a link to a cell names one by its place among them.
+
+    The last is that of the total.
+    """
     results = by_condition([dataset])
+    columns = [(_words(results, column), column.pair_sets, column.metres, column.degrees) for column in results.columns]
+    together = [name for column in results.in_total for name in column.pair_sets]
     return [
-        {
-            "title": _words(results, column),
-            "pair_sets": list(column.pair_sets),
-            "metres": column.metres,
-            "degrees": column.degrees,
-        }
-        for column in results.columns
+        {"title": title, "pair_sets": list(pair_sets), "metres": metres, "degrees": degrees}
+        for title, pair_sets, metres, degrees in [*columns, (results.total_title, together, *CORRECT)]
     ]
 
 
@@ -75,8 +76,7 @@ def _line(results: ByCondition, line: Line) -> dict[str, Any]:
         "baseline": line.baseline,
         "marks": list(dict.fromkeys(mark for method in line.methods for mark in marks_of(method))),
         "rank": line.rank,
-        "share": number(line.share, "share"),
-        "style": "" if line.share is None else share_style(line.share),
+        "total": _total(results, line),
         "cells": [_cell(results, column, place, line.label, found) for column, place, found in _placed(results, line)],
     }
 
@@ -91,13 +91,23 @@ def _placed(results: ByCondition, line: Line) -> list[tuple[Column, int, Conditi
     return out
 
 
+def _total(results: ByCondition, line: Line) -> dict[str, str]:
+    if line.share is None:
+        return _NOTHING
+    words = f"pairs of {line.label}: {results.total_title}"
+    return _shown(line.share, results.columns[0].dataset, len(results.columns), line.label, words)
+
+
 def _cell(results: ByCondition, column: Column, place: int, label: str, found: ConditionRecall) -> dict[str, str]:
     if found.share is None:
-        return {"text": "", "style": "", "link": "", "words": ""}
-    state = {"method": label, "column": str(place)}
-    return {
-        "text": number(found.share, "share"),
-        "style": share_style(found.share),
-        "link": f"{links.set_page(id_of(column.dataset))}#{links.hash_of(state)}",
-        "words": f"{int(found.right.sum())} of {len(found.right)} pairs found by {label}: {_words(results, column)}",
-    }
+        return _NOTHING
+    words = f"{int(found.right.sum())} of {len(found.right)} pairs found by {label}: {_words(results, column)}"
+    return _shown(found.share, column.dataset, place, label, words)
+
+
+_NOTHING = {"text": "", "style": "", "link": "", "words": ""}
+
+
+def _shown(share: float, dataset: DatasetBoard, place: int, label: str, words: str) -> dict[str, str]:
+    link = f"{links.set_page(id_of(dataset))}#{links.hash_of({'method': label, 'column': str(place)})}"
+    return {"text": number(share, "share"), "style": share_style(share), "link": link, "words": words}

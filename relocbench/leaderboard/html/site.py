@@ -10,6 +10,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from relocbench.files import remove_parts
+from relocbench.leaderboard.common.ranks import SHARED
 from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.assets import asset_files, write_assets
@@ -95,7 +96,7 @@ def _opening(board: Board | None, datasets: Sequence[DatasetBoard], *, pictures:
     """What the start page and the page of a set open with: the matrix, and what a reader must know before it."""
     why = ""
     if board is not None and len(datasets) == 1 and datasets[0].totals:
-        why = why_no_ranks(board, datasets[0].totals[0])
+        why = why_no_ranks(board, datasets[0].totals[0]) or SHARED
     return {
         "shown": matrix_of(datasets, pictures=pictures),
         "correct": CORRECT,

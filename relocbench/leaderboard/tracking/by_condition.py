@@ -113,9 +113,20 @@ class ByCondition:
         return sum(not column.is_finer for column in self.columns) > 1
 
     @property
+    def in_total(self) -> tuple[Column, ...]:
+        """The columns that the share of a line is the mean of: those across conditions, or all where there are none."""
+        usual = [column for column in self.columns if not column.is_finer]
+        return tuple([column for column in usual if not column.same_drive] or usual)
+
+    @property
     def across_pairs(self) -> int:
         """The pairs across conditions, of which the share of a line is where there are any."""
-        return sum(column.pairs for column in self.columns if not (column.same_drive or column.is_finer))
+        return sum(column.pairs for column in self.in_total if not column.same_drive)
+
+    @property
+    def total_title(self) -> str:
+        """The head of the column of these shares."""
+        return "across conditions" if self.across_pairs else "all"
 
     def details(self, column: Column) -> list[str]:
         """What tells a column from others beside its title: keyframes, split and thresholds, where they differ."""

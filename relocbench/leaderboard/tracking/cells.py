@@ -98,20 +98,14 @@ def same_method(row: Row, table: Table) -> Row:
 def level_with_identity(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
     """The methods without a significant gain over the identity baseline.
 
-    None where that was not run, and where the pairs hold too few independent ones to show a gain of any method.
+    None where that was not run; a method whose gain has too few independent pairs for a test is left out.
     """
-    if ranks.without_intervals(table.rows, board.metric.name):
-        return []
     if not any(row.method is dataset.entry.identity and not row.missing for row in table.rows):
         return []
-    compared = [row for row in table.rows if row.above_identity is not None and not row.method.is_clock]
-    return [row.method.label for row in compared if not _beats(row)]
+    gains = [(row.method, row.above_identity) for row in table.rows if row.above_identity and not row.method.is_clock]
+    return [method.label for method, gain in gains if gain.interval and not (gain.significant and gain.mean > 0)]
 
 
 def why_no_ranks(board: Board, table: Table) -> str:
     """The sentence of :func:`ranks.why_no_ranks` for a table of trackers."""
     return ranks.why_no_ranks(table.rows, board.metric.name, f"{table.pairs} pairs")
-
-
-def _beats(row: Row) -> bool:
-    return row.above_identity is not None and row.above_identity.significant and row.above_identity.mean > 0

@@ -188,8 +188,8 @@
   /** What became of a pair or a query, by its status in the results. */
   const STATUS = { ok: "answered", failed: "declined", error: "crashed" };
 
-  /** Whether a pair is found, as a full disc or an empty ring with the word. */
-  const verdict = (right) => `<span class="${right ? "found" : "missed"}">${right ? "●" : "○"} ${right ? "found" : "missed"}</span>`;
+  /** Whether a pair is found, as a sign that no method's marker has and the word. */
+  const verdict = (right) => `<span class="${right ? "found" : "missed"}">${right ? "✓" : "✗"} ${right ? "found" : "missed"}</span>`;
 
   window.relocbench = {
     QUALITY, STATUS, thumbs, verdict,

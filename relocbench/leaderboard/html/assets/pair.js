@@ -104,8 +104,13 @@
     $("method").replaceChildren(...labels.map((l) => element("option", { value: l, selected: l === label }, l)));
     $("pictured").disabled = !of.pictured.size;
     if (!of.pictured.size) $("pictured").checked = false;
-    const m = of.methods[label], far = site.statuses[m.status[row]] === "ok" ? `${number(m.t[row], "m")} m and ${number(m.r[row], "deg")}° off` : relocbench.STATUS[site.statuses[m.status[row]]];
-    $("verdict").innerHTML = `${relocbench.verdict(isFound(m, row))} by ${relocbench.escape(label)} within ${now.within[0]} m and ${now.within[1]}°: ${far}`;
+    const m = of.methods[label];
+    // An error that would be rounded to the threshold that it exceeds has all its digits.
+    const exact = (value, unit, most) => (value > most && Number(number(value, unit)) <= most ? String(value) : number(value, unit));
+    const far = site.statuses[m.status[row]] === "ok"
+      ? `${relocbench.escape(label)} is ${exact(m.t[row], "m", now.within[0])} m and ${exact(m.r[row], "deg", now.within[1])}° off`
+      : `${relocbench.escape(label)} ${relocbench.STATUS[site.statuses[m.status[row]]]}`;
+    $("verdict").innerHTML = `${relocbench.verdict(isFound(m, row))}: ${far} (at most ${now.within[0]} m and ${now.within[1]}° to be found)`;
     place();
     drawNumbers();
     drawPlan();
@@ -247,7 +252,7 @@
     $("matches-section").hidden = !told;
     if (!told) return;
     const agree = told.filter((match) => match[4]).length;
-    const words = `${told.length} matches that ${label} reports for this pair: ${agree} agree with the best pose that it found (full lines), ${told.length - agree} do not (dashed).`;
+    const words = `Some of the matches of ${label} on this pair, as it tells them: ${agree} that agree with its best pose (full lines) and ${told.length - agree} that do not (dashed). Methods tell a sample, so the numbers say nothing.`;
     $("matches-about").textContent = words;
     relocbench.drawMatches($("matches"), reference, query, told, words);
   }
@@ -256,7 +261,8 @@
     if (!now?.pictures) return;
     const { of, row, label, pictures } = now;
     const poses = { truth: truthOf(of, row), answer: answerOf(of, row, label), keyframe: KEYFRAME };
-    const asked = POSES.includes(state.get("at")) ? state.get("at") : "truth";
+    const first = poses.answer && !isFound(of.methods[label], row) ? "answer" : "truth"; // a wrong answer shows where it is wrong
+    const asked = POSES.includes(state.get("at")) ? state.get("at") : first;
     for (const button of document.querySelectorAll("[data-pose]")) {
       button.setAttribute("aria-pressed", String(button.dataset.pose === asked));
       button.disabled = !poses[button.dataset.pose];
@@ -330,12 +336,14 @@
     const near = Math.max(0.5, 3 * (Number.isFinite(of.distance[row]) ? of.distance[row] : 1));
     for (const mark of marks) { mark.at = centre(mark.pose); mark.far = Math.hypot(...mark.at) > near; }
     const inside = marks.filter((mark) => !mark.far).map((mark) => mark.at);
+    if (truth) for (const sign of [-1, 1]) inside.push(centre(truth).map((metre) => metre + sign * now.within[0]));
     const range = (axis) => { const values = inside.map((at) => at[axis]); return [Math.min(...values), Math.max(...values)]; };
     const [left, right] = range(0), [back, front] = range(1);
     const scale = Math.min((width - 2 * edge) / Math.max(right - left, 0.2), (height - 2 * edge - 24) / Math.max(front - back, 0.2), 400);
     const x = (metre) => width / 2 + (metre - (left + right) / 2) * scale, y = (metre) => (height - 24) / 2 - (metre - (back + front) / 2) * scale;
     const told = marks.map((mark) => `${mark.name} ${number(mark.at[0], "m")} m right and ${number(mark.at[1], "m")} m ahead`).join("; ");
     const svg = draw("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Positions relative to the keyframe: ${told}` });
+    if (truth) svg.append(draw("circle", { cx: x(centre(truth)[0]), cy: y(centre(truth)[1]), r: now.within[0] * scale, fill: "none", stroke: css("--good"), "stroke-dasharray": "3 4" }));
     for (const mark of marks) {
       let [px, py] = [x(mark.at[0]), y(mark.at[1])], [hx, hz] = heading(mark.pose);
       const group = draw("g", {});
@@ -368,6 +376,7 @@
     const entries = marks.map((mark) => element("li", {}, mark.shape === "answer" ? key(mark.name)
       : sign(mark.shape === "truth" ? `<path d="M0 7H14M7 0V14" stroke="${mark.colour}" stroke-width="2.5"/>` : `<rect x="2" y="2" width="10" height="10" fill="none" stroke="${mark.colour}" stroke-width="2"/>`),
     mark.name + (mark.far ? `: ${number(Math.hypot(...mark.at), "m")} m away, outside` : "")));
+    if (truth) entries.push(element("li", {}, sign(`<circle cx="7" cy="7" r="6" fill="none" stroke="${css("--good")}" stroke-dasharray="2 2"/>`), `within ${now.within[0]} m of the truth`));
     if (without.length) entries.push(element("li", { class: "muted" }, `no pose: ${without.join(", ")}`));
     if (!of.places.has(row)) entries.push(element("li", { class: "muted" }, "The poses of this pair were not written: there are too many pairs, and it has no images."));
     $("plan-key").replaceChildren(...entries);
