@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -31,6 +32,7 @@ _built = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 
 def pytest_configure(config: pytest.Config) -> None:
     """Make the folder of what is built once a run; worker processes inherit its name."""
+    gc.disable()
     if not hasattr(config, "workerinput"):
         config.stash[_built] = tempfile.TemporaryDirectory(prefix="relocbench-tests-")
         os.environ[FOLDER] = config.stash[_built].name
@@ -40,6 +42,12 @@ def pytest_configure(config: pytest.Config) -> None:
         cores = sorted(os.sched_getaffinity(0))
         number = int(config.workerinput["workerid"].removeprefix("gw"))
         os.sched_setaffinity(0, {cores[number % len(cores)]})
+
+
+def pytest_collection_finish() -> None:
+    """Keep what lives as long as the run out of the collector's way, which would walk through it again and again."""
+    gc.enable()
+    gc.freeze()
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

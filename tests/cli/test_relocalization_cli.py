@@ -110,6 +110,7 @@ def test_one_json_object(results: Path, dataset: Dataset) -> None:
     assert page["rows"] == []
 
 
+@pytest.mark.thorough
 def test_a_configuration_file_can_ask_for_pipelines(dataset: Dataset, tmp_path: Path) -> None:
     config = tmp_path / "run.yaml"
     config.write_text(

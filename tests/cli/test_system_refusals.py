@@ -153,6 +153,7 @@ def test_a_pipe_in_a_dataset_is_refused_and_not_waited_for(data: Path, tmp_path:
     assert relocbench("validate", data).status in (1, 2)
 
 
+@pytest.mark.thorough
 def test_a_device_among_results_is_refused_and_not_read_without_end(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "results"
     assert evaluate(data, out).status == 0
@@ -284,6 +285,7 @@ def test_a_file_beyond_the_limit_is_named_and_nothing_of_it_is_left(tmp_path: Pa
     assert (tmp_path / name).stat().st_size > 4096
 
 
+@pytest.mark.thorough
 def test_a_run_that_meets_a_limit_of_file_size_says_which_file_and_goes_on_later(made: Path, tmp_path: Path) -> None:
     with limit(resource.RLIMIT_FSIZE, 1024):
         ended = evaluate(made / "data", tmp_path / "results")
@@ -314,6 +316,7 @@ def test_a_full_disk_is_named_by_its_file_and_the_run_goes_on_when_there_is_room
         subprocess.run(["umount", "-l", disk], check=True)
 
 
+@pytest.mark.thorough
 def test_no_more_open_files_is_one_line(made: Path, tmp_path: Path) -> None:
     highest = max(int(name) for name in os.listdir("/proc/self/fd"))  # noqa: PTH208  a folder of numbers
     with limit(resource.RLIMIT_NOFILE, highest + 1):

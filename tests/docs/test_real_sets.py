@@ -60,6 +60,7 @@ def imported(still: Path, names: list[str], out: Path) -> Dataset:
     return generic.build(sources, generic.Options(), out, Silent(), Run(workers=0))
 
 
+@pytest.mark.thorough
 def test_a_query_shows_every_point_where_its_pose_and_the_depth_of_the_keyframe_say(tmp_path: Path) -> None:
     larger, smaller = photographs(tmp_path / "a", 8), photographs(tmp_path / "b", 8, (540, 400), hour=15)
     still = made(tmp_path / "still", larger, smaller)
@@ -122,6 +123,7 @@ def test_images_that_do_not_serve_are_refused(spoil: Callable[[Path], object], t
         made(tmp_path / "out", source)
 
 
+@pytest.mark.thorough
 def test_poses_of_kitti_00_by_its_scans_are_those_of_an_independent_registration(tmp_path: Path) -> None:
     kitti = RECORDINGS / "kitti_odometry"
     if not (kitti / "sequences" / "00" / "velodyne").is_dir():

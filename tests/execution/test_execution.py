@@ -87,6 +87,7 @@ def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.thorough
 def test_a_unit_that_kills_every_worker_is_named() -> None:
     with refused(RelocbenchError, "", None, "2 times", "SIGKILL"):
         list(run_units(die, [1, 2], Run(2)))

@@ -255,6 +255,7 @@ def test_the_warp_at_the_truth_fits_better_than_at_any_wrong_pose() -> None:
         assert residual > 1.5 * true.mean_residual
 
 
+@pytest.mark.thorough
 def test_the_picture_of_a_pair_tells_its_numbers_and_is_the_same_each_time(
     dataset: Dataset, results: Path, tmp_path: Path
 ) -> None:
@@ -295,6 +296,7 @@ def test_titles_in_any_script_and_of_any_length_are_drawn_without_a_warning(
     assert all(len(line) <= 50 for title in drawn for line in title.splitlines())
 
 
+@pytest.mark.thorough
 def test_an_answer_at_the_true_pose_leaves_the_true_camera_in_sight(dataset: Dataset) -> None:
     pair_set = dataset.pair_set(ACROSS)
     pair = _in_order(pair_set.evaluated)[3]

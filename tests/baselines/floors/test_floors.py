@@ -77,6 +77,7 @@ def test_random_order_looks_at_nothing_and_depends_on_its_seed() -> None:
     assert hits < 0.03  # chance is 1 in 300
 
 
+@pytest.mark.thorough
 def test_colours_find_places_of_other_colours() -> None:
     scores = PlaceValidation(made_places(6, 2), VIEWS)(ColourHistogram())
     assert scores.together["R@1"] > 0.8

@@ -61,6 +61,7 @@ def test_a_draw_depends_on_its_number_and_the_seed_alone() -> None:
     assert [first[n] for n in range(60)] != [other[n] for n in range(60)]
 
 
+@pytest.mark.thorough
 @given(st.integers(1, 99), st.integers(0, 99), st.integers(0, 3))
 def test_a_dataset_gets_its_share_of_the_draws(percent: int, second: int, seed: int) -> None:
     second = min(second, 99 - percent)

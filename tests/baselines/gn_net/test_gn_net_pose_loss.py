@@ -257,6 +257,7 @@ def test_depth_is_that_of_the_pixel_and_zero_where_there_is_none() -> None:
     assert found.tolist() == [0.5, 0.25, 0.0]
 
 
+@pytest.mark.thorough
 def test_a_training_with_the_pose_loss_logs_how_far_points_are_off(tmp_path: Path) -> None:
     loss = {"level_weights": [1.0, 1.0], "pose": {"weight": 0.1, "points": 64}}
     run = TrainingRun(tmp_path, "gn-net", "relocbench train gn-net", workers=0)

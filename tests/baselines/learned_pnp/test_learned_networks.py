@@ -215,6 +215,7 @@ def made_features(count: int, dimension: int, size: tuple[int, int], seed: int =
     return Features(uv, np.ones(count), np.ones(count), descriptors, size)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dimension", [128, 256])
 def test_lightglue_matches_each_feature_at_most_once(drawn: Callable[[str], Path], dimension: int) -> None:
     matcher = LightGlue(drawn(f"lightglue{dimension}"), dimension, 0.0, "cpu")
@@ -231,6 +232,7 @@ def test_lightglue_matches_each_feature_at_most_once(drawn: Callable[[str], Path
     np.testing.assert_array_equal(matcher(scaled, some.take(order)), pairs)  # places are relative to the image
 
 
+@pytest.mark.thorough
 def test_lightglue_of_nothing_is_nothing(drawn: Callable[[str], Path]) -> None:
     matcher = LightGlue(drawn("lightglue128"), 128, 0.1, "cpu")
     some, none = made_features(5, 128, (64, 64)), made_features(0, 128, (64, 64))
@@ -239,6 +241,7 @@ def test_lightglue_of_nothing_is_nothing(drawn: Callable[[str], Path]) -> None:
         LightGlue(drawn("lightglue256"), 128, 0.1, "cpu")
 
 
+@pytest.mark.thorough
 def test_loftr_of_an_image_with_itself_finds_its_cells(drawn: Callable[[str], Path]) -> None:
     network = Loftr(drawn("loftr"), "outdoor", 0.0, 840, "cpu")
     image = pattern(101, 143)
@@ -270,6 +273,7 @@ def test_models_of_loftr_differ_in_their_encoding_of_positions(drawn: Callable[[
     assert torch.equal(maps[0]["fine"], maps[1]["fine"])
 
 
+@pytest.mark.thorough
 def test_loftr_lifts_the_cells_of_the_keyframe(drawn: Callable[[str], Path], views: tuple[Reference, Query]) -> None:
     reference, query = views
     tracker = learned_pnp.LoftrPnp(weights=drawn("loftr"), threshold=0.0)

@@ -42,6 +42,7 @@ def backbone(retriever: Lpn) -> Backbone:
     return retriever.network.branch("drone").backbone
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
 def test_a_backbone_stands_on_the_straight_way_from_imagenet_to_what_was_trained(weights: Path, share: float) -> None:
     between = backbone(Lpn(weights=weights, trained_share=share)).state_dict()

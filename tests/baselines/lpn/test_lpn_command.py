@@ -122,6 +122,7 @@ def test_mistakes_are_one_line_each(university: Path, tmp_path: Path) -> None:
         assert f"{option} is an option for trainers of retrievers, and 'gn-net' trains trackers" in other.complaint
 
 
+@pytest.mark.thorough
 def test_drives_become_weights_that_retrieve_along_streets(tmp_path: Path) -> None:
     """Each dataset is one place, since its drives are shorter than places are apart."""
     roots = [

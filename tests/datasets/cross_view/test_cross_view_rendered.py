@@ -92,6 +92,7 @@ def test_street_views_stand_on_the_nearest_street_and_face_the_house() -> None:
     assert all((T[:3, :3] @ [0, 0, 1])[1] < 0 for T in poses)
 
 
+@pytest.mark.thorough
 def test_places_keep_their_distance_and_none_is_of_a_row_of_equal_houses() -> None:
     district = scenes.district(TOWN)
     every, found = buildings(district, every=True), buildings(district)

@@ -360,6 +360,7 @@ def test_workers_and_resumption_give_the_same_bytes(street: FieldRecording, tmp_
     assert (two / "000004.npz").stat().st_mtime_ns == untouched
 
 
+@pytest.mark.thorough
 def test_blocks_made_otherwise_are_not_mixed(street: FieldRecording, tmp_path: Path) -> None:
     nodes = make_nodes(street)
     build_blocks(street, nodes, tmp_path)
@@ -507,6 +508,7 @@ def count_claims(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     return moved
 
 
+@pytest.mark.thorough
 def test_step_costs_the_same_however_long_the_drive(
     built: tuple[Nodes, BlockStore], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -145,6 +145,7 @@ def test_a_cube_looks_alike_from_all_sides_and_is_refused() -> None:
     assert "ambiguous" in alike.reason
 
 
+@pytest.mark.thorough
 def test_a_sensor_whose_beams_would_cross_the_cloud_is_refuted(pair: Pair) -> None:
     scale = scale_of([scene_size(pair.a.points)])
     assert prepare(pair.a, scale).sensor == "supposed"

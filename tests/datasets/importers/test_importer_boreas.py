@@ -26,6 +26,7 @@ from relocbench.errors import DatasetError
 from relocbench.geometry import invert
 
 
+@pytest.mark.thorough
 def test_lidar_points_are_where_the_camera_sees_their_surfaces(drives: list[StreetDrive], scene: LidarScene) -> None:
     for index in (4, 13, 22):
         assert agrees(errors_of(drives[0], drives[0].source, "camera", index, scene))

@@ -145,6 +145,7 @@ def test_a_model_becomes_a_dataset_with_a_camera_for_each_image(model: Path, tmp
         assert np.all(points.sigma > 0)
 
 
+@pytest.mark.thorough
 def test_the_uncertainty_of_depth_is_that_of_triangulating_noisy_keypoints(model: Path) -> None:
     """Points of one image are triangulated again and again from the other images' noisy keypoints."""
     found = read_model(model / "binary")

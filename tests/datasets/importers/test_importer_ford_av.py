@@ -39,6 +39,7 @@ def read(source: Path, how: ReadingOptions | None = None, calibration: Path | No
     return read_ford(find_logs([source], calibration)[0], how or ReadingOptions(), spoken), spoken
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("lidar", [0, 1], ids=["red", "yellow, tilted to the side"])
 def test_lidar_points_are_where_the_camera_sees_their_surfaces(
     drives: list[StreetDrive], logs: list[Made], scene: LidarScene, lidar: int
@@ -48,6 +49,7 @@ def test_lidar_points_are_where_the_camera_sees_their_surfaces(
         assert agrees(errors_of(drives[0], recording, "front_left", index, scene, lidar=lidar))
 
 
+@pytest.mark.thorough
 def test_a_calibration_in_the_axes_of_the_ros_driver_is_told_by_scans(
     drives: list[StreetDrive], logs: list[Made], scene: LidarScene, tmp_path: Path
 ) -> None:
@@ -134,6 +136,7 @@ def test_published_poses_fit_a_car(sensor: str, tmp_path: Path) -> None:
     assert T_rig_sensor[2, 1] < -0.99  # the image's y is down
 
 
+@pytest.mark.thorough
 def test_poses_are_those_of_the_topic_and_prior_of_the_map(drives: list[StreetDrive], logs: list[Made]) -> None:
     drive, spoken = read(logs[0].folder)
     assert drive.poses is not None
@@ -157,6 +160,7 @@ def test_poses_are_those_of_the_topic_and_prior_of_the_map(drives: list[StreetDr
     assert noted(spoken.notes, "/gps")
 
 
+@pytest.mark.thorough
 def test_small_images_of_the_bag_stand_in_for_missing_ones(
     drives: list[StreetDrive], logs: list[Made], scene: LidarScene, tmp_path: Path
 ) -> None:

@@ -275,6 +275,7 @@ def test_a_bad_file_of_pairs_is_refused_in_one_line(
     assert_names(outcome.complaint, *words)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
 def test_real_trajectories_revisit_places_and_are_scored(tmp_path: Path) -> None:
     """The business campus of 4Seasons was driven round more than once in one recording."""
@@ -289,6 +290,7 @@ def test_real_trajectories_revisit_places_and_are_scored(tmp_path: Path) -> None
     assert max(p.angle_deg or 0.0 for p in pair_set.pairs) < 15
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
 def test_real_pair_files_and_a_trajectory_of_their_reference_fit_together(tmp_path: Path) -> None:
     """The challenge withholds the poses; the times of its keyframes are those of the published trajectory."""

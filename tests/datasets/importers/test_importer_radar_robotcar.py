@@ -61,6 +61,7 @@ def seen(drive: StreetDrive, recording: FieldRecording) -> FieldRecording:
     return replace(recording, cameras={"camera": replace(camera, T_rig_cam=T_rig_cam)})
 
 
+@pytest.mark.thorough
 def test_points_of_both_velodynes_are_where_the_camera_sees_surfaces(
     drive: StreetDrive, scene: LidarScene, folder: Path
 ) -> None:

@@ -238,6 +238,7 @@ def test_the_clock_of_a_real_recording_is_mended_by_the_offset(
     assert mean_rotation_error_of_pnp_deg(mended) < 0.5 * mean_rotation_error_of_pnp_deg(plain)
 
 
+@pytest.mark.thorough
 def test_real_correspondences_lie_on_the_same_surface(real_data: Callable[[str], Path], tmp_path: Path) -> None:
     desk = real_data("tum_rgbd") / "rgbd_dataset_freiburg1_desk"
     dataset = build([desk], tmp_path / "out", time_offset=(-0.02,), correspondences=500)

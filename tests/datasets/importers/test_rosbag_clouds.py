@@ -175,6 +175,7 @@ def test_times_that_make_no_sense_are_refused(values: Any, dtype: str, epoch: fl
         detect("t", scans(values, dtype, epoch), PERIOD)
 
 
+@pytest.mark.thorough
 @given(
     st.lists(arrays(st.sampled_from(["f4", "f8", "u4", "i4", "u8"]), st.integers(0, 6)), max_size=4),
     st.floats(1.0, 1e12),

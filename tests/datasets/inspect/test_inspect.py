@@ -131,6 +131,7 @@ def test_what_shows_nothing_of_the_keyframe_tells_nothing() -> None:
         assert "cannot be told" in found.words
 
 
+@pytest.mark.thorough
 def test_lamps_in_the_dark_tell_nothing() -> None:
     reference, query, T_query_ref = two_views((640, 480))
     for seed in range(3):
@@ -166,7 +167,10 @@ def test_sparse_keyframes_are_measured_around_their_points(count: int) -> None:
     assert found.shift_px == pytest.approx(8.0, rel=0.2)
 
 
-@pytest.mark.parametrize(("px", "verdict"), [(25.0, "apart"), (60.0, "apart"), (200.0, "cannot tell")])
+@pytest.mark.parametrize(
+    ("px", "verdict"),
+    [pytest.param(25.0, "apart", marks=pytest.mark.thorough), (60.0, "apart"), (200.0, "cannot tell")],
+)
 def test_large_errors_are_told_as_far_as_the_search_reaches(px: float, verdict: str) -> None:
     reference, query, T_query_ref = two_views((640, 480))
     turn = make_transform(so3_exp([0, px / query.camera.fx, 0]), np.zeros(3))

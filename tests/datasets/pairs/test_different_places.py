@@ -62,6 +62,7 @@ def test_they_are_far_apart_and_their_truth_is_known(seed: int, count: int) -> N
         np.testing.assert_allclose(T_world_query @ pair.T_query_ref, T_world_ref, atol=1e-9)
 
 
+@pytest.mark.thorough
 @given(st.integers(0, 2**32), st.integers(1, 15))
 def test_how_often_images_are_asked_about_does_not_tell_the_kind_of_a_pair(seed: int, exchanges: int) -> None:
     *_, plain, found = made(seed, 2 * exchanges)

@@ -153,6 +153,7 @@ def test_walls_of_two_drives_in_opposite_directions_coincide(drives: Path, recor
     assert np.linalg.norm(planes.displacement(late, sigma_m=0.2)) > 0.05
 
 
+@pytest.mark.thorough
 def test_lidars_are_where_they_were_simulated(drives: Path, recordings: list[FieldRecording]) -> None:
     for recording in recordings:
         settings = yaml.safe_load((drives / "truth" / recording.name / "settings.yaml").read_text())

@@ -240,6 +240,7 @@ def test_correspondences_hold_forward_and_backward_on_static_surfaces(town: Data
         assert np.abs(forward - rows.uv_query).max() < 1e-3
 
 
+@pytest.mark.thorough
 def test_what_is_called_hidden_is_hidden(town: Dataset, wet: Mesh) -> None:
     """Visibility against a loop over all triangles, for points that the query sees and points that it does not."""
     pair = town.pair_set(ACROSS).pairs[0]
@@ -257,6 +258,7 @@ def test_what_is_called_hidden_is_hidden(town: Dataset, wet: Mesh) -> None:
         assert (abs(reached - far) < 0.01 + 1e-3 * far) == rows.visible[row]
 
 
+@pytest.mark.thorough
 def test_conditions_share_what_stands_still(town: Dataset) -> None:
     """Where nothing is marked as changed, the query's surfaces are those of the reference's condition."""
     mesh = compose(scenes.district(PLACE), condition_named("Neutral").factors)

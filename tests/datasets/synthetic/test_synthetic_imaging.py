@@ -61,6 +61,7 @@ def files(dataset: Dataset) -> dict[str, bytes]:
     return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
 
 
+@pytest.mark.thorough
 def test_without_the_option_the_recipe_is_that_of_before(ideal: Dataset) -> None:
     """What ``build.yaml`` holds is what the version before wrote, in any order: the question digest covers it."""
     text = (ideal.root / "build.yaml").read_text(encoding="utf-8")

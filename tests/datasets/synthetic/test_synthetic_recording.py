@@ -432,6 +432,7 @@ def sequence(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("depth", "typical_m"), [("velodyne", 0.06), ("stereo", 0.5)])
 def test_the_kitti_importer_reads_a_recording_and_agrees_with_the_truth(
     sequence: Recorded, tmp_path: Path, depth: str, typical_m: float

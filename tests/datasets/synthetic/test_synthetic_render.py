@@ -370,6 +370,7 @@ def test_noise_has_the_stated_deviation() -> None:
     assert inside.sum() > 2000
 
 
+@pytest.mark.thorough
 def test_exposure_follows_the_stops() -> None:
     linear: Changes = {"gamma": 1.0, "cloud_cover": 1.0}
     levels = [grey(shot(exposure_ev=ev, **linear)).mean() for ev in (-2.0, -1.0, 0.0)]

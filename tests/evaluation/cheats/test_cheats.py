@@ -353,6 +353,7 @@ def test_nothing_but_pixels_tells_pairs_of_different_places_from_others(tmp_path
     assert all(words == told[pair_set.pairs[0].key] for words in told.values())
 
 
+@pytest.mark.thorough
 def test_whoever_remembers_images_fails_as_many_pairs_of_one_place(tmp_path: Path) -> None:
     """A method that calls pairs different whose two images it has seen before is right half of the time."""
     apart = make_small_dataset(tmp_path / "small", frames=12, size=(32, 24), elsewhere=6)

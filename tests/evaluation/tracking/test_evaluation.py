@@ -173,6 +173,7 @@ def test_two_processes_never_answer_the_same_pair_set_at_once(dataset: Dataset, 
     assert folder.complete(ACROSS)
 
 
+@pytest.mark.thorough
 def test_what_a_method_prints_stays_out_of_the_result(dataset: Dataset, tmp_path: Path) -> None:
     (tmp_path / "loud.py").write_text(
         """import os

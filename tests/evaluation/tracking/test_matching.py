@@ -255,6 +255,7 @@ def test_files_of_predictions_cannot_be_asked(tmp_path: Path) -> None:
         EvaluateOptions(dataset=tmp_path, predictions=tmp_path, matching=True)
 
 
+@pytest.mark.thorough
 def test_the_leaderboard_shows_it_for_the_methods_that_have_it(dataset: Dataset, tmp_path: Path) -> None:
     report = evaluate(dataset, tmp_path / "r", "identity", "dso", MATCHING, pair_sets=())
     board = tmp_path / "b"
