@@ -132,12 +132,17 @@ def test_a_point_of_a_curve_lists_the_pairs_up_to_it_and_beside_them_all_others(
 
 def test_a_cell_of_the_matrix_lists_its_pairs_found_and_missed(page: Any, site: Path) -> None:
     _open(page, site)
-    page.locator(".matrix tbody tr", has_text="wrong").locator("td.share a").last.click()
+    cells = page.locator(".matrix tbody tr", has_text="wrong").locator("td.share a")
+    cells.last.click()
     page.wait_for_selector("#pairs[open]")
     found, missed = (page.locator(f"#pair-list tbody .{word}").count() for word in ("found", "missed"))
     assert found + missed == 15
     assert page.locator("#pairs-title").inner_text() == f"wrong, snow, winter, day: {found} of 15 found"
     assert page.locator("#pairs-part button").count() == 0
+    page.locator("#close").click()
+    cells.first.click()  # the total, here of one pair set
+    page.wait_for_selector("#pairs[open]")
+    assert page.locator("#pairs-title").inner_text() == f"wrong, across conditions: {found} of 15 found"
 
 
 @pytest.mark.thorough
