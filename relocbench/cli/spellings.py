@@ -23,7 +23,7 @@ OTHER_NAMES: Mapping[str, Mapping[str, str]] = {
     "four-seasons": {"--calibration": "--calibration-folder"},
     "generic-lidar": {"--max-gap": "--max-pose-gap"},
     "rosbag": {"--max-gap": "--max-pose-gap"},
-    "tum-rgbd": {"--max-truth-gap": "--max-pose-gap"},
+    "tum-rgbd": {"--max-pose-gap": "--max-truth-gap"},
 }
 """command or kind of dataset -> other name of an option -> the name that help shows"""
 

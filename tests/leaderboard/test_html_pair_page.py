@@ -220,7 +220,7 @@ def test_matches_are_drawn_of_methods_that_tell_them(page: Any, site: Path) -> N
     assert lines.count() == 3
     assert lines.first.get_attribute("stroke-dasharray")
     assert [lines.last.get_attribute(name) for name in ("x1", "y1", "x2", "y2")] == ["100", "100", "278", "100"]
-    assert "2 agree" in page.locator("#matches-about").inner_text()
+    assert "2 that agree" in page.locator("#matches-about").inner_text()
     assert re.search(r"traversals/\w+/images/\w+/\d+\.png$", page.locator("#query-file").inner_text())
     page.locator("#method").select_option("right")
     page.wait_for_selector("#matches-section", state="hidden")

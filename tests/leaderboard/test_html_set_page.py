@@ -126,7 +126,7 @@ def test_a_point_of_a_curve_lists_the_pairs_up_to_it_and_beside_them_all_others(
     errors = page.locator("#pair-list tbody td:nth-child(3)")
     assert errors.first.inner_text() == limit
     parts.last.click()
-    assert errors.all_inner_texts()[:2] == ["inf", "inf"]
+    assert errors.all_inner_texts()[:2] == ["no pose", "no pose"]
     assert shown.count() == 15
 
 

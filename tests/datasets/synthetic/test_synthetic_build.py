@@ -422,7 +422,7 @@ def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
     sheet = tmp_path / "sheet.png"
-    outcome = relocbench("preview", "-c", "Sunny,Snow", "--size", 96, "--out", sheet, "--quiet")
+    outcome = relocbench("preview", "-c", "Sunny,Snow", "--size", "96x72", "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err
     picture = images.read_image(sheet)
     assert picture.shape == (72, 2 * 96 + 4, 3)

@@ -68,7 +68,8 @@ class Options(PosedRecordingOptions):
     max_time_difference: float = Field(
         0.02, ge=0, description="greatest time in seconds between an image and its depth image"
     )
-    max_pose_gap: float = Field(0.1, gt=0, description="longest gap in seconds in the true poses to interpolate over")
+    # Recorded under this name in datasets, and so in the content ids of the published ones.
+    max_truth_gap: float = Field(0.1, gt=0, description="longest gap in seconds in the true poses to interpolate over")
     depth_scale: float = Field(5000.0, gt=0, description="stored depth value of one metre")
 
 
@@ -175,7 +176,7 @@ def _frames(source: Path, name: str, time_offset: float, options: Options, repor
     if not available:
         raise DatasetError("none of the images it lists exist", source / "rgb.txt")
     depths = {t: p for t, p in depths.items() if p.exists()}
-    poses = _poses_at(source / "groundtruth.txt", list(available), round(time_offset * 1e9), options.max_pose_gap)
+    poses = _poses_at(source / "groundtruth.txt", list(available), round(time_offset * 1e9), options.max_truth_gap)
     if len(poses) < len(available):
         reporter.note(
             f"{name}: {len(available) - len(poses)} of {len(available)} images without a true pose are left out"

@@ -188,11 +188,14 @@
   /** What became of a pair or a query, by its status in the results. */
   const STATUS = { ok: "answered", failed: "declined", error: "crashed" };
 
+  /** An error, or that there is no answer which could have one. */
+  const errorText = (value, unit) => (value === Infinity ? "no pose" : number(value, unit));
+
   /** Whether a pair is found, as a sign that no method's marker has and the word. */
   const verdict = (right) => `<span class="${right ? "found" : "missed"}">${right ? "✓" : "✗"} ${right ? "found" : "missed"}</span>`;
 
   window.relocbench = {
-    QUALITY, STATUS, thumbs, verdict,
+    QUALITY, STATUS, thumbs, verdict, errorText,
     load, script, bytes, floats, integers, escape, breakable, element, number, state, DIGITS, UNITS,
     printing: false,
     get isDark() { return document.documentElement.dataset.theme === "dark"; },

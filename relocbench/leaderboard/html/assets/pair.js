@@ -115,7 +115,6 @@
     drawNumbers();
     drawPlan();
     await drawPictures(own);
-    link();
   }
 
   function place() {
@@ -179,7 +178,7 @@
       const m = of.methods[l], failed = site.statuses[m.status[row]] !== "ok";
       return element("tr", { class: `${l === label ? "chosen" : ""} ${m.baseline ? "baseline" : ""}` },
         element("td", { class: "text" }, key(l), element("button", { type: "button", class: "cell", "aria-current": l === label ? "true" : null, onclick: () => choose(l) }, l)),
-        verdict(isFound(m, row)), element("td", {}, number(m.t[row], "m")), element("td", {}, number(m.r[row], "deg")), element("td", {}, number(m.confidence[row], "")),
+        verdict(isFound(m, row)), element("td", {}, relocbench.errorText(m.t[row], "m")), element("td", {}, relocbench.errorText(m.r[row], "deg")), element("td", {}, number(m.confidence[row], "")),
         element("td", {}, number(m.seconds[row], "s")), element("td", { class: failed ? "text failed" : "text" }, relocbench.STATUS[site.statuses[m.status[row]]]),
         element("td", { class: "text message" }, messageOf(of, row, l)));
     }));
@@ -309,7 +308,6 @@
     if (button.disabled) return;
     state.set({ at: name });
     drawWarp();
-    link();
   }
 
   /* From above: x to the right and z ahead of the keyframe's camera, which stands at the origin. */
@@ -381,8 +379,6 @@
     if (!of.places.has(row)) entries.push(element("li", { class: "muted" }, "The poses of this pair were not written: there are too many pairs, and it has no images."));
     $("plan-key").replaceChildren(...entries);
   }
-
-  const link = () => { $("permalink").href = location.hash; };
 
   $("method").addEventListener("change", () => choose($("method").value));
   $("pictured").addEventListener("change", place);

@@ -83,7 +83,6 @@ relocbench.queries = (() => {
     $("previous").disabled = page.at === 0 || !page.list.length;
     $("next").disabled = page.at === page.list.length - 1 || !page.list.length;
     $("place").textContent = page.at < 0 ? `not among the ${page.list.length} queries with images` : `${page.at + 1} of ${page.list.length} ${words}, worst first`;
-    $("permalink").href = location.href;
   }
 
   /** The end of an image's path, with all of it where the pointer rests. */

@@ -96,7 +96,7 @@
     const names = [...new Set(pairs.map((pair) => pair.set))], pictures = await picturesOf(names);
     if (DataTable.isDataTable("#pair-list")) new DataTable.Api("#pair-list").destroy();
     $("pair-list").replaceChildren();
-    const numeric = (unit) => (value, type) => (type === "display" ? escape(value === Infinity ? "no pose" : number(value, unit)) : Number.isNaN(value) ? -1 : value);
+    const numeric = (unit) => (value, type) => (type === "display" ? escape(relocbench.errorText(value, unit)) : Number.isNaN(value) ? -1 : value);
     const text = (value, type) => (type === "display" ? escape(value) : value);
     const right = (row) => row.t <= m && row.r <= deg;
     const image = (row, side) => {
