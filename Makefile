@@ -1,4 +1,5 @@
 VENV ?= .venv
+SHELL := bash
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
@@ -57,8 +58,8 @@ format: setup    ## format the code
 	$(RUN)/ruff format .
 	$(RUN)/ruff check --fix .
 
-demo: kernels    ## small dataset -> trackers -> what each finds in which condition
-	$(RUN)/relocbench demo --out demo-output
+demo: kernels    ## small dataset -> trackers -> what each finds in which condition, as README shows it
+	set -o pipefail; $(RUN)/relocbench demo --out demo-output | $(RUN)/python tools/compare_demo.py
 
 bench: setup     ## speed and memory; each benchmark prints one JSON line last
 	@for script in benchmarks/speed/*.py; do echo "== $$script"; $(RUN)/python $$script || exit 1; done

@@ -37,21 +37,9 @@ def pytest_configure(config: pytest.Config) -> None:
         config.stash[_built] = tempfile.TemporaryDirectory(prefix="relocbench-tests-")
         os.environ[FOLDER] = config.stash[_built].name
     elif hasattr(os, "sched_setaffinity"):
-        # Each of pytest's processes keeps to one core, so that a command without --workers starts one worker and not
-        # one for each core, which all the other tests use as well.
-        cores = sorted(os.sched_getaffinity(0))
-        number = int(config.workerinput["workerid"].removeprefix("gw"))
-        os.sched_setaffinity(0, {cores[number % len(cores)]})
-
-
-_TURN = {"system": 0, "docs": 1, "cli": 2, "leaderboard": 3, "datasets": 5, "baselines": 6}
-"""when a folder's tests are run: where there are two workers each begins with its half, and the longest are at the
-beginning of both, so that neither holds a long one when the other has nothing left"""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    here = Path(__file__).parent
-    items.sort(key=lambda item: _TURN.get(item.path.relative_to(here).parts[0], 4))
+        # A command without --workers starts one worker and not one for each core, which the other tests use as well.
+        one = {min(os.sched_getaffinity(0))}
+        os.sched_getaffinity = lambda pid: one
 
 
 def pytest_collection_finish() -> None:

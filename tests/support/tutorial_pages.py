@@ -66,7 +66,8 @@ def run(page: Path, folder: Path) -> list[list[str]]:
     script = "\n".join(f"echo '{_MARK}{index}'\n{_typed(step.block)}" for index, step in enumerate(work))
     script = f"trap \"echo '{_STOPPED}'\" EXIT\n{script}\necho '{_END}'"
     shell = subprocess.Popen(
-        ["bash", "-e", "-c", script],
+        # On one core commands without --workers start one, since other tests use the other cores.
+        ["taskset", "--cpu-list", str(min(os.sched_getaffinity(0))), "bash", "-e", "-c", script],
         cwd=folder,
         env=environment(folder),
         stdin=subprocess.DEVNULL,

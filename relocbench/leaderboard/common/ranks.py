@@ -42,12 +42,6 @@ def rank_text(row: HasRank, rows: Iterable[HasRank]) -> str:
     return NO_RANK if share_a_rank(rows) else str(row.rank)
 
 
-def without_intervals(rows: Iterable[ScoredRow], metric: str) -> bool:
-    """Whether too few pairs or queries are independent for any ranked method to have an interval of a metric."""
-    shown = list(rows)
-    return any(row.rank is not None for row in shown) and not any(row.intervals.get(metric) for row in shown)
-
-
 def why_no_ranks(rows: Sequence[ScoredRow], metric: str, of: str) -> str:
     """Why a table shows no ranks, in a sentence without its full stop; empty where it has some, and without methods.
 
@@ -55,11 +49,11 @@ def why_no_ranks(rows: Sequence[ScoredRow], metric: str, of: str) -> str:
         metric: the one that ranks.
         of: what the rows are over, with their number, such as ``24 pairs``.
     """
-    ranked = sum(row.rank is not None for row in rows)
+    ranked = [row for row in rows if row.rank is not None]
     if not ranked or not share_a_rank(rows):
         return ""
-    if without_intervals(rows, metric):
+    if not all(row.intervals.get(metric) for row in ranked):  # a difference from what has no interval is not tested
         return f"No ranks: too few of the {of} are independent (effective sample size below {MIN_EFFECTIVE:g})"
-    if ranked == 1:
+    if len(ranked) == 1:
         return "No ranks: there is one method alone"
     return "No ranks: no significant difference between the methods"
