@@ -22,9 +22,11 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import RunRecord
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import write_leaderboard
+from relocbench.leaderboard.tracking.cells import level_with_identity
 from relocbench.leaderboard.tracking.front_page import front_page
 from relocbench.leaderboard.tracking.load import evaluate_command
 from relocbench.leaderboard.tracking.plots import risk_picture
+from relocbench.metrics import Difference, Interval
 
 
 def page_of(results: MadeResults, out: Path, *, plots: bool = False) -> str:
@@ -92,6 +94,20 @@ def test_a_method_no_better_than_the_identity_is_named(one_set: MadeResults, tmp
     found = row(write_leaderboard(one_set.root, tmp_path / "out", plots=False), WINTER, "good")
     assert found.above_identity is not None
     assert found.above_identity.significant
+
+
+@pytest.mark.parametrize(("interval", "named"), [(None, []), (Interval(-0.1, 0.1, 0.95), ["good"])])
+def test_a_gain_that_cannot_be_tested_is_not_called_insignificant(
+    one_set: MadeResults, interval: Interval | None, named: list[str]
+) -> None:
+    one_set.add("identity", {WINTER: made(2, 100, 0.3)})
+    board = one_set.board()
+    (dataset,), of_all = board.datasets, table(board, WINTER)
+    gains = {"good": Difference(1.0, interval), "identity": None}
+    rows = tuple(
+        replace(row, above_identity=gains[row.method.label]) for row in of_all.rows if row.method.label in gains
+    )
+    assert level_with_identity(dataset, replace(of_all, rows=rows)) == named
 
 
 @pytest.mark.parametrize(("sigma", "marked"), [(0.04, False), (0.06, True), (None, False)])

@@ -24,6 +24,7 @@ KNOWN = {"R@1": Interval(0.1, 0.3, 0.95)}
     ("rows", "shown", "word"),
     [
         ([Row(1), Row(1), Row(None)], [NO_RANK, NO_RANK, ""], "24 queries"),
+        ([Row(1, KNOWN), Row(1), Row(None)], [NO_RANK, NO_RANK, ""], "24 queries"),
         ([Row(1, KNOWN), Row(1, KNOWN), Row(None)], [NO_RANK, NO_RANK, ""], "difference"),
         ([Row(1, KNOWN), Row(None)], [NO_RANK, ""], "one method"),
         ([Row(1, KNOWN), Row(2, KNOWN), Row(None)], ["1", "2", ""], None),

@@ -153,7 +153,7 @@ def _table(board: Board, dataset: DatasetBoard, table: Table, metrics: list[str]
         "rejected": table.rejected,
         "finer": sorted(table.finer),
         "ranks": why_no_ranks(board, table),
-        "level": level_with_identity(board, dataset, table),
+        "level": level_with_identity(dataset, table),
         "rows": [_row(table, row, metrics) for row in table.rows],
     }
 

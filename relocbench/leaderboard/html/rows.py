@@ -207,7 +207,7 @@ def _notes(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
     """What a reader of a total must know besides its numbers."""
     where = f"{dataset.entry.title}, {table_title(table)}"
     notes = [f"{where}: {why}"] if (why := why_no_ranks(board, table)) else []
-    level = level_with_identity(board, dataset, table)
+    level = level_with_identity(dataset, table)
     if level:
         notes.append(f"{where}: no significant gain over the identity baseline: {', '.join(level)}")
     return notes

@@ -115,8 +115,7 @@ class ByCondition:
     @property
     def in_total(self) -> tuple[Column, ...]:
         """The columns that the share of a line is the mean of: those across conditions, or all where there are none."""
-        usual = [column for column in self.columns if not column.is_finer]
-        return tuple([column for column in usual if not column.same_drive] or usual)
+        return _in_total(self.columns)
 
     @property
     def across_pairs(self) -> int:
@@ -199,13 +198,18 @@ def _ranks(datasets: Sequence[DatasetBoard]) -> dict[str, str]:
 
 def _line(label: str, methods: Sequence[Method], rank: str, columns: Sequence[Column]) -> Line:
     found = tuple(_found(label, column) for column in columns)
-    usual = [(column, own) for column, own in zip(columns, found, strict=True) if not column.is_finer]
-    counted = [each for each in usual if not each[0].same_drive] or usual
-    sets = sum(len(column.pair_sets) for column, _ in counted)
+    together = _in_total(columns)
+    counted = [(column, own) for column, own in zip(columns, found, strict=True) if column in together]
+    sets = sum(len(column.pair_sets) for column in together)
     shares = [None if own.share is None else own.share * len(column.pair_sets) for column, own in counted]
     known = [share for share in shares if share is not None]
     share = sum(known) / sets if known and len(known) == len(shares) else None
     return Line(label, tuple(methods), rank, any(method.is_baseline for method in methods), share, found)
+
+
+def _in_total(columns: Sequence[Column]) -> tuple[Column, ...]:
+    usual = [column for column in columns if not column.is_finer]
+    return tuple([column for column in usual if not column.same_drive] or usual)
 
 
 def _place(line: Line) -> tuple[bool, bool, int, float, float, str]:

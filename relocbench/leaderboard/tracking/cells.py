@@ -95,7 +95,7 @@ def same_method(row: Row, table: Table) -> Row:
     return next(other for other in table.rows if other.method is row.method)
 
 
-def level_with_identity(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
+def level_with_identity(dataset: DatasetBoard, table: Table) -> list[str]:
     """The methods without a significant gain over the identity baseline.
 
     None where that was not run; a method whose gain has too few independent pairs for a test is left out.

@@ -77,7 +77,7 @@ def _dataset(board: Board, dataset: DatasetBoard) -> dict[str, object]:
                 "numbers": _total_table(board, dataset, table),
                 "why_no_ranks": why_no_ranks(board, table),
                 "ranked_by_finer": board.metric.name in table.finer,
-                "level": level_with_identity(board, dataset, table),
+                "level": level_with_identity(dataset, table),
             }
             for table in dataset.totals
         ],

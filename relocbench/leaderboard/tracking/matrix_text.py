@@ -39,7 +39,7 @@ def matrix_text(datasets: Sequence[DatasetBoard], pages: Sequence[str] = ()) -> 
 
 def _one(results: ByCondition, heads: list[str], names: list[str], cells: list[list[str]]) -> str:
     """The matrix of one dataset, with the ranks and the mean across its conditions."""
-    total = [f"{'across conditions' if results.across_pairs else 'all'}, %"] if results.has_total else []
+    total = [f"{results.total_title}, %"] if results.has_total else []
     columns = [METHOD, RANK, *total, *heads]
     rows = [
         [name, line.rank, *([number(line.share, "share")] if total else []), *row]

@@ -176,7 +176,7 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
         "same_drive": table.pair_set == SAME_DRIVE_TOTAL,
         "numbers": _method_table(board, table),
         "why_no_ranks": why_no_ranks(board, table),
-        "level": level_with_identity(board, dataset, table),
+        "level": level_with_identity(dataset, table),
         "finer": [m.name for m in shown_metrics(board) if m.name in table.finer],
         "ranked_by_finer": board.metric.name in table.finer,
         "sigmas": [
