@@ -6,24 +6,21 @@ from pathlib import Path
 
 import pytest
 from kitti_street import record_kitti_street
-from robotcar_street import Built, RobotCarStreet, build_robotcar, record_robotcar_street
+from robotcar_street import SMALL, Built, RobotCarStreet, build_robotcar_street, record_robotcar_street
 
 
 @pytest.fixture(scope="session")
-def robotcar_street(tmp_path_factory: pytest.TempPathFactory) -> RobotCarStreet:
-    return record_robotcar_street(tmp_path_factory.mktemp("robotcar"))
+def robotcar_street() -> RobotCarStreet:
+    return record_robotcar_street.original()
 
 
 @pytest.fixture(scope="session")
-def robotcar_built(robotcar_street: RobotCarStreet, tmp_path_factory: pytest.TempPathFactory) -> Built:
-    """The dataset of the left stereo camera, by the command a user types."""
-    out = tmp_path_factory.mktemp("built") / "dataset"
-    outcome = build_robotcar(out, *robotcar_street.folders)
-    assert outcome.status == 0, outcome.err
-    return Built(out, outcome)
+def robotcar_built() -> Built:
+    """The dataset of the left stereo camera."""
+    return build_robotcar_street.original(*SMALL)
 
 
 @pytest.fixture(scope="session")
-def kitti_street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def kitti_street() -> Path:
     """Two sequences along the fenced street."""
-    return record_kitti_street(tmp_path_factory.mktemp("kitti"))
+    return record_kitti_street.original()

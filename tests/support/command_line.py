@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from relocbench.cli import main
 
@@ -24,6 +26,14 @@ class Outcome:
         lines = [line for line in self.err.splitlines() if line.strip()]
         assert len(lines) == 1, f"expected one line, got:\n{self.err}"
         return lines[0]
+
+    def keep(self, path: Path) -> None:
+        """Write what :meth:`kept` reads."""
+        path.write_text(json.dumps(asdict(self)))
+
+    @staticmethod
+    def kept(path: Path) -> Outcome:
+        return Outcome(**json.loads(path.read_text()))
 
 
 def relocbench(*arguments: object) -> Outcome:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from command_line import Outcome
 from recording_reading import Truth
-from robotcar_street import RobotCarStreet
+from robotcar_street import RobotCarStreet, build_robotcar_street
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
@@ -48,10 +47,11 @@ class RigDrives:
         return np.asarray(invert(T_world_query) @ T_world_ref)
 
 
-def rig_drives(street: RobotCarStreet, out: Path, build: Callable[..., Outcome]) -> RigDrives:
-    """Build a dataset of poses of the rig: ``build(out, *folders)``."""
+def rig_drives(street: RobotCarStreet, *options: object) -> RigDrives:
+    """The dataset of poses of the rig that these options make of the street; nobody may change it."""
+    built = build_robotcar_street.original(*options)
     truths = street.truth(street.reference), street.truth(street.query)
     # The recording states where sensors are on its car, the importer where they are on its rig.
     lidar = read_robotcar_drives(list(street.folders), cameras=(), reporter=Silent())[0].lidars[0]
     T_car_rig = truths[0].T_rig[lidar.name] @ invert(lidar.T_rig_lidar)
-    return RigDrives(street.folders, truths, T_car_rig, out, build(out, *street.folders))
+    return RigDrives(street.folders, truths, T_car_rig, built.root, built.outcome)

@@ -128,3 +128,16 @@ class Built:
         """Rows of the pair set's CSV file."""
         with self.dataset.layout.pair_table(pair_set).open(newline="") as stream:
             return list(csv.DictReader(stream))
+
+
+def _opened_built(root: Path) -> Built:
+    return Built(root / "dataset", Outcome.kept(root / "outcome.json"))
+
+
+@built_once(_opened_built)
+def build_robotcar_street(root: Path, *options: object) -> None:
+    """Build the dataset of the street below ``root``, by the command a user types."""
+    drives = record_robotcar_street.original().folders
+    outcome = relocbench("build-dataset", "robotcar", *drives, "--out", root / "dataset", "-j", 1, *options)
+    assert outcome.status == 0, outcome.err
+    outcome.keep(root / "outcome.json")

@@ -89,8 +89,8 @@ def build(out: Path, *arguments: object) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def drives(robotcar_street: RobotCarStreet, tmp_path_factory: pytest.TempPathFactory) -> RigDrives:
-    return rig_drives(robotcar_street, tmp_path_factory.mktemp("built") / "dataset", build)
+def drives(robotcar_street: RobotCarStreet) -> RigDrives:
+    return rig_drives(robotcar_street, *SMALL)
 
 
 @pytest.mark.thorough

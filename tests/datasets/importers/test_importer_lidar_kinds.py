@@ -60,7 +60,7 @@ def build(kind: str, out: Path, *arguments: object) -> Outcome:
 
 
 @pytest.mark.thorough
-def test_sequences_of_kitti_are_brought_together(kitti_street: Path, tmp_path: Path) -> None:
+def test_sequences_of_kitti_are_brought_together_with_and_without_images(kitti_street: Path, tmp_path: Path) -> None:
     out = tmp_path / "dataset"
     chosen = ("--sequence", "00,01", "--odometry", "poses", "--matcher", "fgr")
     outcome = build("kitti-lidar", out, kitti_street, *chosen)
@@ -69,6 +69,19 @@ def test_sequences_of_kitti_are_brought_together(kitti_street: Path, tmp_path: P
     assert metres < 0.10
     assert degrees < 0.15
     assert "image_1" in outcome.err
+    # Images and scans of KITTI have the same times, so that a build without images pairs the same moments.
+    alone = tmp_path / "alone"
+    assert build("kitti-lidar", alone, kitti_street, *chosen, "--cameras", "none").status == 0
+    (of_images,), (of_rig,) = (Dataset(folder).pair_sets() for folder in (out, alone))
+    T_rig_cam = Dataset(out).traversal("kitti_00").T_rig_cam("image_0")
+    by_key = {p.key: p for p in of_images.pairs}
+    both = [p for p in of_rig.pairs if p.key in by_key]
+    assert len(both) >= 4
+    for pair in both:
+        T_query_ref = by_key[pair.key].T_query_ref
+        assert T_query_ref is not None
+        assert pair.T_query_ref is not None
+        np.testing.assert_allclose(pair.T_query_ref, T_rig_cam @ T_query_ref @ invert(T_rig_cam), atol=1e-6)
 
 
 @pytest.mark.thorough
