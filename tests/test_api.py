@@ -59,7 +59,7 @@ def test_pairs_come_with_images_depth_and_truth(dataset: Path) -> None:
 
 
 def test_tables_are_those_of_the_commands(results: Path, tmp_path: Path) -> None:
-    write_leaderboard(results, tmp_path, plots=False)
+    write_leaderboard(results, tmp_path)
     table = rb.read_leaderboard(results)
     written = pd.read_csv(tmp_path / "leaderboard.csv")
     assert list(table.columns) == list(written.columns)

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Reproduce the results in leaderboard/: datasets and predictions in a scratch folder, tables and curves in the repository.
+# Reproduce the results in leaderboard/: datasets and predictions in a scratch folder, tables in the repository.
 #   tools/publish_leaderboard.sh RECORDINGS [SCRATCH]
 # RECORDINGS holds kitti_odometry/ (official layout, sequences 00 and 06), tum_rgbd/ (freiburg1_xyz, freiburg1_desk) and
 # tilde_webcam/ (chamonix, courbevoie, mexico). Where it has weights/aliked-n16.pth, aliked-pnp is run as well, and gn-net's
@@ -53,7 +53,7 @@ for dataset in kitti_06 kitti_00 kitti_00_stereo fr1_xyz fr1_desk fr1_xyz_to_des
 done
 relocbench probe -d "$scratch/webcams" -m gn-net-from-prior -m gn-net-contrastive -m dso --no-poses --structured 0.25 \
   --out "$scratch/webcams_probe" --workers 1 -q
-rm -rf leaderboard/{curves,sets,reading.md,leaderboard.md,real/webcams_probe} leaderboard/*.csv
+rm -rf leaderboard/{sets,reading.md,leaderboard.md,real/webcams_probe} leaderboard/*.csv
 mkdir -p leaderboard/real/webcams_probe
 cp "$scratch"/webcams_probe/{probe.md,probe.csv,radii.csv,curves.png,levels.png} leaderboard/real/webcams_probe/
 relocbench leaderboard "$scratch/results" --out leaderboard

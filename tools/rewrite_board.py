@@ -3,7 +3,7 @@
 
     tools/rewrite_board.py leaderboard
 
-A board takes hours to evaluate; its tables hold every error and all that pages and plots show. Before anything is
+A board takes hours to evaluate; its tables hold every error and all that pages show. Before anything is
 written, every number of ``leaderboard.csv`` is computed again from ``errors.csv`` and compared to twelve digits (the
 order in which pair sets were added up is not published). CSV files stay as they are.
 """
@@ -30,7 +30,6 @@ from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 from relocbench.leaderboard.tracking.model import TOTALS, Board
 from relocbench.leaderboard.tracking.tables import make_board
 from relocbench.leaderboard.tracking.write import write_pages
-from relocbench.progress import Silent
 
 Rows = list[dict[str, str]]
 _KEY = ("dataset", "pair_set", "split", "group", "method")
@@ -51,7 +50,7 @@ def main() -> None:
     entries = [_entry(folder, rows, errors, matching, truth) for rows in by_dataset.values()]
     board = make_board(entries, metric=published[0]["ranked_by"])
     _compare(board, published)
-    write_pages(board, folder, plots=True, reporter=Silent())
+    write_pages(board, folder)
 
 
 def _read(path: Path) -> Rows:

@@ -6,7 +6,7 @@ errors follow a random walk along a drive, and a share of pairs fails. Every com
 timed from start to end; its peak memory is that of the process and of its children. The reference for a leaderboard's
 time is that of ``pandas.read_csv`` on the same tables (``PAIRSET.csv`` and ``PAIRSET.errors.csv``) in the same run.
 
-    python benchmarks/speed/leaderboard.py [--sets N] [--methods N] [--pairs N] [--no-plots]
+    python benchmarks/speed/leaderboard.py [--sets N] [--methods N] [--pairs N]
 
 The last line is JSON.
 """
@@ -216,12 +216,12 @@ def pandas_seconds(results: Path) -> float:
     return time.perf_counter() - start
 
 
-def board(scratch: Path, name: str, sets: int, methods: int, pairs: int, plots: bool) -> dict[str, Any]:
+def board(scratch: Path, name: str, sets: int, methods: int, pairs: int) -> dict[str, Any]:
     """Measure one leaderboard and the reading of its tables."""
     results = make_results(scratch / name, sets, methods, pairs)
     plain = pandas_seconds(results)
     words = ["leaderboard", str(results), "--out", str(scratch / f"{name}-board"), "--quiet"]
-    taken = run(*words, *([] if plots else ["--no-plots"]))
+    taken = run(*words)
     print(
         f"{name}, {sets} sets x {methods} methods x {pairs} pairs: {taken.seconds:.1f} s, "
         f"{taken.cpu_seconds:.1f} s of the processor, {taken.peak_mib:.0f} MiB; "
@@ -232,7 +232,6 @@ def board(scratch: Path, name: str, sets: int, methods: int, pairs: int, plots: 
         "sets": sets,
         "methods": methods,
         "pairs": pairs,
-        "plots": plots,
         "seconds": round(taken.seconds, 2),
         "cpu_seconds": round(taken.cpu_seconds, 2),
         "peak_mib": round(taken.peak_mib),
@@ -306,13 +305,12 @@ def main() -> None:
     parser.add_argument("--methods", type=int, default=10)
     parser.add_argument("--pairs", type=int, default=100_000)
     parser.add_argument("--site-datasets", type=int, default=20, help="of the site of 20 methods, 5000 pairs each")
-    parser.add_argument("--plots", action=argparse.BooleanOptionalAction, default=True)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         scratch = Path(temporary)
         results = {
-            "many_sets": board(scratch, "many_sets", options.sets, options.methods, PER_SET, options.plots),
-            "many_pairs": board(scratch, "many_pairs", 1, 2, options.pairs, options.plots),
+            "many_sets": board(scratch, "many_sets", options.sets, options.methods, PER_SET),
+            "many_pairs": board(scratch, "many_pairs", 1, 2, options.pairs),
             "site": site(scratch, options.site_datasets, 20, 5000),
             "predictions": predictions(scratch, options.pairs),
         }

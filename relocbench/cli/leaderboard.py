@@ -1,4 +1,4 @@
-"""``relocbench leaderboard`` and ``relocbench report``: tables, plots and pages from a results folder."""
+"""``relocbench leaderboard`` and ``relocbench report``: tables and pages from a results folder."""
 
 from __future__ import annotations
 
@@ -76,9 +76,6 @@ def leaderboard(
     relocalization_metric: RelocalizationMetric = None,
     split: Split = None,
     seed: Seed = 0,
-    plots: Annotated[
-        bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves of trackers are drawn.")
-    ] = True,
     html: Annotated[
         bool,
         typer.Option(
@@ -108,7 +105,7 @@ def leaderboard(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Compare methods: CSV, Markdown and error curves; retrievers, and retrievers with trackers, have their own pages.
+    """Compare methods in CSV and Markdown; retrievers, and retrievers with trackers, have their own pages.
 
     Needs the results folder alone. Where the dataset is available too, all errors are computed anew from it.
     The same results give the same bytes.
@@ -139,7 +136,7 @@ def leaderboard(
             note_missing(retrievers, progress)
         if pipelines is not None:
             note_missing_pipelines(pipelines, progress)
-        files = write_formats(Boards(board, retrievers, pipelines), out, chosen, How(plots, pairs, progress))
+        files = write_formats(Boards(board, retrievers, pipelines), out, chosen, How(pairs, progress))
     if json:
         retrieval = (
             {}

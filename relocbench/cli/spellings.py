@@ -10,6 +10,14 @@ from collections.abc import Collection, Mapping, Sequence
 
 _ARGUMENT = ""
 """in place of a name: what follows the option is the command's argument"""
+_HAVE_NO_PICTURES = "pages in Markdown have no pictures; relocbench report draws the curves"
+REMOVED: Mapping[tuple[str, str], str] = {
+    ("evaluate", "--task"): "the other tasks have commands of their own: relocbench evaluate-retrieval and relocbench "
+    "evaluate-relocalization",
+    ("leaderboard", "--plots"): _HAVE_NO_PICTURES,
+    ("leaderboard", "--no-plots"): _HAVE_NO_PICTURES,
+}
+"""command and option of an earlier version -> what to use instead"""
 _DATASET = {"--dataset": _ARGUMENT, "-d": _ARGUMENT}
 _METHOD = {"--method": _ARGUMENT, "-m": _ARGUMENT}
 OTHER_NAMES: Mapping[str, Mapping[str, str]] = {

@@ -25,8 +25,6 @@ from relocbench.progress import Reporter
 class How:
     """What decides how boards are written, besides themselves."""
 
-    plots: bool
-    """whether pages in Markdown have error curves"""
     pairs: int
     """number of pairs with images, as :func:`write_site` takes it"""
     reporter: Reporter
@@ -43,7 +41,7 @@ def _csv(boards: Boards, out: Path, how: How) -> list[Path]:
 
 
 def _markdown(boards: Boards, out: Path, how: How) -> list[Path]:
-    files = [] if boards.tracking is None else write_pages(boards.tracking, out, plots=how.plots, reporter=how.reporter)
+    files = [] if boards.tracking is None else write_pages(boards.tracking, out)
     files += [] if boards.retrieval is None else write_retrieval_page(boards.retrieval, out)
     return files + ([] if boards.relocalization is None else write_pipeline_page(boards.relocalization, out))
 

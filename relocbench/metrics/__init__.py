@@ -6,7 +6,7 @@ from relocbench.metrics.pose.confidence import (
     precision_recall,
     risk_coverage_area,
 )
-from relocbench.metrics.pose.curves import CumulativeCurve, area_shares, cumulative_curve
+from relocbench.metrics.pose.curves import area_shares
 from relocbench.metrics.pose.different_places import DifferentPlaces
 from relocbench.metrics.pose.errors import PoseErrors, pose_errors
 from relocbench.metrics.pose.failure_policy import (
@@ -76,7 +76,6 @@ __all__ = [
     "NEVER",
     "PLACE_METRICS",
     "RETRIEVAL_METRICS",
-    "CumulativeCurve",
     "Denominator",
     "Difference",
     "DifferentPlaces",
@@ -105,7 +104,6 @@ __all__ = [
     "check_single_positive_tables",
     "count_at_least",
     "crossed_difference",
-    "cumulative_curve",
     "exact_scores",
     "generator",
     "infinite_where_failed",

@@ -111,6 +111,14 @@ def test_a_kind_that_converts_every_image_does_not_copy() -> None:
     assert not options_of("robotcar")().copies_images  # type: ignore[attr-defined]
 
 
-def test_the_old_option_for_the_task_is_answered_with_the_commands_of_the_tasks() -> None:
-    told = relocbench("evaluate", "--task", "retrieval").complaint
-    assert_names(told, "", None, "--task", "evaluate-retrieval", "evaluate-relocalization")
+@pytest.mark.parametrize(
+    ("command", "option", "instead"),
+    [
+        ("evaluate", "--task", ("evaluate-retrieval", "evaluate-relocalization")),
+        ("leaderboard", "--no-plots", ("relocbench report",)),
+    ],
+)
+def test_an_option_of_an_earlier_version_is_answered_with_what_to_use_instead(
+    command: str, option: str, instead: tuple[str, ...]
+) -> None:
+    assert_names(relocbench(command, option).complaint, "", None, option, *instead)

@@ -111,7 +111,7 @@ COMMANDS: dict[str, tuple[Given, dict[str, int]]] = {
         {"broke": 0},
     ),
     "leaderboard": (
-        lambda d, t: [d.results, "--out", t / "b", "--no-plots", "--format", "csv"],
+        lambda d, t: [d.results, "--out", t / "b", "--format", "csv"],
         {"files_written": 3, "pair_sets": 2},  # rows, errors, truth.csv
     ),
     "report": (

@@ -74,7 +74,6 @@ def test_the_identity_is_the_floor_that_others_are_compared_with(root: Path, tmp
     page = (tmp_path / "b" / "leaderboard.md").read_text()
     assert "mine" in page
     assert "not isolated" not in "".join(p.read_text() for p in (tmp_path / "b" / "sets").glob("*.md"))
-    assert list((tmp_path / "b" / "curves").glob("*.png"))
 
 
 def test_inspect_counts_poses(root: Path) -> None:

@@ -73,7 +73,7 @@ def test_leaderboard_keeps_its_form_and_add_is_a_command_of_its_own(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert relocbench("leaderboard", "add", submit(tmp_path / "s", town), "--to", "add", "-d", town.root).status == 0
-    assert relocbench("leaderboard", "./add", "--out", "board", "--no-plots", "-q").status == 0
+    assert relocbench("leaderboard", "./add", "--out", "board", "-q").status == 0
     assert (tmp_path / "board" / "leaderboard.md").exists()
     assert "leaderboard add" in relocbench("--help").out
     assert "--replace" in relocbench("leaderboard", "add", "--help").out

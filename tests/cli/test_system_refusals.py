@@ -358,12 +358,12 @@ def test_what_the_system_refuses_is_one_line_that_names_the_file(
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", fsync)
-    ended = relocbench("leaderboard", made / "results", "--out", tmp_path / "board", "--no-plots", "--quiet")
+    ended = relocbench("leaderboard", made / "results", "--out", tmp_path / "board", "--quiet")
     assert ended.status == 2
     assert ended.complaint == f"relocbench: {tmp_path / 'board' / 'leaderboard.csv'}: {os.strerror(number)}"
     assert not (tmp_path / "board").exists()
     monkeypatch.setattr(os, "fsync", real)
-    assert relocbench("leaderboard", made / "results", "--out", tmp_path / "board", "--no-plots", "-q").status == 0
+    assert relocbench("leaderboard", made / "results", "--out", tmp_path / "board", "-q").status == 0
 
 
 # Clocks that stand still or go backwards.
@@ -389,7 +389,7 @@ def test_an_odd_clock_changes_no_answer(made: Path, tmp_path: Path, odd_clock: N
     ended = relocbench("evaluate", "-d", made / "data", "-m", "identity", "--out", tmp_path / "results", "-j", 1)
     assert ended.status == 0
     assert answers(tmp_path / "results") == answers(made / "results")
-    assert relocbench("leaderboard", tmp_path / "results", "--out", tmp_path / "board", "--no-plots").status == 0
+    assert relocbench("leaderboard", tmp_path / "results", "--out", tmp_path / "board").status == 0
 
 
 def test_two_journals_of_one_moment_are_two_files(tmp_path: Path, odd_clock: None) -> None:

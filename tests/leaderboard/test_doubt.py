@@ -71,7 +71,7 @@ def test_every_board_marks_a_set_in_doubt_and_says_by_how_much(tmp_path: Path) -
     board = make_board([replace(entry, truth_checks={WINTER: APART})])
     site = write_site(Boards(board), tmp_path / "html").parent
     pages = [(site / "index.html").read_text(), next(site.glob("set-*.html")).read_text()]
-    for page in (front_page(board), set_page(board, board.datasets[0], plots=False), *pages):
+    for page in (front_page(board), set_page(board, board.datasets[0]), *pages):
         assert "truth in doubt" in page
         assert "5 of 6" in page
         assert "2.0 px" in page

@@ -163,7 +163,7 @@ def test_the_command_line_says_how_many_pairs_have_images(results: Path, tmp_pat
     assert told.status == 0, told.err
     assert not (tmp_path / "none" / "data" / "images").exists()
     board = tmp_path / "board"
-    told = relocbench("leaderboard", results, "--out", board, "--no-plots", "--html", "--pairs", 1, "--quiet")
+    told = relocbench("leaderboard", results, "--out", board, "--html", "--pairs", 1, "--quiet")
     assert told.status == 0, told.err
     assert list((board / "html").glob("data/images/*/*/*.js"))
 

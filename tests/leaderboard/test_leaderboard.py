@@ -208,7 +208,7 @@ def test_the_csv_holds_the_formulas_of_the_metrics_in_full(tmp_path: Path) -> No
     results.write_dataset()
     answers = Made([0.05, 0.2, np.inf, 0.6], [0.5, 1.5, np.inf, 0.25], broke=frozenset([2]), seconds=0.5)
     results.add("mine", {WINTER: answers})
-    write_leaderboard(results.root, tmp_path / "out", plots=False)
+    write_leaderboard(results.root, tmp_path / "out")
     found = next(r for r in read_csv(tmp_path / "out" / "leaderboard.csv") if r["pair_set"] == WINTER)
     # By hand: 1/4 (0.9 + 0.6 + 0 + 0); 1/4 (0 + 0 + 0 + 0.5); two of four within 0.25 m and 2 deg.
     assert float(found["t_auc@0.5m"]) == pytest.approx(0.375, abs=1e-15)
@@ -275,7 +275,7 @@ def test_pair_sets_of_one_drive_have_totals_of_their_own(tmp_path: Path) -> None
     results = MadeResults(tmp_path / "results", {SAME: 30, WINTER: 20, NIGHT: 10}, splits=splits)
     results.write_dataset()
     results.add("mine", {SAME: made(1, 30, 0.01), WINTER: made(2, 20, 0.4)})
-    board = write_leaderboard(results.root, tmp_path / "out", plots=False)
+    board = write_leaderboard(results.root, tmp_path / "out")
     totals = {t.pair_set: t.pair_sets for t in board.datasets[0].totals}
     assert totals == {"total": (WINTER, NIGHT), "total_same_drive": (SAME,)}
     assert row(board, "total", "mine").missing == (NIGHT,)
@@ -285,7 +285,7 @@ def test_pair_sets_of_one_drive_have_totals_of_their_own(tmp_path: Path) -> None
 
 
 def test_a_method_that_misses_a_pair_set_has_blank_totals_and_no_rank(two_sets: MadeResults, tmp_path: Path) -> None:
-    board = write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
+    board = write_leaderboard(two_sets.root, tmp_path / "out")
     assert row(board, WINTER, "partial").rank == 1
     total = row(board, "total", "partial")
     assert total.rank is None
@@ -305,7 +305,7 @@ def test_a_run_that_was_killed_is_missing_and_its_command_is_named(two_sets: Mad
     folder.journal(NIGHT).mkdir(parents=True)
     lines = [json.dumps({"key": [1, k]}) for k in (1, 2, 2)]
     (folder.journal(NIGHT) / "1-1.jsonl").write_text("\n".join(lines) + '\n{"key": [1, 3')
-    board = write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
+    board = write_leaderboard(two_sets.root, tmp_path / "out")
     assert row(board, "total", "good").rank is None
     page = board_pages(tmp_path / "out")
     assert f"`good` on `{NIGHT}`: the run was stopped after 2 of 80 pairs" in page
@@ -319,7 +319,6 @@ def test_a_pair_set_that_every_method_left_unfinished_is_still_shown(tmp_path: P
     board = write_leaderboard(results.root, tmp_path / "out")
     assert row(board, WINTER, "mine").missing == (WINTER,)
     assert "the run was stopped after 0 of 10 pairs" in board_pages(tmp_path / "out")
-    assert not (tmp_path / "out" / "curves").exists()
 
 
 def test_predictions_that_changed_since_they_were_scored_are_refused(two_sets: MadeResults) -> None:
@@ -391,7 +390,7 @@ def test_with_too_few_pairs_nothing_is_significant_and_the_page_says_so(tmp_path
     results.write_dataset()
     results.add("a", {WINTER: made(1, 4, 0.01)})
     results.add("b", {WINTER: made(2, 4, 5.0)})
-    board = write_leaderboard(results.root, tmp_path / "out", plots=False)
+    board = write_leaderboard(results.root, tmp_path / "out")
     assert [r.rank for r in table(board, WINTER).rows] == [1, 1]
     assert "No ranks: too few of the 4 pairs are independent" in board_pages(tmp_path / "out")
 
@@ -453,7 +452,7 @@ def test_runs_that_differ_by_their_seed_alone_get_a_mean_and_a_deviation(two_set
         answers = {WINTER: made(20 + seed, 120, 0.1), NIGHT: made(30 + seed, 80, 0.1)}
         two_sets.add(f"net-{seed}", answers, target="net", seed=seed, parameters={"points": 5, "seed": seed})
     two_sets.add("net-wide", {WINTER: made(40, 120, 0.1)}, target="net", seed=3, parameters={"points": 9, "seed": 3})
-    board = write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
+    board = write_leaderboard(two_sets.root, tmp_path / "out")
     values = [row(board, WINTER, f"net-{seed}").values["t_auc@0.5m"] for seed in (0, 1, 2)]
     (found,) = table(board, WINTER).seeds
     spread = found.spread["t_auc@0.5m"]
@@ -469,7 +468,7 @@ def test_runs_that_differ_by_their_seed_alone_get_a_mean_and_a_deviation(two_set
 
 
 def test_the_table_of_all_pairs_holds_every_method_and_pair(two_sets: MadeResults, tmp_path: Path) -> None:
-    write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
+    write_leaderboard(two_sets.root, tmp_path / "out")
     rows = read_csv(tmp_path / "out" / "errors.csv")
     assert len(rows) == 120 * 3 + 80 * 2
     mine = [r for r in rows if r["method"] == "good" and r["pair_set"] == WINTER]
@@ -481,7 +480,7 @@ def test_the_same_results_give_the_same_bytes(two_sets: MadeResults, tmp_path: P
     for name in ("a", "b"):
         write_leaderboard(two_sets.root, tmp_path / name)
     files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file())
-    assert {f.suffix for f in files} == {".csv", ".md", ".png"}
+    assert {f.suffix for f in files} == {".csv", ".md"}
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
     assert sorted(p.relative_to(tmp_path / "b") for p in (tmp_path / "b").rglob("*") if p.is_file()) == files

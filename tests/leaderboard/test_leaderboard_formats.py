@@ -33,7 +33,7 @@ def results(tmp_path: Path) -> Path:
 
 
 def written(results: Path, out: Path, *options: str) -> list[str]:
-    done = relocbench("leaderboard", results, "--out", out, "--no-plots", "-q", *options)
+    done = relocbench("leaderboard", results, "--out", out, "-q", *options)
     assert done.status == 0, done.err
     return sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
 
@@ -81,7 +81,7 @@ def test_nothing_is_written_into_a_dataset(results: Path, tmp_path: Path) -> Non
     for name in ("dataset.yaml", "manifest.csv"):
         (tmp_path / name).touch()
     for out in (tmp_path, tmp_path / "new" / "board"):
-        done = relocbench("leaderboard", results, "--out", out, "--no-plots")
+        done = relocbench("leaderboard", results, "--out", out)
         assert (done.status, "--out lies inside the dataset" in done.complaint) == (2, True)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset.yaml", "manifest.csv", "results"]
 
@@ -90,7 +90,7 @@ def test_a_number_has_one_name_in_markdown_latex_and_csv_and_the_terminal_begins
     results: Path, tmp_path: Path
 ) -> None:
     done = relocbench(
-        "leaderboard", results, "--out", tmp_path, "--no-plots", "--format", "csv", "--format", "markdown",
+        "leaderboard", results, "--out", tmp_path, "--format", "csv", "--format", "markdown",
         "--format", "latex",
     )  # fmt: skip
     names = set(read_csv(tmp_path / "leaderboard.csv")[0])

@@ -1,4 +1,4 @@
-"""What the leaderboard's page, pictures and command tell a person."""
+"""What the leaderboard's page and command tell a person."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
 
-import cv2
 import numpy as np
 import pytest
 import typer
@@ -25,12 +24,11 @@ from relocbench.leaderboard import write_leaderboard
 from relocbench.leaderboard.tracking.cells import level_with_identity
 from relocbench.leaderboard.tracking.front_page import front_page
 from relocbench.leaderboard.tracking.load import evaluate_command
-from relocbench.leaderboard.tracking.plots import risk_picture
 from relocbench.metrics import Difference, Interval
 
 
-def page_of(results: MadeResults, out: Path, *, plots: bool = False) -> str:
-    write_leaderboard(results.root, out, plots=plots)
+def page_of(results: MadeResults, out: Path) -> str:
+    write_leaderboard(results.root, out)
     return board_pages(out)
 
 
@@ -91,7 +89,7 @@ def test_a_method_no_better_than_the_identity_is_named(one_set: MadeResults, tmp
     one_set.add("idle", {WINTER: Made(list(reversed(floor.translation_m)), floor.rotation_deg)})
     page = page_of(one_set, tmp_path / "out")
     assert re.findall(r"^No significant gain over .*: (.*)\.$", page, re.MULTILINE) == ["`idle`"] * 2
-    found = row(write_leaderboard(one_set.root, tmp_path / "out", plots=False), WINTER, "good")
+    found = row(write_leaderboard(one_set.root, tmp_path / "out"), WINTER, "good")
     assert found.above_identity is not None
     assert found.above_identity.significant
 
@@ -253,47 +251,6 @@ def test_the_command_of_a_method_can_be_pasted_into_a_shell() -> None:
     assert evaluate_command(outside).endswith("--method theirs --predictions folder")
 
 
-def test_each_pair_set_has_a_picture_in_which_curves_rise(one_set: MadeResults, tmp_path: Path) -> None:
-    one_set.add("identity", {WINTER: made(2, 100, 0.8)})
-    page = page_of(one_set, tmp_path / "out", plots=True)
-    name = f"curves/{TITLE}__{WINTER}.png"
-    assert f"(../{name.replace('@', '%40')})" in page
-    picture = cv2.imread(str(tmp_path / "out" / name))
-    assert picture is not None
-    assert picture.shape[1] > 1000
-    blue, grey = np.array([0xB2, 0x72, 0x00]), np.array([0x76, 0x76, 0x76])  # B, G, R
-    left = picture[:, : picture.shape[1] // 2]
-    end = np.nonzero(np.all(left == blue, axis=-1))[1].max()  # where the curves reach 1 m
-    heights = [np.median(np.nonzero(np.all(left[:, end - 30 : end] == c, axis=-1))[0]) for c in (blue, grey)]
-    assert heights[0] < heights[1]  # image rows count downwards: the better method's curve ends higher
-    assert b"Software" not in (tmp_path / "out" / name).read_bytes()
-
-
-def test_each_total_has_a_picture_of_what_confidences_are_worth(one_set: MadeResults, tmp_path: Path) -> None:
-    one_set.add("identity", {WINTER: made(2, 100, 0.8)})
-    one_set.add("silent", {WINTER: Made([np.inf] * 100, [np.inf] * 100)})
-    page = page_of(one_set, tmp_path / "out", plots=True)
-    name = f"curves/{TITLE}__total.confidence.png"
-    assert f"(../{name.replace('@', '%40')})" in page
-    assert cv2.imread(str(tmp_path / "out" / name)) is not None
-    board = one_set.board()
-    picture = risk_picture(board.datasets[0], board.datasets[0].totals[0])
-    assert [line[0] for line in picture.lines] == ["good"]
-    _, coverage, risk, _, _ = picture.lines[0]
-    # Answers without confidences are kept all or none.
-    assert coverage.tolist() == [100.0]
-    assert risk[0] == pytest.approx(100 - 100 * (row(board, WINTER, "good").values["recall@(0.25m,2deg)"] or 0))
-
-
-def test_without_an_answer_there_is_no_picture_of_confidences(tmp_path: Path) -> None:
-    results = MadeResults(tmp_path / "results", {WINTER: 20})
-    results.write_dataset()
-    results.add("silent", {WINTER: Made([np.inf] * 20, [np.inf] * 20)})
-    page = page_of(results, tmp_path / "out", plots=True)
-    assert "confidence.png" not in page
-    assert not list((tmp_path / "out" / "curves").glob("*.confidence.png"))
-
-
 def run_command(*arguments: str) -> tuple[int, str, BaseException | None]:
     app = typer.Typer()
     app.command()(leaderboard)
@@ -303,11 +260,11 @@ def run_command(*arguments: str) -> tuple[int, str, BaseException | None]:
 
 def test_the_command_prints_a_table_or_json(one_set: MadeResults, tmp_path: Path) -> None:
     out = str(tmp_path / "out")
-    code, text, _ = run_command(str(one_set.root), "--out", out, "--no-plots")
+    code, text, _ = run_command(str(one_set.root), "--out", out)
     assert code == 0
     assert "good" in text
     assert "winter" in text
-    code, text, _ = run_command(str(one_set.root), "--out", out, "--no-plots", "--json", "--quiet")
+    code, text, _ = run_command(str(one_set.root), "--out", out, "--json", "--quiet")
     rows = json.loads(text)["rows"]
     assert code == 0
     assert {r["pair_set"] for r in rows} == {WINTER, "total"}
@@ -321,5 +278,5 @@ def test_a_folder_without_results_is_a_users_mistake(tmp_path: Path) -> None:
 
 
 def test_one_datasets_folder_can_be_given_alone(one_set: MadeResults, tmp_path: Path) -> None:
-    board = write_leaderboard(one_set.folder, tmp_path / "out", plots=False)
+    board = write_leaderboard(one_set.folder, tmp_path / "out")
     assert table(board, WINTER).pairs == 100

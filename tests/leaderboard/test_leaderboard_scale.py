@@ -40,7 +40,7 @@ def test_each_record_of_a_results_folder_is_parsed_once(tmp_path: Path, monkeypa
 
     made_results(tmp_path, sets=7)
     monkeypatch.setattr(results_module, "load_yaml", counted)
-    write_leaderboard(tmp_path, tmp_path / "board", plots=False)
+    write_leaderboard(tmp_path, tmp_path / "board")
     records = [f"{TITLE}/{method}/{name}.yaml" for method in ("m0", "m1") for name in ("run", "scores")]
     assert parsed == Counter([f"{TITLE}/dataset.yaml", *records])
 
@@ -201,7 +201,7 @@ def test_a_strangers_results_folder_gets_one_clear_line_and_nothing_is_written(a
     change(results.folder)
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(PredictionError, match=expected) as told:
-        write_leaderboard(tmp_path / "results", tmp_path / "board", plots=False)
+        write_leaderboard(tmp_path / "results", tmp_path / "board")
     assert "\n" not in str(told.value)
     assert sorted(tmp_path.rglob("*")) == before
 

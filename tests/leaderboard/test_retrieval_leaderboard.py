@@ -171,7 +171,7 @@ def test_both_halves_are_written_from_one_results_folder(tmp_path: Path) -> None
     out = tmp_path / "results"
     assert relocbench("evaluate", "-d", street.root, "-m", "identity", "--out", out, "-j", "1", "-q").status == 0
     run(street.root, out, f"t={HERE}:Thumbnail", radius=0.2, heading=30.0)
-    board = relocbench("leaderboard", out, "--out", tmp_path / "board", "--no-plots", "-q", "--split", "test")
+    board = relocbench("leaderboard", out, "--out", tmp_path / "board", "-q", "--split", "test")
     assert board.status == 0, board.err
     assert {"leaderboard.md", "retrieval.md"} <= {p.name for p in (tmp_path / "board").iterdir()}
     asked = all_sets(out)[0]

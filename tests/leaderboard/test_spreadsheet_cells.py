@@ -1,4 +1,4 @@
-"""What others wrote is shown in tables and pictures, and nothing of it acts."""
+"""What others wrote is shown in tables, and nothing of it acts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from test_leaderboard import WINTER, MadeResults, made
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import load_results, write_leaderboard
 from relocbench.leaderboard.common.text import cell, json_text
-from relocbench.leaderboard.tracking.plots import Curve, CurvePicture, draw
 
 FORMULAS = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", " =1", "'=1", '"=1', "＝1", "-", "=HYPERLINK()"]
 
@@ -36,7 +35,7 @@ def test_no_table_of_a_board_holds_a_formula_of_somebody_else(tmp_path: Path) ->
     write_text(path, dump_yaml(values))
     for seed in (0, 1):
         results.add(f"+cmd{seed}", {WINTER: made(seed, 12, 0.2)}, target="@evil", seed=seed, parameters={"seed": seed})
-    write_leaderboard(tmp_path / "results", tmp_path / "board", plots=False)
+    write_leaderboard(tmp_path / "results", tmp_path / "board")
     for name in ("leaderboard.csv", "errors.csv", "seeds.csv"):
         with (tmp_path / "board" / name).open(newline="", encoding="utf-8") as stream:
             cells = {text for line in csv.reader(stream) for text in line}
@@ -54,11 +53,3 @@ def test_what_json_does_not_know_stands_as_text() -> None:
     shown = json_text({1: datetime.date(2024, 1, 2), "huge": 16**5000, None: float("nan"), "deep": circle})
     assert '"1": "2024-01-02"' in shown
     assert "..." in shown
-
-
-def test_a_picture_shows_names_that_would_be_formulas_or_hidden() -> None:
-    import numpy as np
-
-    line = np.array([0.0, 1.0])
-    curve = Curve("_$\\frac{$", line, line, line, line, "#000000", "-", 1.0)
-    assert draw(CurvePicture("$x_{$" * 20, 2, "t_auc@0.5m", (curve,), None, None)).startswith(b"\x89PNG")

@@ -81,7 +81,7 @@ def test_kitti_is_tracked_to_centimetres_and_what_fails_farther_off_is_in_the_ta
 ) -> None:
     results, board = tmp_path / "r", tmp_path / "b"
     run("evaluate", "-d", built("kitti_06").root, *METHODS, "-m", "gn-net", "--out", results, "-j", 0, "-q")
-    run("leaderboard", results, "--out", board, "--no-plots", "-q")
+    run("leaderboard", results, "--out", board, "-q")
     errors = errors_by_method(results)
     for method in ("orb-pnp", "dso", "gn-net"):
         metres, degrees = medians(errors[method], "step_1", "step_2")

@@ -120,7 +120,7 @@ def _board(place: Place) -> None:
     from relocbench.leaderboard import write_leaderboard
     from relocbench.progress import Silent
 
-    write_leaderboard(place.root / "results", place.out / "board", plots=False, reporter=Silent())
+    write_leaderboard(place.root / "results", place.out / "board", reporter=Silent())
 
 
 SEEDS = {"results": write_results, "stopped": write_stopped}
@@ -141,7 +141,7 @@ PARSERS = (
         "leaderboard-command",
         "results",
         _WHOLE,
-        asks("leaderboard", "{root}/results", "--out", "{out}/b", "--no-plots", "-q"),
+        asks("leaderboard", "{root}/results", "--out", "{out}/b", "-q"),
         names=True,
         brief=False,
     ),

@@ -1,1 +1,1 @@
-"""The leaderboard of trackers: results, tables, plots, page and files."""
+"""The leaderboard of trackers: results, tables, page and files."""

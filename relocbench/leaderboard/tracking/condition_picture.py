@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,7 +20,6 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_rgb
 from relocbench.files import write_bytes
 from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall
-from relocbench.leaderboard.tracking.plots import png_of
 from relocbench.metrics import CORRECT
 
 Image = NDArray[np.uint8]
@@ -60,8 +62,7 @@ def write_condition_picture(results: ByCondition, dataset: Dataset, path: Path) 
         DatasetError: a damaged image.
         ValueError: the results are of several maps, or of none.
     """
-    picture = condition_picture(results, dataset)
-    write_bytes(path, png_of(lambda: _figure(picture)))
+    write_bytes(path, draw(condition_picture(results, dataset)))
 
 
 def condition_picture(results: ByCondition, dataset: Dataset) -> ConditionPicture:
@@ -76,6 +77,19 @@ def condition_picture(results: ByCondition, dataset: Dataset) -> ConditionPictur
     middle = sets[-1].pairs[len(sets[-1].pairs) // 2]
     queries = [as_rgb(dataset.query(one, one.pairs[len(one.pairs) // 2]).image) for one in sets]
     return ConditionPicture(results, as_rgb(dataset.reference(sets[-1], middle).image), tuple(queries))
+
+
+def draw(picture: ConditionPicture) -> bytes:
+    """The picture as PNG, the same bytes in any process."""
+    stream = io.BytesIO()
+    with mpl.rc_context(), warnings.catch_warnings():
+        # Names may contain letters that the font lacks.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        mpl.rcdefaults()  # the user's own settings must not change the picture
+        mpl.rcParams["text.parse_math"] = False  # a $ in a name is not a formula
+        # A twentieth larger than at the default level, and drawn in seven eighths of the time.
+        _figure(picture).savefig(stream, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 1})
+    return stream.getvalue()
 
 
 def _figure(picture: ConditionPicture) -> Figure:

@@ -19,11 +19,6 @@ def matching_lines(dataset: DatasetBoard, pair_set: str) -> list[tuple[Method, S
     return sorted(known, key=lambda line: (-(line[1][ALL]["match@3px"] or 0.0), line[0].label))
 
 
-def matching_file(dataset: DatasetBoard, pair_set: str) -> str:
-    """The path of a pair set's picture, relative to the page."""
-    return f"curves/{dataset.entry.title}__{pair_set}.matching.png"
-
-
 def matching_numbers(lines: Sequence[tuple[Method, Summary]]) -> str:
     """The page's table of methods that :func:`matching_lines` gives; one at least."""
     asked = (ALL, *(f"{offset}px" for offset in OFFSETS_PX))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from urllib.parse import quote
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.matching_table import ALL
@@ -28,7 +27,7 @@ from relocbench.leaderboard.tracking.cells import (
 )
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere
-from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_numbers
+from relocbench.leaderboard.tracking.matching import matching_lines, matching_numbers
 from relocbench.leaderboard.tracking.matrix_text import matrix_text
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.leaderboard.tracking.reservations import reservations
@@ -53,8 +52,8 @@ def set_file(dataset: DatasetBoard) -> str:
     return f"sets/{dataset.entry.title}.md"
 
 
-def set_page(board: Board, dataset: DatasetBoard, *, plots: bool) -> str:
-    """The page of a dataset; with ``plots``, it links the pictures of the curves."""
+def set_page(board: Board, dataset: DatasetBoard) -> str:
+    """The page of a dataset."""
     entry = dataset.entry
     methods = entry.methods
     elsewhere = any(method.elsewhere for method in methods)
@@ -65,7 +64,6 @@ def set_page(board: Board, dataset: DatasetBoard, *, plots: bool) -> str:
         level=f"{LEVEL:.0%}",
         confident=f"{CONFIDENT:g}",
         number=number,
-        plots=plots,
         entry=entry,
         asked=entry.record.question[:SHORT],
         copies_answered=answers_on_copies(methods, entry.copies),
@@ -82,15 +80,10 @@ def set_page(board: Board, dataset: DatasetBoard, *, plots: bool) -> str:
         renamed=[(m.label, m.ran_as) for m in methods if _renamed(m)],
         sections=[
             *(_section(board, dataset, t) | {"total": True} for t in dataset.totals if len(t.pair_sets) > 1),
-            *(_section(board, dataset, t) | _pictures(dataset, t, plots) for t in dataset.pair_sets),
+            *(_section(board, dataset, t) | {"matching": _matching(dataset, t)} for t in dataset.pair_sets),
         ],
         confidence=_confidences(dataset, elsewhere=elsewhere),
         elsewhere=elsewhere,
-        risks=[
-            (total_name(table), _link(risk_file(dataset, table)))
-            for table in dataset.totals
-            if plots and has_risks(table)
-        ],
         imported=any(made_elsewhere(m.run) for m in methods),
         cards=shown_cards(entry.title, methods),
         machines_differ=len({m.machine for m in methods if m.machine}) > 1,
@@ -98,32 +91,6 @@ def set_page(board: Board, dataset: DatasetBoard, *, plots: bool) -> str:
         differences=list(_differences(methods)),
         commands=[evaluate_command(m.run, matching=bool(m.matching)) for m in methods],
     )
-
-
-def curve_file(dataset: DatasetBoard, table: Table) -> str:
-    """The path of the picture of a pair set's curves, relative to the leaderboard's folder."""
-    return f"curves/{dataset.entry.title}__{table.pair_set}.png"
-
-
-def has_curves(table: Table) -> bool:
-    """Whether any method has a curve on the pair set."""
-    return any(not row.missing for row in table.rows)
-
-
-def risk_file(dataset: DatasetBoard, table: Table) -> str:
-    """The path of the picture of a total's risk-coverage curves, relative to the leaderboard's folder."""
-    split = f"__{table.split}" if table.split else ""
-    return f"curves/{dataset.entry.title}__{table.pair_set}{split}.confidence.png"
-
-
-def has_risks(table: Table) -> bool:
-    """Whether any method but the trivial baselines has answered a pair of the total."""
-    return any(not row.missing and row.answered and not row.method.is_baseline for row in table.rows)
-
-
-def _link(file: str) -> str:
-    """The link from a dataset's page to a file of the leaderboard's folder."""
-    return f"../{quote(file)}"
 
 
 def _renamed(method: Method) -> bool:
@@ -186,24 +153,14 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
         ],
         "pivots": [_pivot(table, groups, metric) for metric in (_pivoted(board) if groups else ())],
         "groups": [(group, _method_table(board, group, ranks=False)) for group in groups],
-        "curves": "",
         "matching": None,
     }
 
 
-def _pictures(dataset: DatasetBoard, table: Table, plots: bool) -> dict[str, object]:
-    """What a section has if it is a pair set's: curves and matching quality."""
+def _matching(dataset: DatasetBoard, table: Table) -> dict[str, object] | None:
+    """The matching quality of a pair set."""
     lines = matching_lines(dataset, table.pair_set)
-    return {
-        "curves": _link(curve_file(dataset, table)) if plots and has_curves(table) else "",
-        "matching": {
-            "count": lines[0][1][ALL]["count"],
-            "numbers": matching_numbers(lines),
-            "picture": _link(matching_file(dataset, table.pair_set)),
-        }
-        if lines
-        else None,
-    }
+    return {"count": lines[0][1][ALL]["count"], "numbers": matching_numbers(lines)} if lines else None
 
 
 def _differences(methods: Sequence[Method]) -> Iterator[tuple[str, str]]:

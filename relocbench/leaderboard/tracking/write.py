@@ -9,8 +9,7 @@ from pathlib import Path
 
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.tables import write_rows
-from relocbench.execution import Run, default_workers, run_units
-from relocbench.files import remove_parts, write_bytes, write_text
+from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.text import write_records
 from relocbench.leaderboard.tracking.doubt import check_truth, truth_rows
@@ -18,16 +17,14 @@ from relocbench.leaderboard.tracking.front_page import READING, front_page, read
 from relocbench.leaderboard.tracking.load import DatasetEntry, load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.tracking.marks import not_rescored
-from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
+from relocbench.leaderboard.tracking.matching import matching_rows
 from relocbench.leaderboard.tracking.model import Board
-from relocbench.leaderboard.tracking.set_page import curve_file, has_curves, has_risks, risk_file, set_file, set_page
+from relocbench.leaderboard.tracking.set_page import set_file, set_page
 from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
 from relocbench.progress import Reporter, Silent
 
 _OF_A_DATASET = re.compile(r"@[0-9a-f]{12}\.md$")
 """the end of the name of a dataset's page"""
-_MANY_PICTURES = 24
-"""number of pictures from which on they are drawn in processes, whose start takes as long as several pictures"""
 
 
 def write_leaderboard(
@@ -37,7 +34,6 @@ def write_leaderboard(
     metric: str = RANKING,
     split: str | None = None,
     seed: int = 0,
-    plots: bool = True,
     datasets: DatasetLookup | None = None,
     reporter: Reporter | None = None,
 ) -> Board:
@@ -45,11 +41,10 @@ def write_leaderboard(
 
     Args:
         results: ``RESULTS``, or one of its ``DATASET@FINGERPRINT`` folders; it is only read.
-        out: folder for the files of :func:`write_board`.
+        out: folder for the files of :func:`write_tables` and :func:`write_pages`.
         metric: the metric that ranks methods, a mean over pairs.
         split: only the pair sets of this split.
         seed: of the draws that decide ranks.
-        plots: whether to draw the curves.
         datasets: with their truth; without them, those in folders beside ``results``.
         reporter: receives progress and notes on missing results.
 
@@ -63,7 +58,8 @@ def write_leaderboard(
     ranking_metric(metric)  # a mistyped metric is reported before anything is read
     entries = load_results(results, split, datasets=datasets)
     board = compare(entries, metric=metric, split=split, seed=seed, reporter=report)
-    write_board(board, out, plots=plots, reporter=report)
+    write_tables(board, out)
+    write_pages(board, out)
     return board
 
 
@@ -95,18 +91,12 @@ def _with_checked_truth(entry: DatasetEntry, reporter: Reporter) -> DatasetEntry
     return replace(entry, truth_checks=check_truth(entry.dataset, entry.used, reporter))
 
 
-def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:
-    """Write ``leaderboard.csv``, ``errors.csv``, ``curves/*.png`` and the pages; returns the files.
-
-    ``seeds.csv``, ``matching.csv`` and ``truth.csv`` are written as well if they have rows. ``leaderboard.md`` is the
-    first page, ``sets/`` has one for each dataset and of no other, and ``reading.md`` says how to read them. Each file
-    appears whole or not at all, and none contains a date.
-    """
-    return [*write_tables(board, out), *write_pages(board, out, plots=plots, reporter=reporter)]
-
-
 def write_tables(board: Board, out: Path) -> list[Path]:
-    """Write the tables in CSV; returns the files."""
+    """Write ``leaderboard.csv`` and ``errors.csv``; returns the files.
+
+    ``seeds.csv``, ``matching.csv`` and ``truth.csv`` are written as well if they have rows. Each appears whole or
+    not at all, and none contains a date.
+    """
     remove_parts(out, deep=False)
     paths = [out / "leaderboard.csv", out / "errors.csv"]
     write_records(paths[0], leaderboard_rows(board))
@@ -127,16 +117,18 @@ def write_tables(board: Board, out: Path) -> list[Path]:
     return paths
 
 
-def write_pages(board: Board, out: Path, *, plots: bool, reporter: Reporter) -> list[Path]:
-    """Write the pages in Markdown, and the plots that they show; returns the files."""
-    for folder in (out, out / "curves", out / "sets"):
+def write_pages(board: Board, out: Path) -> list[Path]:
+    """Write the pages in Markdown; returns the files.
+
+    ``leaderboard.md`` is the first page, ``sets/`` has one for each dataset and of no other, and ``reading.md`` says
+    how to read them. Each file appears whole or not at all, and none contains a date.
+    """
+    for folder in (out, out / "sets"):
         remove_parts(folder, deep=False)
     paths: list[Path] = []
-    if plots:
-        paths += _write_plots(board, out, reporter)
     for dataset in board.datasets:
         paths += write_cards(out, dataset.entry.title, dataset.entry.methods)
-    pages = {set_file(dataset): set_page(board, dataset, plots=plots) for dataset in board.datasets}
+    pages = {set_file(dataset): set_page(board, dataset) for dataset in board.datasets}
     pages |= {READING: reading_page(board), "leaderboard.md": front_page(board)}
     for name, text in pages.items():
         paths.append(out / name)
@@ -144,35 +136,4 @@ def write_pages(board: Board, out: Path, *, plots: bool, reporter: Reporter) -> 
     for page in set((out / "sets").glob("*@*.md")) - set(paths):
         if _OF_A_DATASET.search(page.name):
             page.unlink()  # it has left the leaderboard, and the first page does not link it
-    return paths
-
-
-def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
-    from relocbench.leaderboard.tracking.plots import (
-        Picture,
-        curve_picture,
-        draw,
-        matching_picture,
-        risk_picture,
-    )
-
-    tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if has_curves(table)]
-    paths: list[Path] = []
-    pictures: list[Picture] = []
-    for dataset, table in tables:
-        paths.append(out / curve_file(dataset, table))
-        pictures.append(curve_picture(board, dataset, table))
-        if matching_lines(dataset, table.pair_set):
-            paths.append(out / matching_file(dataset, table.pair_set))
-            pictures.append(matching_picture(dataset, table.pair_set))
-    for dataset in board.datasets:
-        for table in dataset.totals:
-            if has_risks(table):
-                paths.append(out / risk_file(dataset, table))
-                pictures.append(risk_picture(dataset, table))
-    workers = default_workers() if len(pictures) >= _MANY_PICTURES else 1
-    with reporter.stage("curves", len(pictures)) as advance:
-        for index, drawing in run_units(draw, pictures, Run(workers)):
-            write_bytes(paths[index], drawing)
-            advance(1)
     return paths

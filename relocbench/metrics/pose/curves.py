@@ -1,35 +1,11 @@
-"""Cumulative error curves, and the exact area under them."""
+"""The exact area under a cumulative error curve: the share of all pairs with an error of at most a threshold."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class CumulativeCurve:
-    """Sorted errors against the share of all pairs: a step function that rises by 1/N at each error."""
-
-    error: Array
-    """(M,) the finite errors, ascending; M <= N"""
-    share: Array
-    """(M,) share of all N pairs whose error is at most ``error``; the last entry is the coverage"""
-
-    def at(self, threshold: float) -> float:
-        """Share of all pairs with an error <= ``threshold``."""
-        below = int(np.searchsorted(self.error, threshold, side="right"))
-        return float(self.share[below - 1]) if below else 0.0
-
-
-def cumulative_curve(error: ArrayLike) -> CumulativeCurve:
-    """The cumulative curve of errors (N,), inf where there is no answer. Raises ValueError on NaN or no errors."""
-    e = checked_errors(error)
-    finite = np.sort(e[np.isfinite(e)])
-    return CumulativeCurve(finite, np.arange(1, len(finite) + 1) / len(e))
 
 
 def area_shares(error: ArrayLike, threshold: float) -> Array:

@@ -162,7 +162,7 @@ def test_results_on_two_copies_of_one_question_stand_in_one_table(original: Data
         "orb-pnp": original.fingerprint,
         "sift-pnp": other.fingerprint,
     }
-    write_leaderboard(results, tmp_path / "board", plots=False, reporter=Silent())
+    write_leaderboard(results, tmp_path / "board", reporter=Silent())
     page = board_pages(tmp_path / "board")
     assert "on other copies of the same question" in page
     rows = list(csv.DictReader((tmp_path / "board" / "leaderboard.csv").open()))

@@ -83,7 +83,7 @@ def better(row: PairErrors) -> PairErrors:
 
 def rows_of(results: Path, out: Path, *datasets: Path) -> dict[str, dict[str, str]]:
     """The rows of the board on one pair set, by method."""
-    write_leaderboard(results, out, plots=False, datasets=lookup(results, *datasets))
+    write_leaderboard(results, out, datasets=lookup(results, *datasets))
     with (out / "leaderboard.csv").open(newline="", encoding="utf-8") as stream:
         rows = [row for row in csv.DictReader(stream) if row["pair_set"] == ACROSS]
     return {row["method"]: row for row in rows}
@@ -210,7 +210,7 @@ def test_what_the_record_of_a_run_admits_is_on_the_page(made: Path, dataset: Dat
 
 def test_where_the_clock_was_not_run_the_page_says_how(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path / "results", "identity")
-    write_leaderboard(tmp_path / "results", tmp_path / "board", plots=False)
+    write_leaderboard(tmp_path / "results", tmp_path / "board")
     assert "Run `relocbench evaluate --method clock`" in board_pages(tmp_path / "board")
 
 
@@ -229,7 +229,7 @@ def test_folders_that_are_swapped_say_as_what_they_ran(results: Path, dataset: D
     good.rename(good.with_name("parked"))
     bad.rename(good)
     good.with_name("parked").rename(bad)
-    write_leaderboard(results, tmp_path / "board", plots=False, datasets=lookup(results, dataset.root))
+    write_leaderboard(results, tmp_path / "board", datasets=lookup(results, dataset.root))
     page = board_pages(tmp_path / "board")
     assert "Folders that are not named as their runs: `orb-pnp` ran as `sift-pnp`, `sift-pnp` ran as `orb-pnp`." in page
 
@@ -312,7 +312,7 @@ def test_the_commands_refuse_a_forgery_with_status_2(results: Path, dataset: Dat
     forge_summary(folder, ACROSS)
     reseal(folder)
     run = CliRunner()
-    asked = ["leaderboard", str(results), "--out", str(tmp_path / "board"), "--no-plots", "--quiet"]
+    asked = ["leaderboard", str(results), "--out", str(tmp_path / "board"), "--quiet"]
     assert run.invoke(app_module.app, asked).exit_code == 0
     told = run.invoke(app_module.app, [*asked, "--dataset", str(dataset.root)])
     assert isinstance(told.exception, PredictionError)
@@ -323,7 +323,7 @@ def test_the_commands_refuse_a_forgery_with_status_2(results: Path, dataset: Dat
 
 def test_rescored_boards_have_the_same_bytes(results: Path, dataset: Dataset, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_leaderboard(results, tmp_path / name, plots=False, datasets=lookup(results, dataset.root))
+        write_leaderboard(results, tmp_path / name, datasets=lookup(results, dataset.root))
     files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file())
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()

@@ -71,7 +71,7 @@ def test_the_board_shows_the_card_the_mark_and_what_is_odd(town: Dataset, blind:
     root = submit(tmp_path / "s", blind, lambda pair: np.eye(4), what="Guesses <b>boldly</b> | well.")
     assert adding(root, tmp_path / "r", town).status == 0
     assert relocbench("evaluate", "-d", town.root, "-m", "identity", "-o", tmp_path / "r", "-j", 1, "-q").status == 0
-    board = ("leaderboard", tmp_path / "r", "-d", town.root, "--no-plots", "-q")
+    board = ("leaderboard", tmp_path / "r", "-d", town.root, "-q")
     assert relocbench(*board, "--out", tmp_path / "b").status == 0
     pages = board_pages(tmp_path / "b")
     assert "² made elsewhere: `my-method`" in pages

@@ -123,7 +123,7 @@ def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp
     evaluate(dataset, tmp_path / "out", predictions=confidently(dataset, tmp_path / "mine"))
     for name, named in (("claimed", ()), ("rescored", (dataset.root,))):
         lookup = DatasetLookup(tmp_path / "out", named)
-        write_leaderboard(tmp_path / "out", tmp_path / name, plots=False, datasets=lookup)
+        write_leaderboard(tmp_path / "out", tmp_path / name, datasets=lookup)
         with (tmp_path / name / "leaderboard.csv").open(newline="", encoding="utf-8") as stream:
             rows = {(r["pair_set"], r["method"]): r for r in csv.DictReader(stream) if r["split"] != "all"}
         for place in (ACROSS, "total"):
@@ -148,7 +148,7 @@ def test_the_leaderboard_shows_them_and_computes_them_anew(dataset: Dataset, tmp
 
 def test_a_page_without_them_does_not_speak_of_them(plain: Dataset, tmp_path: Path) -> None:
     evaluate(plain, tmp_path / "out", "identity")
-    write_leaderboard(tmp_path / "out", tmp_path / "board", plots=False)
+    write_leaderboard(tmp_path / "out", tmp_path / "board")
     assert "different places" not in board_pages(tmp_path / "board")
 
 

@@ -205,10 +205,14 @@
       x.push(last, Math.max(last, 1e9)); y.push(reached, reached);
       return line(label, { x, y, line: { color: look(label).colour, dash: look(label).dash, width: 2, shape: "hv" }, mode: "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % at most %{x:.3f}<extra></extra>` });
     });
+    const finest = Math.max(0, ...table.pair_sets.map((name) => set.pair_sets[name][{ translation: "finest_m", rotation: "finest_deg" }[what]] ?? 0));
     const limit = Math.max(2 * mark, ...(limits.length ? [limits.sort((a, b) => a - b)[limits.length >> 1]] : []));
     chart("curves", curves, {
       xaxis: { title: { text: title }, range: [0, limit] }, yaxis: { title: { text: "share of all pairs, %" }, range: [0, 101] },
-      shapes: [{ type: "line", x0: mark, x1: mark, y0: 0, y1: 100, line: { color: relocbench.css("--line-strong"), dash: "dot", width: 1 } }],
+      shapes: [
+        { type: "rect", x0: 0, x1: finest, y0: 0, y1: 1, yref: "paper", fillcolor: relocbench.css("--line"), opacity: 0.5, layer: "below", line: { width: 0 } },
+        { type: "line", x0: mark, x1: mark, y0: 0, y1: 100, line: { color: relocbench.css("--line-strong"), dash: "dot", width: 1 } },
+      ],
     }, (event) => {
       const [{ x, data: { meta: label } }] = event.points;
       const words = `${number(x, unit)}${{ both: "", translation: " m", rotation: "°" }[what]}`;
