@@ -30,7 +30,8 @@ import numpy as np
 
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.score import FAILURES, RANKING, per_query
-from relocbench.leaderboard.relocalization.board import Pipeline, PipelineBoard, load_pipelines
+from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.relocalization.board import RELOCALIZATION, Pipeline, PipelineBoard
 from relocbench.metrics import Difference, paired_difference
 
 CONDITIONS = ("WetNoon", "SoftRainNoon", "Overcast", "Night")
@@ -48,7 +49,7 @@ def main() -> None:
             _evaluate(_build(scratch, seed, options), scratch / "results", options)
         page = options.out or scratch / "page"
         _run("leaderboard", scratch / "results", "--out", page, "-q")
-        board = load_pipelines(scratch / "results", split=options.split)
+        board = load_board(RELOCALIZATION, scratch / "results", split=options.split)
         assert board is not None
         rows = _rows(page / "relocalization.csv")
         ahead = _ahead(board)
@@ -134,13 +135,13 @@ def _mean(values: Sequence[str | float | None]) -> float | None:
 def _ahead(board: PipelineBoard) -> dict[tuple[str, str], Difference]:
     """By how much the oracle's pipeline is ahead of each retriever's, by (tracker, retriever)."""
     out = {}
-    labels = dict.fromkeys((c.run.tracker, c.run.retriever) for of in board.sets for c in of.pipelines)
+    labels = dict.fromkeys((c.run.tracker, c.run.retriever) for of in board.sets for c in of.methods)
     for tracker, retriever in labels:
         if retriever == ORACLE or tracker == KEYFRAME:
             continue
         a, b, roads = [], [], []
         for of in board.sets:
-            known = {(c.run.tracker, c.run.retriever): c for c in of.pipelines}
+            known = {(c.run.tracker, c.run.retriever): c for c in of.methods}
             for task in (t.tasks[0] for t in of.tables if len(t.tasks) == 1):
                 both = known.get((tracker, ORACLE)), known.get((tracker, retriever))
                 if all(c is not None and task in c.answers for c in both):

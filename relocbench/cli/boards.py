@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 COLUMNS = (RANKING, "median_translation_error_m", "median_rotation_error_deg", "coverage", "median_seconds")
 """the metrics that the terminal shows of trackers, in this order"""
-RETRIEVAL_COLUMNS = ("R@1", "R@5", "R@10", "AP")
-"""of retrievers, in this order; all metrics stand in ``--json``, in CSV and on the pages"""
 SHORT_HEADINGS = {
     RANKING: "found, %",
     "median_translation_error_m": "median m",
@@ -32,7 +30,7 @@ def short_heading(metric: str, unit: str = "share") -> str:
 
     if metric in SHORT_HEADINGS:
         return SHORT_HEADINGS[metric]
-    return heading(re.sub(r"@\(?([^)]*)\)?", lambda at: f" {at[1].replace(',', ' ')}", metric), unit)
+    return heading(re.sub(r"@\(([^)]*)\)", lambda at: f" {at[1].replace(',', ' ')}", metric), unit)
 
 
 def print_matrix(results: ByCondition, name: str = "") -> None:

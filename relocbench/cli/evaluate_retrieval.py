@@ -156,9 +156,10 @@ def evaluate_retrieval(
 
 
 def _print_report(report: RetrievalReport) -> None:
-    from relocbench.cli.boards import RETRIEVAL_COLUMNS, short_heading
+    from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import COUNTS, METHOD, SECONDS, heading
+    from relocbench.leaderboard.retrieval.columns import TERMINAL
 
     for task in report.asked.chosen:
         record = report.record.tasks[task.name]
@@ -170,12 +171,12 @@ def _print_report(report: RetrievalReport) -> None:
         for label, values in scores.items():
             seconds = values["median_seconds"]
             counts = [f"{values['failed']} / {values['broke']}"] if unanswered else []
-            cells = [_percent(values, metric) for metric in RETRIEVAL_COLUMNS]
+            cells = [_percent(values, metric) for metric in TERMINAL]
             rows.append([label, *cells, "" if seconds is None else f"{seconds:.3g}", *counts])
         if rows:
-            chance = [f"{100 * record.chance[metric]:.1f}" for metric in RETRIEVAL_COLUMNS]
+            chance = [f"{100 * record.chance[metric]:.1f}" for metric in TERMINAL]
             rows.append(["(chance)", *chance, "", *[""] * len(unanswered)])
-            heads = [METHOD, *map(heading, RETRIEVAL_COLUMNS), short_heading(SECONDS), *unanswered]
+            heads = [METHOD, *map(heading, TERMINAL), short_heading(SECONDS), *unanswered]
             print_table(title, heads, rows)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -12,11 +12,16 @@ from relocbench.cli.options import Json, Quiet, split_commas
 
 if TYPE_CHECKING:
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
+    from relocbench.leaderboard.common.columns import Column
+    from relocbench.leaderboard.common.model import Board as TaskBoard
+    from relocbench.leaderboard.common.model import SetBoard
+    from relocbench.leaderboard.common.model import Table as TaskTable
     from relocbench.leaderboard.relocalization.board import PipelineBoard
     from relocbench.leaderboard.retrieval.board import RetrievalBoard
     from relocbench.leaderboard.tracking.model import Board
     from relocbench.progress import Reporter
 
+L = TypeVar("L")
 _USUAL = {
     "--metric": "recall@(0.25m,2deg)",
     "--retrieval-metric": "R@1",
@@ -119,11 +124,11 @@ def leaderboard(
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.files import locked_output
+    from relocbench.leaderboard.common.loading import note_missing
     from relocbench.leaderboard.formats import How, check_formats, write_formats
     from relocbench.leaderboard.html.rows import Boards
-    from relocbench.leaderboard.relocalization.write import note_missing as note_missing_pipelines
     from relocbench.leaderboard.relocalization.write import pipeline_rows
-    from relocbench.leaderboard.retrieval.write import note_missing, retrieval_rows
+    from relocbench.leaderboard.retrieval.write import retrieval_rows
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
     check_in_no_dataset(out)
@@ -135,7 +140,7 @@ def leaderboard(
         if retrievers is not None:
             note_missing(retrievers, progress)
         if pipelines is not None:
-            note_missing_pipelines(pipelines, progress)
+            note_missing(pipelines, progress)
         files = write_formats(Boards(board, retrievers, pipelines), out, chosen, How(pairs, progress))
     if json:
         retrieval = (
@@ -235,17 +240,19 @@ def _load(
     progress: Reporter,
 ) -> tuple[Board | None, RetrievalBoard | None, PipelineBoard | None]:
     """The boards of trackers, retrievers and pipelines; None where the folder holds nothing of a task."""
-    from relocbench.leaderboard.relocalization.board import load_pipelines
-    from relocbench.leaderboard.retrieval.board import holds_tracking, load_retrieval
+    from relocbench.evaluation.common.results import folders_with
+    from relocbench.leaderboard.common.loading import load_board
+    from relocbench.leaderboard.relocalization.board import RELOCALIZATION
+    from relocbench.leaderboard.retrieval.board import RETRIEVAL
     from relocbench.leaderboard.tracking.load import load_results
     from relocbench.leaderboard.tracking.tables import ranking_metric
     from relocbench.leaderboard.tracking.write import compare
 
     asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": lookup}
-    retrievers = load_retrieval(results, metric=ranked_by["--retrieval-metric"], **asked)
-    pipelines = load_pipelines(results, metric=ranked_by["--relocalization-metric"], **asked)
+    retrievers = load_board(RETRIEVAL, results, metric=ranked_by["--retrieval-metric"], **asked)
+    pipelines = load_board(RELOCALIZATION, results, metric=ranked_by["--relocalization-metric"], **asked)
     entries = None
-    if (retrievers is None and pipelines is None) or holds_tracking(results):
+    if (retrievers is None and pipelines is None) or folders_with("dataset.yaml", results):
         ranking_metric(ranked_by["--metric"])  # a mistyped metric is reported before anything is read
         entries = load_results(results, split, datasets=lookup)
     lookup.check_used()  # before anything is written
@@ -268,15 +275,10 @@ def _ranked_by(
 def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None:
     """Raise ConfigError if a metric is given for a task of which the folder holds no results, but some of others."""
     from relocbench.errors import ConfigError
-    from relocbench.evaluation.relocalization.records import all_pipeline_sets
-    from relocbench.evaluation.retrieval.records import all_sets
-    from relocbench.leaderboard.retrieval.board import holds_tracking
+    from relocbench.evaluation.common.results import folders_with
 
-    held = {
-        "--metric": holds_tracking(results),
-        "--retrieval-metric": bool(all_sets(results)),
-        "--relocalization-metric": bool(all_pipeline_sets(results)),
-    }
+    files = ("dataset.yaml", "retrieval.yaml", "relocalization.yaml")
+    held = {option: bool(folders_with(file, results)) for option, file in zip(given, files, strict=True)}
     made_by = dict(zip(held, ("evaluate", "evaluate-retrieval", "evaluate-relocalization"), strict=True))
     for option, name in given.items():
         if name is not None and any(held.values()) and not held[option]:
@@ -287,52 +289,38 @@ def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None
 
 
 def _print_retrieval(board: RetrievalBoard) -> None:
-    from relocbench.cli.boards import RETRIEVAL_COLUMNS
-    from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import METHOD, RANK, heading
-    from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
-    from relocbench.leaderboard.common.text import number
+    from relocbench.leaderboard.retrieval.columns import lines_of, retrieval_columns, terminal_columns
 
-    shown = dict.fromkeys((board.metric, *(m for m in board.shown if m in RETRIEVAL_COLUMNS)))
+    columns = retrieval_columns(board)
     for asked in board.sets:
         for table in asked.tables:
-            title = f"{asked.title}: {table.name} ({table.queries} queries)"
-            rows = [
-                [rank_text(row, table.rows), *(number(row.values[m], "share") for m in shown)] for row in table.rows
-            ]
-            names = [row.method.label for row in table.rows]
-            chance = ["(chance)", "", *(number(table.chance[m], "share") for m in shown)]
-            columns = [METHOD, RANK, *map(heading, shown)]
-            print_table(title, columns, [*([name, *row] for name, row in zip(names, rows, strict=True)), chance])
-            if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
-                print(why)
+            chosen = [columns[key] for key in terminal_columns(board)]
+            _print_lines(board, asked, table, chosen, lines_of(asked, table))
 
 
 def _print_pipelines(board: PipelineBoard) -> None:
-    from relocbench.cli.boards import short_heading
-    from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import RANK, RETRIEVER, TOP, TRACKER
-    from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
-    from relocbench.leaderboard.common.text import number
+    from relocbench.leaderboard.relocalization.columns import lines_of, pipeline_columns, terminal_columns
 
-    median = "median_translation_error_m"
-    metrics = (board.metric, "hit")
+    columns = pipeline_columns(board)
     for asked in board.sets:
         for table in asked.tables:
-            title = f"{asked.title}: {table.name} ({table.queries} queries)"
-            rows = [
-                [
-                    row.pipeline.run.retriever,
-                    row.pipeline.run.tracker,
-                    str(row.pipeline.run.top),
-                    rank_text(row, table.rows),
-                    *(number(row.values.get(m), "share") for m in dict.fromkeys(metrics)),
-                    number(row.values.get(median), "m"),
-                ]
-                for row in table.rows
-            ]
-            print_table(
-                title, [RETRIEVER, TRACKER, TOP, RANK, *map(short_heading, dict.fromkeys((*metrics, median)))], rows
-            )
-            if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
-                print(why)
+            chosen = [columns[key] for key in terminal_columns(board)]
+            _print_lines(board, asked, table, chosen, lines_of(asked, table))
+
+
+def _print_lines(
+    board: TaskBoard[Any, Any, Any, Any],
+    asked: SetBoard[Any, Any, Any, Any],
+    table: TaskTable[Any, Any],
+    columns: Sequence[Column[L]],
+    lines: Sequence[L],
+) -> None:
+    from relocbench.cli.boards import short_heading
+    from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.ranks import why_no_ranks
+
+    heads = [short_heading(column.key, column.unit) for column in columns]
+    rows = [[column.text(line, bounds=False) for column in columns] for line in lines]
+    print_table(f"{asked.title}: {table.name} ({table.queries} queries)", heads, rows)
+    if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
+        print(why)

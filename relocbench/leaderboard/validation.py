@@ -14,19 +14,15 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, folders_with
-from relocbench.evaluation.relocalization.records import SET_FILE as PIPELINE_FILE
-from relocbench.evaluation.relocalization.records import PipelineSetResults
-from relocbench.evaluation.relocalization.rescoring import PipelineTruth
-from relocbench.evaluation.retrieval.records import SET_FILE as RETRIEVAL_FILE
-from relocbench.evaluation.retrieval.records import SetResults
-from relocbench.evaluation.retrieval.rescoring import truth_of
+from relocbench.evaluation.common.set_folder import sets_in
 from relocbench.evaluation.submission.kept import kept_card
 from relocbench.evaluation.tracking.validation import is_tracking_folder, validate_results
-from relocbench.leaderboard.relocalization.board import load_pipeline
-from relocbench.leaderboard.retrieval.board import load_retriever
+from relocbench.leaderboard.common.loading import BoardTask, F, M, S, T, U
+from relocbench.leaderboard.relocalization.board import RELOCALIZATION
+from relocbench.leaderboard.retrieval.board import RETRIEVAL
 from relocbench.progress import Reporter
 
-_RECORDS = (RETRIEVAL_FILE, PIPELINE_FILE)
+_RECORDS = (RETRIEVAL.kind.FILE, RELOCALIZATION.kind.FILE)
 
 
 def is_results_folder(path: Path) -> bool:
@@ -74,18 +70,17 @@ def _trackers(root: Path, found: Findings) -> list[MethodResults]:
 
 def _other_rows(top: Path, dataset: Dataset | None, found: Findings) -> list[tuple[Callable[[], object], Path]]:
     """What checks each retriever and pipeline, and its folder; a record that cannot be read is a fault."""
-    rows: list[tuple[Callable[[], object], Path]] = []
     lookup = None if dataset is None else DatasetLookup(top, [dataset.root])
-    for folder in map(SetResults, folders_with(RETRIEVAL_FILE, top)):
+    return [*_rows_of(RETRIEVAL, top, lookup, found), *_rows_of(RELOCALIZATION, top, lookup, found)]
+
+
+def _rows_of(
+    task: BoardTask[F, S, U, M, T], top: Path, lookup: DatasetLookup | None, found: Findings
+) -> list[tuple[Callable[[], object], Path]]:
+    rows: list[tuple[Callable[[], object], Path]] = []
+    for folder in sets_in(top, task.kind):
         with found.catching():
-            asked, truth = folder.record, None if lookup is None else truth_of(folder, lookup)
-            rows += [(partial(load_retriever, row, asked, asked.tasks, truth), row.root) for row in folder.methods()]
-    for pipelines in map(PipelineSetResults, folders_with(PIPELINE_FILE, top)):
-        with found.catching():
-            record = pipelines.record
-            of_it = dataset is not None and dataset.fingerprint == record.dataset_fingerprint
-            known = PipelineTruth(dataset, pipelines) if dataset is not None and of_it else None
-            rows += [
-                (partial(load_pipeline, row, record, record.tasks, known), row.root) for row in pipelines.pipelines()
-            ]
+            record, truth = folder.record, None if lookup is None else task.truth(folder, lookup)
+            read = [partial(task.read, row, record, task.units(record), truth) for row in folder.methods()]
+            rows += [(check, row.root) for check, row in zip(read, folder.methods(), strict=True)]
     return rows

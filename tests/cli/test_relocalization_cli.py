@@ -15,7 +15,8 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.leaderboard.relocalization.board import load_pipelines
+from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.relocalization.board import RELOCALIZATION
 
 KNOWS = "pipelines_for_tests:Knows"
 THUMBNAIL = "thumb=retrievers_for_tests:Thumbnail"
@@ -161,10 +162,10 @@ def test_options_of_pipelines_mean_nothing_elsewhere(dataset: Dataset, tmp_path:
 
 def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
     with refused(ConfigError, "", None, "R@1"):
-        load_pipelines(results, metric="R@1")
+        load_board(RELOCALIZATION, results, metric="R@1")
     with refused(ConfigError, "", None, "nowhere", "all", "test"):
-        load_pipelines(results, split="nowhere")
-    board = load_pipelines(results, split="test")
+        load_board(RELOCALIZATION, results, split="nowhere")
+    board = load_board(RELOCALIZATION, results, split="test")
     assert board is not None
     assert [t.tasks for t in board.sets[0].tables] == [(ACROSS,)]
     table = next(results.glob("*/near+good.top2")) / f"{ACROSS}.csv"
@@ -172,6 +173,6 @@ def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
     try:
         table.write_text(before.replace("right", "choice", 1))
         with refused(PredictionError, table, None, "changed", "scored"):
-            load_pipelines(results)
+            load_board(RELOCALIZATION, results)
     finally:
         table.write_text(before)

@@ -21,6 +21,7 @@ from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions,
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.leaderboard import load_results, make_board
+from relocbench.leaderboard.common.loading import load_board
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, pipelines_payload
 from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds
@@ -31,8 +32,8 @@ from relocbench.leaderboard.html.retrieval_pages.queries import chosen_queries
 from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 from relocbench.leaderboard.html.thumbnails import small, thumbnail_name
-from relocbench.leaderboard.relocalization.board import Pipeline, PipelineBoard, load_pipelines
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, Retriever, load_retrieval
+from relocbench.leaderboard.relocalization.board import RELOCALIZATION, Pipeline, PipelineBoard
+from relocbench.leaderboard.retrieval.board import RETRIEVAL, RetrievalBoard, Retriever
 from relocbench.metrics import chance_level
 from relocbench.progress import Silent
 
@@ -75,7 +76,9 @@ def _boards(made: Path, *, lookup: bool = True) -> Boards:
     results = made / "results"
     asked: dict[str, Any] = {"datasets": DatasetLookup(results, [made / "data"] if lookup else [])}
     entries = load_results(results, **asked)
-    return Boards(make_board(entries), load_retrieval(results, **asked), load_pipelines(results, **asked))
+    return Boards(
+        make_board(entries), load_board(RETRIEVAL, results, **asked), load_board(RELOCALIZATION, results, **asked)
+    )
 
 
 def _hostile(boards: Boards) -> Boards:
@@ -86,19 +89,14 @@ def _hostile(boards: Boards) -> Boards:
     def renamed(method: Any) -> Any:
         return replace(method, label=HOSTILE) if method.label in ("same", "oracle+knows.top2") else method
 
-    sets = []
-    for asked in boards.retrieval.sets:
-        tables = [replace(t, rows=tuple(replace(r, method=renamed(r.method)) for r in t.rows)) for t in asked.tables]
-        sets.append(replace(asked, methods=tuple(map(renamed, asked.methods)), tables=tuple(tables)))
-    pipelineed = []
-    for of in boards.relocalization.sets:
-        rows = [replace(t, rows=tuple(replace(r, pipeline=renamed(r.pipeline)) for r in t.rows)) for t in of.tables]
-        pipelineed.append(replace(of, pipelines=tuple(map(renamed, of.pipelines)), tables=tuple(rows)))
-    retrieval, pipelines = (
-        replace(boards.retrieval, sets=tuple(sets)),
-        replace(boards.relocalization, sets=tuple(pipelineed)),
-    )
-    return Boards(boards.tracking, retrieval, pipelines)
+    def of_hostile(board: Any) -> Any:
+        sets = []
+        for of in board.sets:
+            tables = [replace(t, rows=tuple(replace(r, method=renamed(r.method)) for r in t.rows)) for t in of.tables]
+            sets.append(replace(of, methods=tuple(map(renamed, of.methods)), tables=tuple(tables)))
+        return replace(board, sets=tuple(sets))
+
+    return Boards(boards.tracking, of_hostile(boards.retrieval), of_hostile(boards.relocalization))
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +234,7 @@ def test_the_keyframes_of_a_pipeline_and_their_errors_are_those_of_its_table(
     site: Path, pipelines: PipelineBoard
 ) -> None:
     (asked,) = pipelines.sets
-    pipeline: Pipeline = next(c for c in asked.pipelines if c.label == NEAR)
+    pipeline: Pipeline = next(c for c in asked.methods if c.label == NEAR)
     told = _payload(site, f"candidates/{id_of_pipelines(asked)}/{ACROSS}")["pipelines"][NEAR]
     for answer, keyframes in zip(pipeline.answers[ACROSS], told, strict=True):
         assert len(keyframes) == answer.asked == 2
@@ -252,15 +250,15 @@ def test_seconds_of_both_stages_part_only_where_the_rankings_are_those_of_the_pi
     shutil.copytree(made / "results", tmp_path / "results")
     run = next(tmp_path.glob("results/*.places-pairs@*/near/run.yaml"))
     run.write_text(run.read_text().replace("predictions:", "predictions:other/"))
-    changed = load_pipelines(tmp_path / "results", datasets=DatasetLookup(tmp_path / "results"))
+    changed = load_board(RELOCALIZATION, tmp_path / "results", datasets=DatasetLookup(tmp_path / "results"))
     assert changed is not None
     assert boards.relocalization is not None
     for board, there in ((boards.relocalization, True), (changed, False)):
         (asked,) = board.sets
-        pipeline = next(c for c in asked.pipelines if c.label == NEAR)
-        oracle = next(c for c in asked.pipelines if c.run.retriever == "oracle")
-        assert (retrieval_seconds(asked, pipeline, ACROSS) is not None) == there
-        assert retrieval_seconds(asked, oracle, ACROSS) is None
+        pipeline = next(c for c in asked.methods if c.label == NEAR)
+        oracle = next(c for c in asked.methods if c.run.retriever == "oracle")
+        assert (retrieval_seconds(pipeline, ACROSS) is not None) == there
+        assert retrieval_seconds(oracle, ACROSS) is None
 
 
 def test_sets_and_methods_of_all_tasks_are_counted(boards: Boards, site: Path) -> None:

@@ -118,7 +118,8 @@ def test_words_behind_names_stand_on_every_page_and_are_explained(boards: Boards
 
 
 def test_chance_stands_below_retrievers(boards: Boards) -> None:
-    table = SimpleNamespace(name="a task", queries=8, rows=(), records=(), chance={"R@1": 0.125})
+    chances = SimpleNamespace(chance={"R@1": 0.125}, view_query="street", view_gallery="street")
+    table = SimpleNamespace(name="a task", queries=8, rows=(), records=(chances,))
     record = SimpleNamespace(name="places", fingerprint="ab" * 32)
     asked = SimpleNamespace(title="places", record=record, tables=(table,))
     board = cast(RetrievalBoard, SimpleNamespace(metric="R@1", sets=(asked,)))

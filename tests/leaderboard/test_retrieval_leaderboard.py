@@ -17,17 +17,19 @@ from small_dataset import make_small_dataset
 from small_views import make_small_views
 
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.set_folder import sets_in
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
-from relocbench.evaluation.retrieval.records import METRICS, SET_FILE, TaskRecord, all_sets
+from relocbench.evaluation.retrieval.records import METRICS, SET_FILE, SetResults, TaskRecord
+from relocbench.leaderboard.common.loading import load_board
 from relocbench.leaderboard.retrieval.board import (
+    RETRIEVAL,
     RetrievalBoard,
     RetrievalRow,
     check_plausible,
-    load_retrieval,
+    has_single_positives,
     mean_tables,
 )
-from relocbench.leaderboard.retrieval.page import evaluate_command
-from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
+from relocbench.leaderboard.retrieval.page import evaluate_command, retrieval_page
 from relocbench.progress import Silent
 
 HERE = "retrievers_for_tests"
@@ -49,7 +51,7 @@ def run(dataset: Path, out: Path, *methods: str, **options: Any) -> None:
 
 @cache
 def board_of(results: Path, **options: Any) -> RetrievalBoard:
-    board = load_retrieval(results, **options)
+    board = load_board(RETRIEVAL, results, **options)
     assert board is not None
     return board
 
@@ -69,7 +71,7 @@ def test_methods_share_a_place_unless_they_differ(results: Path) -> None:
 
 
 def test_results_of_one_set_with_other_queries_are_refused(results: Path, tmp_path: Path) -> None:
-    (folder,) = (each.root for each in all_sets(results))
+    (folder,) = (each.root for each in sets_in(results, SetResults))
     first, other = tmp_path / folder.name, tmp_path / f"{folder.name.split('@')[0]}@ffffffffffff"
     shutil.copytree(folder, first)
     shutil.copytree(folder, other)
@@ -78,11 +80,11 @@ def test_results_of_one_set_with_other_queries_are_refused(results: Path, tmp_pa
     changed = re.sub("^fingerprint: .*", f"fingerprint: {'f' * 64}", text, flags=re.MULTILINE)
     (other / SET_FILE).write_text(re.sub("queries: (\\d+)", "queries: 1\\1", changed, count=1), encoding="utf-8")
     with pytest.raises(PredictionError, match=r"has other queries or another gallery than in .*evaluate one of them"):
-        load_retrieval(tmp_path)
+        load_board(RETRIEVAL, tmp_path)
 
 
 def test_values_are_those_of_the_evaluation_and_the_mean_counts_tasks_alike(results: Path) -> None:
-    scores = all_sets(results)[0].method("good").retrieval_scores().tasks
+    scores = sets_in(results, SetResults)[0].method("good").retrieval_scores().tasks
     for metric in METRICS:
         for task in (D2S, S2D):
             assert rows_of(results, task)["good"].values[metric] == pytest.approx(scores[task][metric], abs=1e-12)
@@ -174,7 +176,7 @@ def test_both_halves_are_written_from_one_results_folder(tmp_path: Path) -> None
     board = relocbench("leaderboard", out, "--out", tmp_path / "board", "-q", "--split", "test")
     assert board.status == 0, board.err
     assert {"leaderboard.md", "retrieval.md"} <= {p.name for p in (tmp_path / "board").iterdir()}
-    asked = all_sets(out)[0]
+    asked = sets_in(out, SetResults)[0]
     assert asked.record.splits == {"test": ("summer__winter__cam0",), "all": ("summer__winter__cam0",)}
     words = shlex.split(evaluate_command(asked.record, asked.method("t").run_record()))
     assert words[words.index("--radius") : words.index("--radius") + 4] == ["--radius", "0.2", "--heading", "30"]
@@ -184,49 +186,47 @@ def test_both_halves_are_written_from_one_results_folder(tmp_path: Path) -> None
 
 def test_an_unknown_metric_or_split_is_refused(results: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be ranked by 'R@3'"):
-        load_retrieval(results, metric="R@3")
+        load_board(RETRIEVAL, results, metric="R@3")
     with pytest.raises(ConfigError, match="no split 'test'; available: none"):
-        load_retrieval(results, split="test")
+        load_board(RETRIEVAL, results, split="test")
     assert board_of(results, metric="AP").metric == "AP"
 
 
 def test_answers_that_changed_since_they_were_scored_are_refused(tmp_path: Path) -> None:
     views = make_small_views(tmp_path / "town", places=3)
     run(views, tmp_path / "results", f"t={HERE}:Thumbnail")
-    folder = all_sets(tmp_path / "results")[0].method("t")
+    folder = sets_in(tmp_path / "results", SetResults)[0].method("t")
     kept = folder.answers(D2S).read_text()
     folder.answers(D2S).write_text(kept.replace(",ok,1,1,", ",ok,1,2,", 1))
     with pytest.raises(PredictionError, match=r"drone-satellite\.csv: changed since it was scored"):
-        load_retrieval(tmp_path / "results")
+        load_board(RETRIEVAL, tmp_path / "results")
     folder.answers(D2S).write_text(kept)
     folder.scores_yaml.unlink()
     with pytest.raises(PredictionError, match=r"scores\.yaml: missing: the answers are not scored"):
-        load_retrieval(tmp_path / "results")
+        load_board(RETRIEVAL, tmp_path / "results")
 
 
 def test_an_average_precision_that_one_positive_does_not_allow_is_refused(results: Path) -> None:
     table = next(t for t in board_of(results).sets[0].tables if t.name == D2S)
-    assert table.single_positive
+    assert has_single_positives(table)
     check_plausible(table)
     row = table.rows[0]
     wrong = RetrievalRow(row.method, {**row.values, "R@1": 0.5, "AP": 0.7}, {}, 1)
     with pytest.raises(PredictionError, match="good on drone-satellite: AP 70"):
-        check_plausible(type(table)(table.name, table.tasks, table.records, (wrong,), table.chance))
+        check_plausible(type(table)(table.name, table.tasks, table.records, (wrong,)))
 
 
 def test_a_folder_without_retrieval_has_no_board(tmp_path: Path) -> None:
-    assert load_retrieval(tmp_path) is None
+    assert load_board(RETRIEVAL, tmp_path) is None
 
 
 def test_a_set_on_which_no_method_has_finished_a_task_has_a_page_without_tables(tmp_path: Path) -> None:
     views = make_small_views(tmp_path / "town", places=3)
     run(views, tmp_path / "results", f"t={HERE}:Thumbnail")
-    folder = all_sets(tmp_path / "results")[0].method("t")
+    folder = sets_in(tmp_path / "results", SetResults)[0].method("t")
     for task in (D2S, S2D):
         folder.answers(task).unlink()
-    board = write_retrieval_leaderboard(
-        tmp_path / "results", tmp_path / "board", metric="R@1", split=None, seed=0, reporter=Silent()
-    )
+    board = load_board(RETRIEVAL, tmp_path / "results")
     assert board is not None
     assert board.sets[0].tables == ()
-    assert f"No method has been run on `{D2S}`, `{S2D}`." in (tmp_path / "board" / "retrieval.md").read_text()
+    assert f"No method has been run on `{D2S}`, `{S2D}`." in retrieval_page(board)

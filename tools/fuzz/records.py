@@ -88,23 +88,28 @@ def _lists(place: Place) -> None:
 
 
 def _retrieval_board(place: Place) -> Iterable[str]:
-    from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
-    from relocbench.progress import Silent
+    from relocbench.leaderboard.common.loading import load_board
+    from relocbench.leaderboard.retrieval.board import RETRIEVAL
+    from relocbench.leaderboard.retrieval.page import retrieval_page
+    from relocbench.leaderboard.retrieval.write import retrieval_rows
 
-    write_retrieval_leaderboard(
-        place.root / "retrieval", place.out / "b", metric="R@1", split=None, seed=0, reporter=Silent()
-    )
+    board = load_board(RETRIEVAL, place.root / "retrieval")
+    if board is not None:
+        retrieval_rows(board)
+        retrieval_page(board)
     return ()
 
 
 def _pipeline_board(place: Place) -> None:
-    from relocbench.leaderboard.relocalization.write import write_relocalization_leaderboard
-    from relocbench.progress import Silent
+    from relocbench.leaderboard.common.loading import load_board
+    from relocbench.leaderboard.relocalization.board import RELOCALIZATION
+    from relocbench.leaderboard.relocalization.page import relocalization_page
+    from relocbench.leaderboard.relocalization.write import pipeline_rows
 
-    metric = "recall@(0.25m,2deg)"
-    write_relocalization_leaderboard(
-        place.root / "chains", place.out / "b", metric=metric, split=None, seed=0, reporter=Silent()
-    )
+    board = load_board(RELOCALIZATION, place.root / "chains")
+    if board is not None:
+        pipeline_rows(board)
+        relocalization_page(board)
 
 
 SEEDS = {"records": write_records}

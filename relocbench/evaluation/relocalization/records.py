@@ -9,7 +9,6 @@ for each pipeline, ``RETRIEVER+TRACKER.topK/``: the poses that were kept (``TASK
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +17,8 @@ from pydantic import Field
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import AnswerFolder, DatasetResults, RunRecord, folders_with, write_record
+from relocbench.evaluation.common.results import AnswerFolder, DatasetResults, RunRecord, write_record
+from relocbench.evaluation.common.set_folder import SetFolder
 from relocbench.evaluation.relocalization.basin import Source
 from relocbench.evaluation.retrieval.records import RetrievalRun
 from relocbench.files import load_yaml
@@ -65,6 +65,11 @@ class PipelineSet(Strict):
     fingerprint: Fingerprint
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     tasks: dict[JoinedName, PipelineTask]
+
+    @property
+    def compared_by(self) -> str:
+        """Results with the same value are compared."""
+        return self.fingerprint
 
 
 class PipelineRun(Strict):
@@ -118,15 +123,13 @@ class PipelineResults(AnswerFolder):
 
 
 @dataclass(frozen=True)
-class PipelineSetResults:
+class PipelineSetResults(SetFolder[PipelineSet, PipelineResults]):
     """The folder of one dataset's pipelines."""
 
-    root: Path
-
-    @cached_property
-    def record(self) -> PipelineSet:
-        """The content of ``relocalization.yaml``. Raises PredictionError with file and line."""
-        return load_yaml(self.root / SET_FILE, PipelineSet, "the record of pipelines", PredictionError)
+    FILE = SET_FILE
+    WHAT = "the record of pipelines"
+    RECORD = PipelineSet
+    METHOD = PipelineResults
 
     @property
     def trackers(self) -> DatasetResults:
@@ -134,11 +137,7 @@ class PipelineSetResults:
         return DatasetResults(self.root / ANSWERS)
 
     def pipeline(self, retriever: str, tracker: str, top: int) -> PipelineResults:
-        return PipelineResults(self.root / f"{retriever}+{tracker}.top{top}")
-
-    def pipelines(self) -> list[PipelineResults]:
-        """Every pipeline that has a run record, sorted by name."""
-        return [PipelineResults(p.parent) for p in sorted(self.root.glob("*.top*/run.yaml"))]
+        return self.method(f"{retriever}+{tracker}.top{top}")
 
 
 def pipeline_results(results: Path, name: str, fingerprint: str) -> PipelineSetResults:
@@ -152,8 +151,3 @@ def write_set(folder: PipelineSetResults, new: PipelineSet) -> None:
     known = PipelineSetResults(folder.root).record.tasks if path.exists() else {}
     tasks = dict(sorted({**known, **new.tasks}.items()))
     write_record(path, new.model_copy(update={"tasks": tasks}))
-
-
-def all_pipeline_sets(results: Path) -> list[PipelineSetResults]:
-    """Every folder of pipelines below a results folder; empty where there is none."""
-    return list(map(PipelineSetResults, folders_with(SET_FILE, results)))

@@ -11,8 +11,9 @@ from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.street_places import StreetPlaces, image_key
 from relocbench.errors import PredictionError, available, quoted
 from relocbench.evaluation.common.image_names import listed_name
+from relocbench.evaluation.common.set_folder import sets_in
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
-from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, SetResults, all_sets
+from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, SetResults
 from relocbench.files import write_text
 
 
@@ -90,7 +91,7 @@ def _times(traversal: Traversal, camera: str) -> dict[str, int]:
 
 def _rankings(dataset: Dataset, results: Path, retriever: str) -> tuple[SetResults, RetrieverResults]:
     """The only retrieval set of this dataset that has a retriever's rankings, and these. Raises PredictionError."""
-    sets = [one for one in all_sets(results) if _is_of(dataset, one.record)]
+    sets = [one for one in sets_in(results, SetResults) if _is_of(dataset, one.record)]
     labels = {one.root: [method.label for method in one.methods()] for one in sets}
     having = [one for one in sets if retriever in labels[one.root]]
     if not having:

@@ -21,10 +21,9 @@ from relocbench.evaluation.common.results import (
     Count,
     MethodResults,
     RunRecord,
-    folders_with,
-    method_folders,
     write_record,
 )
+from relocbench.evaluation.common.set_folder import SetFolder
 from relocbench.evaluation.retrieval.blind_set import WITHHELD
 from relocbench.files import MAX_FOLDER_BYTES, check_joined_name, load_yaml
 from relocbench.metrics import chance_level
@@ -153,22 +152,13 @@ class RetrieverResults(MethodResults):
 
 
 @dataclass(frozen=True)
-class SetResults:
+class SetResults(SetFolder[SetRecord, RetrieverResults]):
     """The folder of one retrieval set: ``NAME@FINGERPRINT``."""
 
-    root: Path
-
-    @property
-    def record(self) -> SetRecord:
-        """The content of ``retrieval.yaml`` as it is now. Raises PredictionError with file and line."""
-        return load_yaml(self.root / SET_FILE, SetRecord, "the record of a retrieval set", PredictionError)
-
-    def method(self, label: str) -> RetrieverResults:
-        return RetrieverResults(self.root / label)
-
-    def methods(self) -> list[RetrieverResults]:
-        """Every method that has a run record, sorted by name."""
-        return [RetrieverResults(p.parent) for p in method_folders(self.root)]
+    FILE = SET_FILE
+    WHAT = "the record of a retrieval set"
+    RECORD = SetRecord
+    METHOD = RetrieverResults
 
 
 def set_results(results: Path, retrieval_set: RetrievalSet) -> SetResults:
@@ -220,11 +210,6 @@ def task_record(task: RetrievalTask) -> TaskRecord:
         grouped=bool(task.groups),
         chance={name: round(value, 9) for name, value in chance_level(task.relevance, METRICS).items()},
     )
-
-
-def all_sets(results: Path) -> list[SetResults]:
-    """Every retrieval set's folder below a results folder; empty where there is none."""
-    return list(map(SetResults, folders_with(SET_FILE, results)))
 
 
 def _views(images: Sequence[Any]) -> str:

@@ -12,7 +12,7 @@ from relocbench.leaderboard.html.pipeline_pages.payloads import is_keyframe_pose
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
 from relocbench.leaderboard.html.rows import Boards, pipeline_line, retriever_line
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineSetBoard
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, Retriever, SetBoard
+from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard, Retriever
 from relocbench.leaderboard.retrieval.page import evaluate_command
 from relocbench.leaderboard.tracking.load import machine_words
 
@@ -24,7 +24,7 @@ def with_other_tasks(payload: Mapping[str, Any], boards: Boards) -> dict[str, An
     retriever that is called as a tracker looks as that one does.
     """
     retrievers = [m for asked in _sets(boards.retrieval) for m in asked.methods]
-    pipelines = [c for asked in _pipelines(boards.relocalization) for c in asked.pipelines]
+    pipelines = [c for asked in _pipelines(boards.relocalization) for c in asked.methods]
     labels = {m.label for m in retrievers}
     added = looks({c.label for c in pipelines}, {c.label for c in pipelines if is_keyframe_pose(c)})
     added |= looks(labels, {m.label for m in retrievers if is_random(m)})
@@ -47,7 +47,7 @@ def results_of(label: str, boards: Boards) -> dict[str, Any]:
         for asked in board.sets
         for table in asked.tables
         for row in table.rows
-        if label in (row.pipeline.run.retriever, row.pipeline.run.tracker)
+        if label in (row.method.run.retriever, row.method.run.tracker)
     ]
     rows = [
         retriever_line(retrieval, asked, table, row)
@@ -66,7 +66,7 @@ def results_of(label: str, boards: Boards) -> dict[str, Any]:
     }
 
 
-def _sets(board: RetrievalBoard | None) -> Iterable[SetBoard]:
+def _sets(board: RetrievalBoard | None) -> Iterable[RetrievalSetBoard]:
     return () if board is None else board.sets
 
 
@@ -74,7 +74,7 @@ def _pipelines(board: PipelineBoard | None) -> Iterable[PipelineSetBoard]:
     return () if board is None else board.sets
 
 
-def _run(asked: SetBoard, method: Retriever) -> dict[str, Any]:
+def _run(asked: RetrievalSetBoard, method: Retriever) -> dict[str, Any]:
     run = method.run
     return {
         "title": asked.title,
@@ -87,6 +87,6 @@ def _run(asked: SetBoard, method: Retriever) -> dict[str, Any]:
             *([("files", json_text(run.files))] if run.files else []),
             *([("what it tells of itself", json_text(run.info))] if run.info else []),
         ],
-        "missing": sorted({task for table in asked.tables for task in table.tasks} - method.answers.keys()),
+        "missing": sorted(set(asked.used) - method.answers.keys()),
         "command": evaluate_command(asked.record, run),
     }

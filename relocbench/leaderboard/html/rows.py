@@ -15,8 +15,15 @@ from relocbench.leaderboard.html.payloads import id_of, marks_of, table_title
 from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, is_keyframe_pose, marks_of_row
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineRow, PipelineSetBoard, PipelineTable
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
-from relocbench.leaderboard.retrieval.page import CHANCE, not_above_chance
+from relocbench.leaderboard.retrieval.board import (
+    RetrievalBoard,
+    RetrievalRow,
+    RetrievalSetBoard,
+    RetrievalTable,
+    chance_of,
+)
+from relocbench.leaderboard.retrieval.columns import CHANCE
+from relocbench.leaderboard.retrieval.page import not_above_chance
 from relocbench.leaderboard.tracking.cells import level_with_identity, why_no_ranks
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import Interval
@@ -133,7 +140,9 @@ def line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
     }
 
 
-def retriever_line(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: RetrievalRow) -> dict[str, Any]:
+def retriever_line(
+    board: RetrievalBoard, asked: RetrievalSetBoard, table: RetrievalTable, row: RetrievalRow
+) -> dict[str, Any]:
     """The row of a retriever in a table of a retrieval set."""
     method = row.method
     page = links.retrieval_page(id_of_places(asked))
@@ -148,9 +157,9 @@ def pipeline_line(
 ) -> dict[str, Any]:
     """The row of a pipeline in a table of a dataset."""
     page = links.relocalization_page(id_of_pipelines(asked))
-    own = {"page": page, "baseline": is_keyframe_pose(row.pipeline), "marks": marks_of_row(row)}
-    state = {"table": table.name, "method": row.pipeline.label}
-    return _other(asked.title, table, row.pipeline.label, row, board.metric) | own | _linked(page, state)
+    own = {"page": page, "baseline": is_keyframe_pose(row.method), "marks": marks_of_row(row, table)}
+    state = {"table": table.name, "method": row.method.label}
+    return _other(asked.title, table, row.method.label, row, board.metric) | own | _linked(page, state)
 
 
 def _linked(page: str, state: dict[str, str]) -> dict[str, str]:
@@ -176,9 +185,9 @@ def _other(title: str, table: Any, label: str, row: Any, metric: str) -> dict[st
     }
 
 
-def _chance(asked: SetBoard, table: RetrievalTable, metric: str) -> dict[str, Any]:
+def _chance(asked: RetrievalSetBoard, table: RetrievalTable, metric: str) -> dict[str, Any]:
     """What a random order of the gallery scores."""
-    value = float(table.chance[metric])
+    value = float(chance_of(table)[metric])
     page = links.retrieval_page(id_of_places(asked))
     return (
         dict.fromkeys(("method_page", "bounds"), "")

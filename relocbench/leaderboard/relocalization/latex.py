@@ -7,7 +7,7 @@ from relocbench.evaluation.relocalization.score import HIT, basin_recall
 from relocbench.leaderboard.common.headings import RETRIEVER, SECONDS, TOP, TRACKER, heading
 from relocbench.leaderboard.common.latex import Column, LatexTable, Line, document, intervals_of
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineRow, PipelineSetBoard, PipelineTable
-from relocbench.leaderboard.relocalization.page import MEDIANS
+from relocbench.leaderboard.relocalization.columns import MEDIANS
 from relocbench.metrics import metric_named
 
 _SHARES = {
@@ -40,11 +40,11 @@ def _table(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable) 
 
 
 def _line(board: PipelineBoard, row: PipelineRow, names: list[str]) -> Line:
-    run = row.pipeline.run
+    run = row.method.run
     return Line(
         (run.retriever, run.tracker, str(run.top)),
         row.rank,
         tuple(row.values.get(name) for name in names),
         intervals_of(names, {board.metric: row.intervals.get(board.metric)}),
-        competes=row.pipeline.is_ranked and run.tracker != KEYFRAME,
+        competes=row.method.is_ranked and run.tracker != KEYFRAME,
     )

@@ -7,21 +7,22 @@ import shlex
 from collections.abc import Sequence
 
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
-from relocbench.evaluation.relocalization.basin import SAID
 from relocbench.evaluation.relocalization.pipeline import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineRun
-from relocbench.evaluation.relocalization.score import FAILURES, HIT, RANKING
+from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import labelled_target, settings_of
-from relocbench.leaderboard.common.headings import BASIN, COUNTS, RANK, RETRIEVER, SECONDS, TOP, TRACKER, heading
-from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
-from relocbench.leaderboard.common.text import json_text, number, with_bounds
+from relocbench.leaderboard.common.headings import RETRIEVER, TRACKER
+from relocbench.leaderboard.common.ranks import why_no_ranks
+from relocbench.leaderboard.common.text import json_text, number
 from relocbench.leaderboard.relocalization.board import (
     Pipeline,
     PipelineBoard,
     PipelineRow,
     PipelineSetBoard,
     PipelineTable,
+    is_rescored,
 )
+from relocbench.leaderboard.relocalization.columns import lines_of, pipeline_columns, pose_columns, stage_columns
 from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere, not_isolated
 from relocbench.metrics import LEVEL
@@ -29,15 +30,12 @@ from relocbench.metrics.pose.registry import SIGMA_FACTOR
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
-POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)", "t_auc@0.5m", "r_auc@0.5deg")
-MEDIANS = ("median_translation_error_m", "median_rotation_error_deg")
-
 
 def relocalization_page(board: PipelineBoard) -> str:
     """The whole page."""
     metres, degrees = RIGHT
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
-    rescored = any(pipeline.rescored for asked in board.sets for pipeline in asked.pipelines)
+    rescored = any(pipeline.rescored for asked in board.sets for pipeline in asked.methods)
     dataset = " --dataset DATASET" if rescored else ""
     return render(
         __name__,
@@ -50,7 +48,7 @@ def relocalization_page(board: PipelineBoard) -> str:
         number=number,
         marks=MARKS,
         sets=[_set(board, asked) for asked in board.sets],
-        commands=[(asked.title, evaluate_commands(asked.pipelines)) for asked in board.sets],
+        commands=[(asked.title, evaluate_commands(asked.methods)) for asked in board.sets],
         page_command=f"relocbench leaderboard RESULTS --out DIR{dataset} --relocalization-metric '{board.metric}' "
         f"--seed {board.seed}{split}",
     )
@@ -121,21 +119,21 @@ def _set(board: PipelineBoard, asked: PipelineSetBoard) -> dict[str, object]:
             for name, task in asked.record.tasks.items()
             if any(name in table.tasks for table in asked.tables)
         ],
-        "sections": [_section(board, table) for table in asked.tables],
-        "missing": [(row.pipeline.label, row.missing) for row in asked.tables[0].rows if row.missing],
+        "sections": [_section(board, asked, table) for table in asked.tables],
+        "missing": [(row.method.label, row.missing) for row in asked.tables[0].rows if row.missing],
         "halves": [(name, part, half, machine_words(half)) for (part, name), half in halves],
         "parameters": [(name, json_text(half.parameters)) for (_, name), half in halves if half.parameters],
         "differing": differing,
     }
 
 
-def _section(board: PipelineBoard, table: PipelineTable) -> dict[str, object]:
+def _section(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable) -> dict[str, object]:
     sigmas = [r.median_sigma_translation_m for r in table.records if r.median_sigma_translation_m is not None]
     sigma = max(sigmas, default=0.0)
     return {
         "table": table,
-        "poses": _pose_table(board, table),
-        "losses": _loss_table(table),
+        "poses": _table(board, asked, table, pose_columns(board), left=3),
+        "losses": _table(board, asked, table, stage_columns(table), left=2),
         "why_no_ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
         "coarse": SIGMA_FACTOR * sigma > RIGHT[0],
         "sigma": f"{sigma:.2f}",
@@ -143,74 +141,37 @@ def _section(board: PipelineBoard, table: PipelineTable) -> dict[str, object]:
     }
 
 
-def _pose_table(board: PipelineBoard, table: PipelineTable) -> str:
-    poses = list(dict.fromkeys((board.metric, *POSES)))
-    columns = [RANK, RETRIEVER, TRACKER, TOP, *map(heading, poses), *MEDIANS, SECONDS]
-    rows = []
-    for row in table.rows:
-        medians = [
-            number(row.values.get(name), unit)
-            for name, unit in zip((*MEDIANS, SECONDS), ("m", "deg", "s"), strict=True)
-        ]
-        rows.append([*_head(row, table), *(_cell(row, m) for m in poses), *medians])
-    return table_text(columns, rows, left=3)
+def _table(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, keys: Sequence[str], left: int) -> str:
+    """A table in Markdown, whose columns of names say what a reader must know of them."""
+    columns = pipeline_columns(board)
+    heads, rows = texts([columns[key] for key in keys], lines_of(asked, table))
+    of_retriever, of_tracker = keys.index(RETRIEVER), keys.index(TRACKER)
+    for cells, row in zip(rows, table.rows, strict=True):
+        cells[of_retriever] = _name(cells[of_retriever])
+        times = ["(uses times)"] if row.method.uses_times else []
+        cells[of_tracker] = " ".join([_name(cells[of_tracker]), *times, *_signs(row, table)])
+    return table_text(heads, rows, left=left)
 
 
-def _loss_table(table: PipelineTable) -> str:
-    lost = [share for share in FAILURES if any(row.values[share] for row in table.rows)]
-    shares = ("basin_recall@1", HIT, "right_given_hit", "right_without_hit", "right_among_K", *lost)
-    columns = [RETRIEVER, TRACKER, TOP, BASIN, *map(heading, shares), COUNTS]
-    rows = [
-        [
-            *_head(row, table)[1:],
-            basin_words(row, table),
-            *(_cell(row, share) for share in shares),
-            "" if row.missing else f"{row.failed} / {row.broke}",
-        ]
-        for row in table.rows
-    ]
-    return table_text(columns, rows, left=2)
+def _name(name: str) -> str:
+    return f"*{name}*" if name in (ORACLE, KEYFRAME) else escaped(name)
 
 
-def _head(row: PipelineRow, table: PipelineTable) -> list[str]:
-    run = row.pipeline.run
-    names = [f"*{name}*" if name in (ORACLE, KEYFRAME) else escaped(name) for name in (run.retriever, run.tracker)]
-    times = ["(uses times)"] if row.pipeline.uses_times else []
-    told = " ".join([names[1], *times, *_signs(row)])
-    return [rank_text(row, table.rows), names[0], told, str(run.top)]
-
-
-def _signs(row: PipelineRow) -> list[str]:
-    names = marks_of_pipeline(row)
+def _signs(row: PipelineRow, table: PipelineTable) -> list[str]:
+    names = marks_of_pipeline(row, table)
     return [mark.sign for mark in MARKS if mark.name in names]
 
 
-def marks_of_pipeline(row: PipelineRow) -> list[str]:
+def marks_of_pipeline(row: PipelineRow, table: PipelineTable) -> list[str]:
     """The names of the marks that apply to a row."""
-    halves = [half for half in (row.pipeline.run.retriever_run, row.pipeline.run.tracker_run) if half is not None]
-    tracker = row.pipeline.run.tracker_run
+    halves = [half for half in (row.method.run.retriever_run, row.method.run.tracker_run) if half is not None]
+    tracker = row.method.run.tracker_run
     signs = {
         "not isolated": tracker is not None and not_isolated(tracker),
         "made elsewhere": any(map(made_elsewhere, halves)),
-        "not rescored": not row.missing and not row.rescored,
+        "not rescored": not row.missing and not is_rescored(row, table),
     }
     return [mark.name for mark in MARKS if signs[mark.name]]
-
-
-def _cell(row: PipelineRow, metric: str) -> str:
-    return with_bounds(row.values.get(metric), row.intervals.get(metric), "share")
-
-
-def basin_words(row: PipelineRow, table: PipelineTable) -> str:
-    """The size of the basin if it is the same on all tasks, else its source in words."""
-    basins = [row.pipeline.basins[task] for task in table.tasks if task in row.pipeline.basins]
-    if not basins:
-        return ""
-    sizes = {(round(b.metres, 3), round(b.degrees, 3)) for b in basins}
-    if len(sizes) == 1:
-        ((metres, degrees),) = sizes
-        return f"{metres:.3g} m, {degrees:.3g}°" + ("" if basins[0].source == "pairs" else f" ({basins[0].source})")
-    return ", ".join(sorted({SAID[b.source] for b in basins}))
 
 
 def _methods(
@@ -219,7 +180,7 @@ def _methods(
     """The methods by half and name; where pipelines have others of the same name: name, pipeline, parameters."""
     halves: dict[tuple[str, str], RunRecord] = {}
     differing = []
-    for pipeline in asked.pipelines:
+    for pipeline in asked.methods:
         for part, (name, half) in zip(("retriever", "tracker"), _halves(pipeline.run), strict=True):
             if half is not None and not _same(halves.setdefault((part, name), half), half):
                 differing.append((name, pipeline.label, json_text(half.parameters, ascii_only=True)))

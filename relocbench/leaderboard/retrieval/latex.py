@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from relocbench.evaluation.retrieval.records import METRICS
 from relocbench.leaderboard.common.headings import METHOD, SECONDS, heading
 from relocbench.leaderboard.common.latex import Column, LatexTable, Line, document, intervals_of
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalTable, SetBoard
-from relocbench.leaderboard.retrieval.page import CHANCE
+from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard, RetrievalTable, chance_of
+from relocbench.leaderboard.retrieval.columns import CHANCE, defined
 
 
 def latex_page(board: RetrievalBoard) -> str:
@@ -19,19 +20,19 @@ def latex_page(board: RetrievalBoard) -> str:
     )
 
 
-def _table(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable) -> LatexTable:
-    columns = [Column(heading(name), "share", higher_is_better=True, definition=defined(name)) for name in board.shown]
+def _table(board: RetrievalBoard, asked: RetrievalSetBoard, table: RetrievalTable) -> LatexTable:
+    columns = [Column(heading(name), "share", higher_is_better=True, definition=defined(name)) for name in METRICS]
     seconds = Column(SECONDS, "s", higher_is_better=False, definition="median of the seconds a query")
     lines = [
         Line(
             (row.method.label,),
             row.rank,
-            (*(row.values[name] for name in board.shown), row.seconds),
-            (*intervals_of(board.shown, {board.metric: row.intervals.get(board.metric)}), None),
+            (*(row.values[name] for name in METRICS), row.values.get(SECONDS)),
+            (*intervals_of(METRICS, {board.metric: row.intervals.get(board.metric)}), None),
         )
         for row in table.rows
     ]
-    chance = tuple(table.chance[name] for name in board.shown)
+    chance = tuple(chance_of(table)[name] for name in METRICS)
     lines.append(Line((CHANCE,), None, (*chance, None), (None,) * (len(chance) + 1), competes=False))
     return LatexTable(
         title=f"{asked.title}, {table.name}",
@@ -41,18 +42,3 @@ def _table(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable) -> Lat
         lines=tuple(lines),
         note=f"{table.queries} queries.",
     )
-
-
-def defined(metric: str) -> str:
-    """What a metric of rankings is, in words."""
-    said = {
-        "AP": "mean over queries of the average precision",
-        "MRR": "mean over queries of one over the place of the first right image",
-        "R@top1%": "share of queries with a right image among the first percent of the gallery",
-    }
-    if metric in said:
-        return said[metric]
-    name, _, count = metric.partition("@")
-    if name == "R":
-        return f"share of queries with a right image among the first {count}"
-    return ""

@@ -6,26 +6,33 @@ import shlex
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.results import PREDICTIONS
-from relocbench.evaluation.retrieval.records import RetrievalRun, SetRecord
+from relocbench.evaluation.retrieval.records import METRICS, RetrievalRun, SetRecord
 from relocbench.leaderboard.common.cards import add_command, shown_cards
+from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import answers_on_copies
-from relocbench.leaderboard.common.headings import COUNTS, METHOD, RANK, RESCORED, SECONDS, heading
-from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
-from relocbench.leaderboard.common.text import json_text, number, with_bounds
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
+from relocbench.leaderboard.common.ranks import why_no_ranks
+from relocbench.leaderboard.common.text import json_text
+from relocbench.leaderboard.retrieval.board import (
+    RetrievalBoard,
+    RetrievalRow,
+    RetrievalSetBoard,
+    RetrievalTable,
+    chance_of,
+    confirmed_of,
+    has_single_positives,
+)
+from relocbench.leaderboard.retrieval.columns import PAGE, lines_of, retrieval_columns
 from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.metrics import LEVEL
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
-CHANCE = "(chance)"
-
 
 def retrieval_page(board: RetrievalBoard) -> str:
     """The whole page."""
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
-    rescored = any(row.confirmed for asked in board.sets for table in asked.tables for row in table.rows)
+    rescored = any(method.confirmed for asked in board.sets for method in asked.methods)
     dataset = " --dataset DATASET" if rescored else ""
     return render(
         __name__,
@@ -55,7 +62,7 @@ def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
     )
 
 
-def _set(board: RetrievalBoard, asked: SetBoard) -> dict[str, object]:
+def _set(board: RetrievalBoard, asked: RetrievalSetBoard) -> dict[str, object]:
     methods = asked.methods
     means = [table for table in asked.tables if len(table.tasks) > 1]
     first = (means or asked.tables)[:1]  # there is none where no method has finished a task
@@ -69,7 +76,7 @@ def _set(board: RetrievalBoard, asked: SetBoard) -> dict[str, object]:
             if any(name in table.tasks for table in asked.tables)
         ],
         "unused": asked.unused,
-        "sections": [_section(board, table) for table in [*means, *(t for t in asked.tables if len(t.tasks) == 1)]],
+        "sections": [_section(board, asked, table) for table in sorted(asked.tables, key=lambda t: len(t.tasks) == 1)],
         "missing": [(row.method.label, row.missing) for table in first for row in table.rows if row.missing],
         "methods": [
             (m.label, m.run, sorted({t.dimensions for t in m.run.tasks.values() if t.dimensions}), machine_words(m.run))
@@ -83,36 +90,31 @@ def _set(board: RetrievalBoard, asked: SetBoard) -> dict[str, object]:
     }
 
 
-def _section(board: RetrievalBoard, table: RetrievalTable) -> dict[str, object]:
-    columns = [RANK, METHOD, *map(heading, board.shown), SECONDS, COUNTS, RESCORED]
-    chance = ["", f"*{CHANCE}*", *(number(table.chance[m], "share") for m in board.shown), "", "", ""]
+def _section(board: RetrievalBoard, asked: RetrievalSetBoard, table: RetrievalTable) -> dict[str, object]:
+    columns = retrieval_columns(board)
+    heads, rows = texts([columns[key] for key in PAGE], lines_of(asked, table))
+    for cells, row in zip(rows, [*table.rows, None], strict=True):
+        label = f"*{cells[1]}*" if row is None else escaped(cells[1])
+        cells[1] = f"{label} (missing)" if row is not None and row.missing else label
     return {
-        "believed": _believed(board, table),
+        "believed": _believed(table),
         "table": table,
-        "numbers": table_text(columns, [*(_row(board, table, row) for row in table.rows), chance], left=2),
+        "numbers": table_text(heads, rows, left=2),
+        "single_positive": has_single_positives(table),
         "at_chance": [row.method.label for row in table.rows if not_above_chance(board, table, row)],
         "why_no_ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
     }
 
 
-def _row(board: RetrievalBoard, table: RetrievalTable, row: RetrievalRow) -> list[str]:
-    name = escaped(row.method.label) + (" (missing)" if row.missing else "")
-    cells = [with_bounds(row.values[m], row.intervals.get(m), "share") for m in board.shown]
-    counts = "" if row.missing else f"{row.failed} / {row.broke}"
-    seconds = "" if row.seconds is None else f"{row.seconds:.3g}"
-    rescored = "" if row.missing else row.rescored
-    return [rank_text(row, table.rows), name, *cells, seconds, counts, rescored]
-
-
-def _believed(board: RetrievalBoard, table: RetrievalTable) -> list[tuple[str, str]]:
+def _believed(table: RetrievalTable) -> list[tuple[str, str]]:
     """Metrics that ranks behind the images that were kept could move, and by how many points at most."""
-    confirmed = [row.confirmed for row in table.rows if row.confirmed is not None]
-    most = {m: 100 * max((c.believed[m] for c in confirmed), default=0.0) for m in board.shown}
+    confirmed = [each for row in table.rows if (each := confirmed_of(row, table)) is not None]
+    most = {m: 100 * max((c.believed[m] for c in confirmed), default=0.0) for m in METRICS}
     return [(metric, f"{points:.2g}") for metric, points in most.items() if points > 0]
 
 
 def not_above_chance(board: RetrievalBoard, table: RetrievalTable, row: RetrievalRow) -> bool:
     """Whether a row is not shown to be better than a gallery in random order."""
     value, interval = row.values[board.metric], row.intervals.get(board.metric)
-    chance = table.chance[board.metric]
+    chance = chance_of(table)[board.metric]
     return value is not None and (value <= chance or (interval is not None and interval.low <= chance))

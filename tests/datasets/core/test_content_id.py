@@ -21,14 +21,18 @@ from relocbench.datasets.cross_view import content
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import dataset_results
+from relocbench.evaluation.common.set_folder import sets_in
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
-from relocbench.evaluation.retrieval.records import all_sets
+from relocbench.evaluation.retrieval.records import SetResults
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.run import run_method
 from relocbench.execution import Run
 from relocbench.files import dump_yaml, load_yaml_values, write_text
-from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
+from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.retrieval.board import RETRIEVAL
+from relocbench.leaderboard.retrieval.page import retrieval_page
+from relocbench.leaderboard.retrieval.write import retrieval_rows
 from relocbench.leaderboard.tracking.load import load_results
 from relocbench.leaderboard.tracking.write import write_leaderboard
 from relocbench.methods import parse_method
@@ -203,15 +207,14 @@ def test_retrievers_on_two_copies_of_one_question_stand_in_one_table(original: D
     results = tmp_path / "results"
     retrieved(original, results, "random", "colour-histogram")
     retrieved(other, results, "random")
-    first, second = sorted(found.record.fingerprint for found in all_sets(results))
-    boards = write_retrieval_leaderboard(results, tmp_path / "board", reporter=Silent())
+    first, second = sorted(found.record.fingerprint for found in sets_in(results, SetResults))
+    boards = load_board(RETRIEVAL, results)
     assert boards is not None
     (board,) = boards.sets
     assert (board.record.fingerprint, board.copies) == (first, (second,))
     assert {m.label for m in board.methods} == {"colour-histogram", "random", f"random@{second[:12]}"}
-    assert "on other copies of the same question" in (tmp_path / "board" / "retrieval.md").read_text()
-    rows = list(csv.DictReader((tmp_path / "board" / "retrieval.csv").open()))
-    assert {row["question"] for row in rows} == {board.record.question}
+    assert "on other copies of the same question" in retrieval_page(boards)
+    assert {row["question"] for row in retrieval_rows(boards)} == {board.record.question}
 
 
 def test_lists_of_another_copy_of_the_question_are_scored_and_lists_of_another_question_are_not(
@@ -220,8 +223,8 @@ def test_lists_of_another_copy_of_the_question_are_scored_and_lists_of_another_q
     other = changed(original, tmp_path / "there", last_digits)
     answered = retrieved(other, tmp_path / "theirs", "random")
     taken = retrieved(original, tmp_path / "ours", "theirs", predictions=answered)
-    (here,) = all_sets(tmp_path / "ours")
-    (there,) = all_sets(tmp_path / "theirs")
+    (here,) = sets_in(tmp_path / "ours", SetResults)
+    (there,) = sets_in(tmp_path / "theirs", SetResults)
     run = here.method("theirs").run_record()
     assert taken == here.method("theirs").root
     assert (run.fingerprint, run.answered_on) == (here.record.fingerprint, there.record.fingerprint)
@@ -240,12 +243,12 @@ def test_retrieval_results_that_claim_a_question_and_hold_other_tasks_are_refuse
     results = tmp_path / "results"
     for dataset in (original, other):
         retrieved(dataset, results, "random")
-    mine, theirs = (found.record.question for found in all_sets(results))
+    mine, theirs = (found.record.question for found in sets_in(results, SetResults))
     assert mine != theirs
     for path in results.glob("*/retrieval.yaml"):
         write_text(path, path.read_text().replace(theirs, mine))
     with refused(PredictionError, "retrieval.yaml", None, "summer__winter__cam0"):
-        write_retrieval_leaderboard(results, tmp_path / "board", reporter=Silent())
+        load_board(RETRIEVAL, results)
 
 
 def test_a_rendered_cross_view_set_asks_the_same_whatever_the_last_digits_of_its_images() -> None:

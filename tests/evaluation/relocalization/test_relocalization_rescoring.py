@@ -24,8 +24,9 @@ from relocbench.evaluation.relocalization.answers import PipelineAnswer, read_pi
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 from relocbench.evaluation.relocalization.records import PipelineResults
 from relocbench.files import sha256_file
-from relocbench.leaderboard.relocalization.board import load_pipelines
-from relocbench.leaderboard.relocalization.write import write_relocalization_leaderboard
+from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.relocalization.board import RELOCALIZATION
+from relocbench.leaderboard.relocalization.write import write_pipeline_page, write_pipeline_table
 from relocbench.progress import Silent
 
 FRAMES = 8
@@ -76,7 +77,10 @@ def forge(results: Path, change: Callable[[PipelineAnswer], PipelineAnswer]) -> 
 
 
 def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], dict[str, str]]:
-    write_relocalization_leaderboard(results, out, datasets=DatasetLookup(results, datasets), reporter=Silent())
+    board = load_board(RELOCALIZATION, results, datasets=DatasetLookup(results, datasets))
+    assert board is not None
+    write_pipeline_table(board, out)
+    write_pipeline_page(board, out)
     with (out / "relocalization.csv").open(newline="", encoding="utf-8") as stream:
         return {(r["retriever"], r["tracker"]): r for r in csv.DictReader(stream) if r["table"] == ACROSS}
 
@@ -103,23 +107,23 @@ def test_honest_pipelines_are_rescored_and_say_so(results: Path, dataset: Path, 
 )
 def test_forged_rows_are_exposed_by_the_truth(results: Path, dataset: Path, change: dict[str, Any]) -> None:
     path = forge(results, lambda row: replace(row, **change))
-    assert load_pipelines(results) is not None, "nothing without the truth tells it"
+    assert load_board(RELOCALIZATION, results) is not None, "nothing without the truth tells it"
     with refused(PredictionError, path, None, "rankings"):
-        load_pipelines(results, datasets=DatasetLookup(results, [dataset]))
+        load_board(RELOCALIZATION, results, datasets=DatasetLookup(results, [dataset]))
 
 
 def test_rows_without_their_digest_are_refused_without_the_truth(results: Path) -> None:
     path = pipeline(results).answers(ACROSS)
     path.write_text(path.read_text().replace("right", "choice", 1))
     with refused(PredictionError, path, None, "changed", "scored"):
-        load_pipelines(results)
+        load_board(RELOCALIZATION, results)
 
 
 def test_an_edited_record_of_a_run_is_refused_without_the_truth(results: Path) -> None:
     path = pipeline(results).run_yaml
     change_yaml(path, lambda run: run["tracker_run"].update(uses_times=False, isolated=True))
     with refused(PredictionError, path, None, "record"):
-        load_pipelines(results)
+        load_board(RELOCALIZATION, results)
 
 
 def test_a_forged_basin_or_task_is_exposed_by_the_truth(results: Path, dataset: Path) -> None:
@@ -128,11 +132,11 @@ def test_a_forged_basin_or_task_is_exposed_by_the_truth(results: Path, dataset: 
 
     change_yaml(pipeline(results).scores_yaml, wide)
     with refused(PredictionError, f"{ACROSS}.csv", None, "basin", ACROSS):
-        load_pipelines(results, datasets=DatasetLookup(results, [dataset]))
+        load_board(RELOCALIZATION, results, datasets=DatasetLookup(results, [dataset]))
     path = next(results.glob("*@*/relocalization.yaml"))
     change_yaml(path, lambda record: record["tasks"][ACROSS].update(rejected=7))
     with refused(PredictionError, path, None, "task", ACROSS):
-        load_pipelines(results, datasets=DatasetLookup(results, [dataset]))
+        load_board(RELOCALIZATION, results, datasets=DatasetLookup(results, [dataset]))
 
 
 def test_without_the_rankings_a_pipeline_is_not_rescored(results: Path, dataset: Path, tmp_path: Path) -> None:

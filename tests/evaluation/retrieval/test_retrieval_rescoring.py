@@ -20,6 +20,7 @@ from small_views import make_small_views
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError, PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
+from relocbench.evaluation.common.set_folder import sets_in
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
@@ -28,13 +29,13 @@ from relocbench.evaluation.retrieval.records import (
     SET_FILE,
     RetrieverResults,
     SetResults,
-    all_sets,
     write_set_record,
 )
 from relocbench.evaluation.retrieval.score import summary
 from relocbench.files import sha256_file
-from relocbench.leaderboard.retrieval.board import load_retrieval
-from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
+from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.retrieval.board import RETRIEVAL, rescored_text
+from relocbench.leaderboard.retrieval.write import write_retrieval_page, write_retrieval_table
 from relocbench.metrics import relevance_within
 from relocbench.progress import Silent
 
@@ -70,7 +71,7 @@ def town(made: Path) -> Path:
 
 
 def only_set(results: Path) -> SetResults:
-    (found,) = all_sets(results)
+    (found,) = sets_in(results, SetResults)
     return found
 
 
@@ -101,13 +102,16 @@ def refused_file(results: Path, *names: object, dataset: Path | None = None) -> 
     """The file that a leaderboard refuses, in a message that holds ``names``."""
     datasets = [] if dataset is None else [dataset]
     with refused(PredictionError, "", None, *names) as bad:
-        load_retrieval(results, datasets=DatasetLookup(results, datasets))
+        load_board(RETRIEVAL, results, datasets=DatasetLookup(results, datasets))
     return bad.value.path
 
 
 def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], dict[str, str]]:
     lookup = DatasetLookup(results, datasets)
-    write_retrieval_leaderboard(results, out, datasets=lookup, reporter=Silent())
+    board = load_board(RETRIEVAL, results, datasets=lookup)
+    assert board is not None
+    write_retrieval_table(board, out)
+    write_retrieval_page(board, out)
     lookup.check_used()
     with (out / "retrieval.csv").open(newline="", encoding="utf-8") as stream:
         return {(row["table"], row["method"]): row for row in csv.DictReader(stream)}
@@ -147,7 +151,7 @@ def test_claimed_ranks_that_do_not_follow_are_exposed_by_the_truth(results: Path
     assert worst.ranks[0] > 1
     folder = only_set(results).method(label)
     path = forge(folder, D2S, lambda a: replace(a, ranks=(1,)) if a.query == worst.query else a)
-    assert load_retrieval(results) is not None, "nothing without the truth tells it"
+    assert load_board(RETRIEVAL, results) is not None, "nothing without the truth tells it"
     assert refused_file(results, "ranks", 1, dataset=town) == path
 
 
@@ -244,7 +248,9 @@ def test_places_of_a_street_are_rescored(tmp_path: Path, rule: dict[str, Any]) -
     forge(folder, ACROSS, lambda a: replace(a, ranks=(1, *a.ranks[1:])) if a.query == wrong.query else a)
     refused_file(results, "ranks", 1, dataset=street.root)
     change_yaml(only_set(results).root / SET_FILE, lambda r: r["options"].clear())
-    assert load_retrieval(results, datasets=DatasetLookup(results, [street.root])) is not None, "it has no such set"
+    assert load_board(RETRIEVAL, results, datasets=DatasetLookup(results, [street.root])) is not None, (
+        "it has no such set"
+    )
 
 
 def test_a_run_on_one_split_leaves_the_others_in_the_record(town: Path, tmp_path: Path) -> None:
@@ -300,7 +306,7 @@ def test_a_copy_with_other_rules_is_refused(results: Path, town: Path) -> None:
         (forged / SET_FILE).write_text(kept)
         change_yaml(forged / SET_FILE, lambda record, c=change: record.update(fingerprint="0" * 64, **c))  # type: ignore[misc]
         with pytest.raises(PredictionError):
-            load_retrieval(results, datasets=DatasetLookup(results, [town]))
+            load_board(RETRIEVAL, results, datasets=DatasetLookup(results, [town]))
 
 
 def test_a_plain_set_may_have_another_name(results: Path, town: Path, tmp_path: Path) -> None:
@@ -319,12 +325,12 @@ def test_a_damaged_set_beside_the_results_is_noted_once_and_not_used(results: Pa
     image.unlink()
     image.symlink_to("nowhere.png")
     kept = Notes()
-    board = load_retrieval(results, datasets=DatasetLookup(results, (), kept))
+    board = load_board(RETRIEVAL, results, datasets=DatasetLookup(results, (), kept))
     assert board is not None
-    assert {row.rescored for table in board.sets[0].tables for row in table.rows} == {"no"}
+    assert {rescored_text(row, table) for table in board.sets[0].tables for row in table.rows} == {"no"}
     assert [note.startswith(f"not scored again with {beside}") for note in kept.notes] == [True]
     with pytest.raises(DatasetError):
-        load_retrieval(results, datasets=DatasetLookup(results, [beside]))
+        load_board(RETRIEVAL, results, datasets=DatasetLookup(results, [beside]))
 
 
 def test_no_images_kept_and_ranks_without_an_answer_are_refused(results: Path, town: Path) -> None:

@@ -13,6 +13,7 @@ from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswe
 from relocbench.evaluation.relocalization.pipeline import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineTask
 from relocbench.evaluation.relocalization.score import FAILURES, HIT
+from relocbench.leaderboard.common.columns import Line
 from relocbench.leaderboard.common.headings import SECONDS, heading
 from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
 from relocbench.leaderboard.html import links
@@ -25,7 +26,8 @@ from relocbench.leaderboard.relocalization.board import (
     PipelineSetBoard,
     PipelineTable,
 )
-from relocbench.leaderboard.relocalization.page import MEDIANS, POSES, basin_words, marks_of_pipeline
+from relocbench.leaderboard.relocalization.columns import GIVEN_HIT, MEDIANS, POSES, STAGES, basin_words
+from relocbench.leaderboard.relocalization.page import marks_of_pipeline
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 
 LOSSES = ("right_and_hit", "right_without_hit", *FAILURES)
@@ -54,15 +56,15 @@ def is_keyframe_pose(pipeline: Pipeline) -> bool:
     return pipeline.run.tracker == KEYFRAME
 
 
-def marks_of_row(row: PipelineRow) -> list[str]:
+def marks_of_row(row: PipelineRow, table: PipelineTable) -> list[str]:
     """The words behind the name of a pipeline."""
-    pipeline = row.pipeline
+    pipeline = row.method
     known = {
         "trivial baseline": is_keyframe_pose(pipeline),
         "knows the truth": pipeline.knows_truth,
         "uses times": pipeline.uses_times,
     }
-    return [*(word for word, applies in known.items() if applies), *marks_of_pipeline(row)]
+    return [*(word for word, applies in known.items() if applies), *marks_of_pipeline(row, table)]
 
 
 def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: Mapping[str, str]) -> dict[str, Any]:
@@ -72,11 +74,11 @@ def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: M
         trackers: task -> the id of the set of trackers whose pairs have pages, where there is one.
     """
     poses = list(dict.fromkeys((board.metric, *POSES)))
-    shares = [*poses, "basin_recall@1", HIT, "right_given_hit", "right_among_K", *LOSSES]
+    shares = [*poses, "basin_recall@1", HIT, GIVEN_HIT, "right_among_K", *LOSSES]
     metrics = [(name, "share") for name in dict.fromkeys(shares)]
     metrics += [*zip(MEDIANS, ("m", "deg"), strict=True), (SECONDS, "s")]
-    rows = {row.pipeline.label: row for row in asked.tables[0].rows}
-    used = [name for name in asked.record.tasks if any(name in table.tasks for table in asked.tables)]
+    used = [name for name in asked.record.tasks if name in asked.used]
+    rows = {row.method.label: row for row in asked.tables[0].rows}
     return {
         "id": id_of_pipelines(asked),
         "title": asked.title,
@@ -84,35 +86,35 @@ def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: M
         "rescored": asked.truth is not None,
         "metrics": [{"name": name, "heading": heading(name, unit), "unit": unit} for name, unit in metrics],
         "shown": [*poses, *MEDIANS, SECONDS],
-        "stages": ["basin_recall@1", HIT, "right_given_hit", "right_without_hit", "right_among_K", *FAILURES],
+        "stages": list(STAGES),
         "losses": list(LOSSES),
         "outcomes": list(OUTCOMES),
         "right": list(RIGHT),
-        "pipelines": {pipeline.label: _pipeline(pipeline, rows[pipeline.label]) for pipeline in asked.pipelines},
+        "pipelines": {label: _pipeline(rows[label], asked.tables[0]) for label in sorted(rows)},
         "tasks": {name: _task(asked, name, asked.record.tasks[name], trackers.get(name)) for name in used},
-        "tables": [_table(board, table, [name for name, _ in metrics]) for table in asked.tables],
+        "tables": [_table(board, asked, table, [name for name, _ in metrics]) for table in asked.tables],
     }
 
 
 def located_payload(asked: PipelineSetBoard, task: str) -> dict[str, Any]:
     """The answers of all pipelines to the queries of a task, in the order of time."""
-    pipelines = {pipeline.label: pipeline for pipeline in asked.pipelines if task in pipeline.answers}
+    pipelines = {pipeline.label: pipeline for pipeline in asked.methods if task in pipeline.answers}
     first = next(iter(pipelines.values())).answers[task]
     return {
         "queries": integers([a.query_timestamp_ns for a in first]),
-        "pipelines": {label: _answers(asked, pipeline, task) for label, pipeline in pipelines.items()},
+        "pipelines": {label: _answers(pipeline, task) for label, pipeline in pipelines.items()},
     }
 
 
-def _pipeline(pipeline: Pipeline, row: PipelineRow) -> dict[str, Any]:
-    run = pipeline.run
+def _pipeline(row: PipelineRow, table: PipelineTable) -> dict[str, Any]:
+    run = row.method.run
     return {
         "retriever": run.retriever,
         "tracker": run.tracker,
         "top": run.top,
-        "baseline": is_keyframe_pose(pipeline),
+        "baseline": is_keyframe_pose(row.method),
         "oracle": run.retriever == ORACLE,
-        "marks": marks_of_row(row),
+        "marks": marks_of_row(row, table),
     }
 
 
@@ -129,33 +131,33 @@ def _task(asked: PipelineSetBoard, name: str, task: PipelineTask, trackers: str 
     }
 
 
-def _table(board: PipelineBoard, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
+def _table(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
     return {
         "title": table.name,
         "tasks": list(table.tasks),
         "queries": table.queries,
         "ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
-        "rows": [_row(row, table, names) for row in table.rows],
+        "rows": [_row(asked, row, table, names) for row in table.rows],
     }
 
 
-def _row(row: PipelineRow, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
+def _row(asked: PipelineSetBoard, row: PipelineRow, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
     return {
-        "method": row.pipeline.label,
+        "method": row.method.label,
         "rank": rank_text(row, table.rows),
         "values": [row.values.get(name) for name in names],
         "intervals": {n: [i.low, i.high] for n in names if (i := row.intervals.get(n)) is not None},
-        "basin": basin_words(row, table),
+        "basin": basin_words(Line(asked, table, row)),
         "failed": row.failed,
         "broke": row.broke,
         "missing": list(row.missing),
     }
 
 
-def _answers(asked: PipelineSetBoard, pipeline: Pipeline, task: str) -> dict[str, Any]:
+def _answers(pipeline: Pipeline, task: str) -> dict[str, Any]:
     rows = pipeline.answers[task]
     whole = _numbers([a.seconds for a in rows])
-    retrieval = retrieval_seconds(asked, pipeline, task)
+    retrieval = retrieval_seconds(pipeline, task)
     return {
         "translation_error_m": _single([a.translation_error_m for a in rows]),
         "rotation_error_deg": _single([a.rotation_error_deg for a in rows]),

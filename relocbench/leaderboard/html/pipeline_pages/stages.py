@@ -10,20 +10,21 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.records import RetrieverResults
-from relocbench.leaderboard.relocalization.board import Pipeline, PipelineSetBoard
+from relocbench.leaderboard.relocalization.board import Pipeline
 
 
-def retrieval_seconds(asked: PipelineSetBoard, pipeline: Pipeline, task: str) -> Array | None:
+def retrieval_seconds(pipeline: Pipeline, task: str) -> Array | None:
     """(Q,) seconds of the pipeline's retriever for each query, NaN where they are not known.
 
     Returns:
         None where nothing took seconds (the oracle), or where the rankings do not lie in the results folder, or are
         others than those that the pipeline started from.
     """
-    ran, folder = pipeline.run.retriever_run, asked.folder
+    ran, folder = pipeline.run.retriever_run, pipeline.folder
     if ran is None or folder is None:
         return None
-    results = RetrieverResults(folder.root.parent / f"{ran.dataset}@{ran.fingerprint[:SHORT]}" / pipeline.run.retriever)
+    here = folder.root.parents[1] / f"{ran.dataset}@{ran.fingerprint[:SHORT]}"
+    results = RetrieverResults(here / pipeline.run.retriever)
     if not results.run_yaml.exists() or not results.complete(task):
         return None
     now = results.run_record()

@@ -71,15 +71,15 @@ def _write_set(
     of_set = id_of_pipelines(asked)
     payload = pipelines_payload(board, asked, _trackers(asked, tracking))
     written = {write_data(site, f"pipelines/{of_set}", payload)}
-    rows = sum(len(rows) for pipeline in asked.pipelines for rows in pipeline.answers.values())
+    rows = sum(len(rows) for pipeline in asked.methods for rows in pipeline.answers.values())
     for name in payload["tasks"]:
         written.add(write_data(site, located_key(asked, name), located_payload(asked, name)))
         if asked.truth is None:
             continue
-        first = next(pipeline.answers[name] for pipeline in asked.pipelines if name in pipeline.answers)
+        first = next(pipeline.answers[name] for pipeline in asked.methods if name in pipeline.answers)
         times = [answer.query_timestamp_ns for answer in first]
-        halves = asked_pipelines(asked.truth, asked.pipelines, name)
-        chosen = chosen_queries(asked.pipelines, name, count)
+        halves = asked_pipelines(asked.truth, asked.methods, name)
+        chosen = chosen_queries(asked.methods, name, count)
         kept = chosen if rows > MOST_ROWS else list(range(len(times)))
         views = views_of(asked.truth, name, halves, times, chosen)
         told = candidates_payload(asked.truth.truth(name), halves, times, kept, views)

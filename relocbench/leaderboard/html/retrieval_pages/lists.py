@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from relocbench.errors import PredictionError
 from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.files import lines_of, read_text
-from relocbench.leaderboard.retrieval.board import Retriever, SetBoard
+from relocbench.leaderboard.retrieval.board import RetrievalSetBoard, Retriever
 from relocbench.leaderboard.tracking.marks import made_elsewhere
 from relocbench.retrieval import RetrievalTask
 
@@ -28,12 +28,12 @@ class KeptLists:
     """up to which rank the method's rankings go; None: they hold the whole gallery"""
 
 
-def task_of(asked: SetBoard, name: str) -> RetrievalTask | None:
+def task_of(asked: RetrievalSetBoard, name: str) -> RetrievalTask | None:
     """A task with its images; None where the dataset, or this task of it, is not available."""
     return None if asked.truth is None else asked.truth.tasks.get(name)
 
 
-def kept_lists(asked: SetBoard, method: Retriever, name: str) -> KeptLists:
+def kept_lists(asked: RetrievalSetBoard, method: Retriever, name: str) -> KeptLists:
     """The beginnings of the lists of a task that a method has answered.
 
     Which images are right follows from the dataset. Without it, the ranks of right images say it, as long

@@ -9,14 +9,22 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.evaluation.common.tables import STATUSES
-from relocbench.evaluation.retrieval.records import TaskRecord
-from relocbench.leaderboard.common.headings import heading
+from relocbench.evaluation.retrieval.records import METRICS, TaskRecord
+from relocbench.leaderboard.common.headings import SECONDS, heading
 from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.retrieval_pages.distances import Distances
 from relocbench.leaderboard.html.retrieval_pages.lists import KeptLists
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, Retriever, SetBoard
+from relocbench.leaderboard.retrieval.board import (
+    RetrievalBoard,
+    RetrievalRow,
+    RetrievalSetBoard,
+    RetrievalTable,
+    Retriever,
+    chance_of,
+    rescored_text,
+)
 from relocbench.leaderboard.retrieval.page import not_above_chance
 from relocbench.leaderboard.tracking.marks import made_elsewhere
 
@@ -26,17 +34,17 @@ _CURVE_POINTS = 60
 """numbers of images for which the recall of chance is told"""
 
 
-def id_of_places(asked: SetBoard) -> str:
+def id_of_places(asked: RetrievalSetBoard) -> str:
     """The id of a retrieval set in links and names of files."""
     return links.set_id(asked.record.name, asked.record.fingerprint)
 
 
-def ranks_key(asked: SetBoard, task: str) -> str:
+def ranks_key(asked: RetrievalSetBoard, task: str) -> str:
     """The key of the payload with the ranks of a task's queries."""
     return f"ranks/{id_of_places(asked)}/{links.pair_set_id(task)}"
 
 
-def lists_key(asked: SetBoard, task: str) -> str:
+def lists_key(asked: RetrievalSetBoard, task: str) -> str:
     """The key of the payload with the images that were retrieved for a task's queries."""
     return f"lists/{id_of_places(asked)}/{links.pair_set_id(task)}"
 
@@ -52,12 +60,9 @@ def marks_of_retriever(method: Retriever) -> list[str]:
     return [*marks, *(["made elsewhere"] if made_elsewhere(method.run) else [])]
 
 
-def retrieval_payload(board: RetrievalBoard, asked: SetBoard) -> dict[str, Any]:
+def retrieval_payload(board: RetrievalBoard, asked: RetrievalSetBoard) -> dict[str, Any]:
     """All tables of a retrieval set."""
-    record, names = asked.record, list(board.shown)
-    if board.metric not in names:
-        names.insert(0, board.metric)
-    used = {task for table in asked.tables for task in table.tasks}
+    record, names, used = asked.record, list(METRICS), set(asked.used)
     return {
         "id": id_of_places(asked),
         "title": asked.title,
@@ -71,7 +76,7 @@ def retrieval_payload(board: RetrievalBoard, asked: SetBoard) -> dict[str, Any]:
 
 
 def ranks_payload(
-    asked: SetBoard, task: str, lists: Mapping[str, KeptLists], distances: Distances | None
+    asked: RetrievalSetBoard, task: str, lists: Mapping[str, KeptLists], distances: Distances | None
 ) -> dict[str, Any]:
     """The ranks of all methods on the queries of a task.
 
@@ -93,7 +98,7 @@ def ranks_payload(
     }
 
 
-def _task(asked: SetBoard, name: str, task: TaskRecord) -> dict[str, Any]:
+def _task(asked: RetrievalSetBoard, name: str, task: TaskRecord) -> dict[str, Any]:
     return {
         "ranks": ranks_key(asked, name),
         "lists": lists_key(asked, name),
@@ -115,10 +120,10 @@ def _table(board: RetrievalBoard, table: RetrievalTable, names: Sequence[str]) -
         "tasks": list(table.tasks),
         "queries": table.queries,
         "gallery": sum(r.gallery for r in table.records),
-        "without_positives": table.without_positives,
+        "without_positives": sum(r.without_positives for r in table.records),
         "ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
         "at_chance": [row.method.label for row in table.rows if not_above_chance(board, table, row)],
-        "chance": [table.chance.get(name) for name in names],
+        "chance": [chance_of(table).get(name) for name in names],
         "rows": [_row(row, table, names) for row in table.rows],
     }
 
@@ -129,10 +134,10 @@ def _row(row: RetrievalRow, table: RetrievalTable, names: Sequence[str]) -> dict
         "rank": rank_text(row, table.rows),
         "values": [row.values.get(name) for name in names],
         "intervals": {n: [i.low, i.high] for n in names if (i := row.intervals.get(n)) is not None},
-        "seconds": row.seconds,
+        "seconds": row.values.get(SECONDS),
         "failed": row.failed,
         "broke": row.broke,
-        "rescored": "" if row.missing else row.rescored,
+        "rescored": "" if row.missing else rescored_text(row, table),
         "missing": list(row.missing),
     }
 

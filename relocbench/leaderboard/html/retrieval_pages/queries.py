@@ -12,7 +12,7 @@ from relocbench.leaderboard.html.retrieval_pages.distances import Distances
 from relocbench.leaderboard.html.retrieval_pages.lists import SHOWN, KeptLists, task_of
 from relocbench.leaderboard.html.retrieval_pages.payloads import is_random
 from relocbench.leaderboard.html.thumbnails import Thumbnail, thumbnail_name
-from relocbench.leaderboard.retrieval.board import Retriever, SetBoard
+from relocbench.leaderboard.retrieval.board import RetrievalSetBoard, Retriever
 from relocbench.retrieval import RetrievalTask
 
 _SEED = 0
@@ -35,7 +35,7 @@ def chosen_queries(methods: Sequence[Retriever], task: str, count: int) -> list[
 
 
 def lists_payload(
-    asked: SetBoard,
+    asked: RetrievalSetBoard,
     name: str,
     lists: Mapping[str, KeptLists],
     kept: Sequence[int],

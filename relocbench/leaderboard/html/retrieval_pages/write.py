@@ -26,7 +26,7 @@ from relocbench.leaderboard.html.retrieval_pages.queries import (
     thumbnails_of,
 )
 from relocbench.leaderboard.html.thumbnails import Thumbnail, write_thumbnails
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, SetBoard
+from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard
 from relocbench.progress import Reporter
 
 MOST_ROWS = 100_000
@@ -56,11 +56,11 @@ def write_retrieval_pages(board: RetrievalBoard, site: Path, *, queries: int, re
 
 
 def _write_set(
-    board: RetrievalBoard, asked: SetBoard, site: Path, count: int, thumbnails: list[Thumbnail]
+    board: RetrievalBoard, asked: RetrievalSetBoard, site: Path, count: int, thumbnails: list[Thumbnail]
 ) -> set[Path]:
     of_set = id_of_places(asked)
     written = {write_data(site, f"retrieval/{of_set}", retrieval_payload(board, asked))}
-    names = list(dict.fromkeys(task for table in asked.tables for task in table.tasks))
+    names = asked.used
     rows = sum(len(rows) for m in asked.methods for rows in m.answers.values())
     for name in names:
         methods = [m for m in asked.methods if name in m.answers]

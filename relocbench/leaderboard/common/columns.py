@@ -1,0 +1,158 @@
+"""The columns of a task's tables, each defined once; CSV, JSON, pages and the terminal show those that they name.
+
+In CSV and JSON shares are 0 to 1 and a column is called by its key; on pages and on the terminal shares are in percent,
+and the heading says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from relocbench.leaderboard.common.headings import COUNTS, RANK, heading
+from relocbench.leaderboard.common.ranks import HasRank, rank_text
+from relocbench.leaderboard.common.text import Value, with_bounds
+from relocbench.metrics import Interval
+
+B = TypeVar("B")
+T = TypeVar("T", bound="Ranked")
+R = TypeVar("R", bound="Scored")
+L_contra = TypeVar("L_contra", contravariant=True)
+
+
+class Ranked(Protocol):
+    """A table."""
+
+    @property
+    def rows(self) -> Sequence[HasRank]: ...
+
+
+class Scored(HasRank, Protocol):
+    """A row with numbers."""
+
+    @property
+    def missing(self) -> tuple[str, ...]: ...
+
+    @property
+    def failed(self) -> int | None: ...
+
+    @property
+    def broke(self) -> int | None: ...
+
+    @property
+    def values(self) -> Mapping[str, float | None]: ...
+
+    @property
+    def intervals(self) -> Mapping[str, Interval | None]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Line(Generic[B, T, R]):
+    """A line of a table, with the table and the set that it is of."""
+
+    set: B
+    table: T
+    row: R | None
+    """None for what chance scores"""
+
+    def value(self, metric: str) -> float | None:
+        """A number of the row; None where there is none."""
+        return None if self.row is None else self.row.values.get(metric)
+
+    def interval(self, metric: str) -> Interval | None:
+        return None if self.row is None else self.row.intervals.get(metric)
+
+    def of_row(self, value: Callable[[R], Value]) -> Value:
+        """What the row has besides its numbers; None where there is no row."""
+        return None if self.row is None else value(self.row)
+
+
+@dataclass(frozen=True, eq=False)
+class Column(Generic[L_contra]):
+    """A column: what it is called and what it holds."""
+
+    key: str
+    value: Callable[[L_contra], Value]
+    unit: str = ""
+    """share, m, deg or s; empty for what is shown as it is"""
+    shown: Callable[[L_contra], str] | None = None
+    """the text for people, if it is another than that of the value in its unit"""
+    bounds: Callable[[L_contra], Interval | None] | None = None
+    """the interval that pages show behind the value"""
+    definition: str = ""
+    """what the number is, in words"""
+    higher_is_better: bool | None = None
+    for_programs: bool = True
+    """whether CSV and JSON have it: not where it puts several of their columns into one cell"""
+
+    @property
+    def heading(self) -> str:
+        return heading(self.key, self.unit)
+
+    def text(self, line: L_contra, *, bounds: bool = True) -> str:
+        """The cell for people, with its interval."""
+        if self.shown is not None:
+            return self.shown(line)
+        value = self.value(line)
+        if not self.unit:
+            return "" if value is None else str(value)
+        assert value is None or isinstance(value, int | float)
+        interval = self.bounds(line) if bounds and self.bounds is not None else None
+        return with_bounds(value, interval, self.unit)
+
+
+def by_key(columns: Iterable[Column[L_contra]]) -> dict[str, Column[L_contra]]:
+    """The columns by their keys, in their order; of one that is given twice the first."""
+    out: dict[str, Column[L_contra]] = {}
+    for column in columns:
+        out.setdefault(column.key, column)
+    return out
+
+
+class HasIntervals(Protocol):
+    """A line with numbers that have intervals."""
+
+    def interval(self, metric: str) -> Interval | None: ...
+
+
+def bounds_columns(metrics: Iterable[str]) -> list[Column[HasIntervals]]:
+    """The two bounds of the intervals of some metrics, as columns of their own."""
+    return [column for metric in metrics for column in (_low(metric), _high(metric))]
+
+
+def _low(metric: str) -> Column[HasIntervals]:
+    return Column(f"{metric}_low", lambda line: None if (of := line.interval(metric)) is None else of.low, "share")
+
+
+def _high(metric: str) -> Column[HasIntervals]:
+    return Column(f"{metric}_high", lambda line: None if (of := line.interval(metric)) is None else of.high, "share")
+
+
+def rank_column() -> Column[Line[B, T, R]]:
+    """Ranks, which are not shown where all methods share one."""
+
+    def shown(line: Line[B, T, R]) -> str:
+        return "" if line.row is None else rank_text(line.row, line.table.rows)
+
+    return Column(RANK, lambda line: line.of_row(lambda row: row.rank), shown=shown)
+
+
+def counts_column() -> Column[Line[B, T, R]]:
+    """How many answers a method declined, and on how many it crashed, in one cell."""
+
+    def shown(line: Line[B, T, R]) -> str:
+        return "" if line.row is None or line.row.missing else f"{line.row.failed} / {line.row.broke}"
+
+    return Column(COUNTS, lambda line: None, shown=shown, for_programs=False)
+
+
+def records(columns: Iterable[Column[L_contra]], lines: Iterable[L_contra]) -> list[dict[str, Value]]:
+    """The rows of CSV and JSON."""
+    chosen = [column for column in columns if column.for_programs]
+    return [{column.key: column.value(line) for column in chosen} for line in lines]
+
+
+def texts(columns: Sequence[Column[L_contra]], lines: Iterable[L_contra]) -> tuple[list[str], list[list[str]]]:
+    """The headings and the cells of a table for people."""
+    return [column.heading for column in columns], [[column.text(line) for column in columns] for line in lines]
