@@ -45,8 +45,8 @@ def _poses(rotation: NDArray[np.float64], positions: Any) -> NDArray[np.float64]
     return np.array([make_transform(rotation, position) for position in positions])
 
 
-def _floats(text: str) -> NDArray[np.float32]:
-    return np.frombuffer(base64.b64decode(text), dtype="<f4")
+def _floats(array: dict[str, str]) -> NDArray[np.float32]:
+    return np.frombuffer(base64.b64decode(array[":f4"]), dtype="<f4")
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_a_payload_cannot_end_its_script() -> None:
 
 
 def test_floats_are_little_endian_float32() -> None:
-    assert floats(np.array([1.0])) == "AACAPw=="
+    assert floats(np.array([1.0])) == {":f4": "AACAPw=="}
 
 
 def test_scripts_have_the_colours_of_cells() -> None:

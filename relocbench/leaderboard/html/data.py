@@ -2,8 +2,8 @@
 
 A payload with the key ``KEY`` lies in ``data/KEY.js``, which holds one call, ``relocbench_data("KEY", ...)``. A page
 loads it with ``<script src>`` or, when it is needed, with ``relocbench.load("KEY")``, a promise of the content.
-Large arrays are base64 of little-endian numbers; the page decodes them with ``relocbench.floats(text)`` (float32) and
-``relocbench.integers(text)`` (int64, as BigInt).
+Large arrays are objects with the type of their little-endian numbers and these as base64, such as ``{":f4": "..."}``,
+which the page decodes when it loads the payload: int64 becomes BigInt.
 """
 
 from __future__ import annotations
@@ -43,19 +43,24 @@ def script_json(payload: object) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def floats(values: ArrayLike) -> str:
-    """Numbers as base64 of little-endian float32; NaN where there is none."""
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
+def floats(values: ArrayLike) -> dict[str, str]:
+    """Numbers as float32; NaN where there is none, infinite what is too large."""
+    with np.errstate(over="ignore"):
+        return _array(values, "f4")
 
 
-def integers(values: ArrayLike) -> str:
-    """Integers, such as timestamps, as base64 of little-endian int64."""
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<i8").tobytes()).decode()
+def integers(values: ArrayLike) -> dict[str, str]:
+    """Integers, such as timestamps, as int64."""
+    return _array(values, "i8")
 
 
-def bytes_of(values: ArrayLike) -> str:
-    """Small integers 0..255, such as indices of a status, as base64."""
-    return base64.b64encode(np.ascontiguousarray(values, dtype=np.uint8).tobytes()).decode()
+def bytes_of(values: ArrayLike) -> dict[str, str]:
+    """Small integers 0..255, such as indices of a status."""
+    return _array(values, "u1")
+
+
+def _array(values: ArrayLike, kind: str) -> dict[str, str]:
+    return {f":{kind}": base64.b64encode(np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()).decode()}
 
 
 def _plain(value: Any) -> Any:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from relocbench.evaluation.common.tables import STATUSES
 from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.html import links
@@ -92,8 +90,8 @@ def errors_payload(dataset: DatasetBoard, pair_set: str) -> dict[str, Any] | Non
         "angle_deg": floats(first.column("angle_deg")),
         "methods": {
             label: {
-                "translation_error_m": floats(_single(rows.errors.translation_error_m)),
-                "rotation_error_deg": floats(_single(rows.errors.rotation_error_deg)),
+                "translation_error_m": floats(rows.errors.translation_error_m),
+                "rotation_error_deg": floats(rows.errors.rotation_error_deg),
                 "confidence": floats(rows.column("confidence")),
                 "seconds": floats(rows.column("seconds")),
                 "status": bytes_of(rows.status_index),
@@ -101,12 +99,6 @@ def errors_payload(dataset: DatasetBoard, pair_set: str) -> dict[str, Any] | Non
             for label, rows in known.items()
         },
     }
-
-
-def _single(values: Any) -> Any:
-    """As float32; what is too large for it is infinite."""
-    with np.errstate(over="ignore"):
-        return np.asarray(values, dtype=np.float32)
 
 
 def _method(method: Method) -> dict[str, Any]:

@@ -7,9 +7,8 @@
 
   /** Called by each file in data/: registers its payload. */
   window.relocbench_data = (key, payload) => {
-    payloads.set(key, payload);
-    const wait = waiting.get(key);
-    if (wait) wait.resolve(payload);
+    payloads.set(key, decoded(payload));
+    waiting.get(key)?.resolve(payloads.get(key));
   };
 
   /** A script beside the page; resolves when it ran. */
@@ -46,20 +45,16 @@
     return out;
   }
 
-  /** base64 of little-endian float32 */
-  function floats(text) {
-    const view = new DataView(bytes(text).buffer);
-    const out = new Float32Array(view.byteLength / 4);
-    for (let i = 0; i < out.length; i++) out[i] = view.getFloat32(4 * i, true);
-    return out;
-  }
+  /** Types of arrays, little-endian as is every machine with a browser; timestamps in nanoseconds do not fit a number. */
+  const ARRAYS = { ":f4": Float32Array, ":i8": BigInt64Array, ":u1": Uint8Array };
 
-  /** base64 of little-endian int64, as BigInt: timestamps in nanoseconds do not fit a number */
-  function integers(text) {
-    const view = new DataView(bytes(text).buffer);
-    const out = new BigInt64Array(view.byteLength / 8);
-    for (let i = 0; i < out.length; i++) out[i] = view.getBigInt64(8 * i, true);
-    return out;
+  /** A payload with its arrays, which stand in it as {type: base64}. */
+  function decoded(value) {
+    if (value === null || typeof value !== "object" || (Array.isArray(value) && typeof value[0] === "number")) return value;
+    const keys = Object.keys(value), Numbers = keys.length === 1 && ARRAYS[keys[0]];
+    if (Numbers) return new Numbers(bytes(value[keys[0]]).buffer);
+    for (const key of keys) value[key] = decoded(value[key]);
+    return value;
   }
 
   const ENTITIES = { "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "'": "&#39;" };
@@ -196,7 +191,7 @@
 
   window.relocbench = {
     QUALITY, STATUS, thumbs, verdict, errorText,
-    load, script, bytes, floats, integers, escape, breakable, element, number, state, DIGITS, UNITS,
+    load, script, bytes, escape, breakable, element, number, state, DIGITS, UNITS,
     printing: false,
     get isDark() { return document.documentElement.dataset.theme === "dark"; },
     /** A payload that is loaded already. */

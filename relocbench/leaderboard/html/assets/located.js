@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { element, number, state, load, floats, integers, bytes, STATUS } = relocbench;
+  const { element, number, state, load, STATUS } = relocbench;
   const { $, findQuery, fact, picture, walk, place } = relocbench.queries;
   const site = relocbench.payload("site");
   const decoded = new Map();
@@ -15,13 +15,13 @@
       const set = await load(`pipelines/${setId}`), task = Object.hasOwn(set.tasks, name) ? set.tasks[name] : null;
       if (!task) throw new Error(`the set has no task '${name}'`);
       const [answers, candidates] = await Promise.all([load(task.located), set.rescored ? load(task.candidates) : null]);
-      const queries = integers(answers.queries), [metres, degrees] = set.right;
+      const queries = answers.queries, [metres, degrees] = set.right;
       const rows = candidates?.rows || Array.from({ length: queries.length }, (_, i) => i);
       const pipelines = Object.fromEntries(Object.entries(answers.pipelines).map(([label, c]) => {
-        const t = floats(c.translation_error_m), r = floats(c.rotation_error_deg);
+        const t = c.translation_error_m, r = c.rotation_error_deg;
         return [label, {
-          t, r, both: t.map((value, i) => Math.max(value / metres, r[i] / degrees)), confidence: floats(c.confidence), seconds: floats(c.seconds), status: bytes(c.status),
-          outcome: bytes(c.outcome), keyframe: integers(c.keyframe), rank: integers(c.rank), hit: integers(c.hit_rank), right: integers(c.right_rank), asked: integers(c.asked),
+          t, r, both: t.map((value, i) => Math.max(value / metres, r[i] / degrees)), confidence: c.confidence, seconds: c.seconds, status: c.status,
+          outcome: c.outcome, keyframe: c.keyframe, rank: c.rank, hit: c.hit_rank, right: c.right_rank, asked: c.asked,
           messages: c.messages, told: candidates?.pipelines[label] ?? null,
         }];
       }));
@@ -38,7 +38,7 @@
     if (!task.trackers) return null;
     try {
       const set = await load(`sets/${task.trackers}`), errors = await load(set.pair_sets[name].key);
-      const reference = integers(errors.reference), query = integers(errors.query);
+      const reference = errors.reference, query = errors.query;
       return { methods: Object.keys(errors.methods), keys: new Set(Array.from(reference, (time, i) => `${time}-${query[i]}`)) };
     } catch { return null; }
   }

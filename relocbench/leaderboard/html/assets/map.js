@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { element, escape, number, state, load, floats, chart, pairText, openPair, css } = relocbench;
+  const { element, escape, number, state, load, chart, pairText, openPair, css } = relocbench;
   const $ = (id) => document.getElementById(id);
   const MOST_SVG = 1500; // points up to which they are drawn sharply, and as marks that print well
   const FAINT = 0.01, STRONG = 10; // errors at the ends of the colours, in thresholds
@@ -26,8 +26,6 @@
     return out;
   }
 
-  const decoded = (place) => ({ world: place.world, x: floats(place.x), y: floats(place.y), own: place.own && { world: place.own.world, x: floats(place.own.x), y: floats(place.own.y) } });
-
   /** The drives of the chosen table whose poses are in a world. */
   function drives(page, world) {
     const inWorld = page.extra.worlds[world].routes, pairs = page.sets.map((of) => page.extra.drives[of.name]);
@@ -38,7 +36,7 @@
   function routes(world, page) {
     const own = page.extra.worlds[world].routes, { keyframes, all } = drives(page, world);
     return all.map((name) => ({
-      x: floats(own[name].x), y: floats(own[name].y), mode: "lines", type: "scatter", hoverinfo: "skip", meta: name,
+      x: own[name].x, y: own[name].y, mode: "lines", type: "scatter", hoverinfo: "skip", meta: name,
       line: { color: css("--line-strong"), width: keyframes.includes(name) ? 2 : 1.25, dash: keyframes.includes(name) ? "solid" : "dot" },
     }));
   }
@@ -49,7 +47,7 @@
     const { extra, field, mark } = page;
     const known = await placesOf(page);
     if (page !== last) return null;
-    const places = new Map(page.sets.map((of, i) => [of.name, decoded(known[i])]));
+    const places = new Map(page.sets.map((of, i) => [of.name, known[i]]));
     const points = pointsIn(world, page, label, places), type = points.length > MOST_SVG ? "scattergl" : "scatter";
     keys(page, label, world, page.shown[label].length - points.length);
     const answered = points.filter(({ pair }) => Number.isFinite(pair[field])).sort((a, b) => a.pair[field] - b.pair[field]);

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { element, number, state, load, floats, integers, bytes } = relocbench;
+  const { element, number, state, load } = relocbench;
   const $ = (id) => document.getElementById(id);
   const site = relocbench.payload("site");
   const [metres, degrees] = site.correct;
@@ -26,18 +26,18 @@
       const [errors, answers] = await Promise.all([load(record.key), load(record.answers)]);
       const methods = {};
       for (const [label, m] of Object.entries(errors.methods)) {
-        const t = floats(m.translation_error_m), r = floats(m.rotation_error_deg);
+        const t = m.translation_error_m, r = m.rotation_error_deg;
         methods[label] = {
-          t, r, both: t.map((value, i) => Math.max(value / metres, r[i] / degrees)), confidence: floats(m.confidence),
-          seconds: floats(m.seconds), status: bytes(m.status), poses: floats(answers.methods[label].poses),
+          t, r, both: t.map((value, i) => Math.max(value / metres, r[i] / degrees)), confidence: m.confidence,
+          seconds: m.seconds, status: m.status, poses: answers.methods[label].poses,
           messages: answers.methods[label].messages, matches: answers.methods[label].matches, baseline: set.methods[label]?.baseline,
         };
       }
       const rows = answers.rows || Array.from({ length: errors.pairs }, (_, i) => i);
       decoded.set(key, {
         setId, name, set, record, methods, pairs: errors.pairs, images: answers.images, alone: answers.alone,
-        reference: integers(errors.reference), query: integers(errors.query), groups: errors.groups, group: floats(errors.group),
-        distance: floats(errors.distance_m), angle: floats(errors.angle_deg), truth: answers.truth && floats(answers.truth),
+        reference: errors.reference, query: errors.query, groups: errors.groups, group: errors.group,
+        distance: errors.distance_m, angle: errors.angle_deg, truth: answers.truth,
         places: new Map(rows.map((row, place) => [row, place])), pictured: new Set(answers.pictured.map((place) => rows[place])),
       });
     }
@@ -198,7 +198,7 @@
     context.drawImage(image, 0, 0);
     const data = context.getImageData(0, 0, canvas.width, canvas.height);
     if (payload.shown) { // what lies outside the image is not black but nothing
-      const columns = new DataView(bytes(payload.shown).buffer);
+      const columns = new DataView(relocbench.bytes(payload.shown).buffer);
       for (let v = 0; v < data.height; v++) {
         const first = columns.getUint16(4 * v, true), after = columns.getUint16(4 * v + 2, true);
         for (let u = 0; u < data.width; u++) if (u < first || u >= after) data.data[4 * (v * data.width + u) + 3] = 0;

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { element, number, state, load, floats, integers, bytes, STATUS } = relocbench;
+  const { element, number, state, load, STATUS } = relocbench;
   const { $, findQuery, fact, named, picture, walk, place } = relocbench.queries;
   const site = relocbench.payload("site");
   const decoded = new Map();
@@ -17,11 +17,11 @@
       const [ranks, lists] = await Promise.all([load(task.ranks), load(task.lists)]);
       const rows = lists.rows || Array.from({ length: ranks.queries.length }, (_, i) => i);
       const methods = Object.fromEntries(Object.entries(ranks.methods).map(([label, m]) => [label, {
-        first: Float64Array.from(integers(m.first), (value) => (value > 0n ? Number(value) : Infinity)),
-        status: bytes(m.status), seconds: floats(m.seconds), ...lists.methods[label],
+        first: Float64Array.from(m.first, (value) => (value > 0n ? Number(value) : Infinity)),
+        status: m.status, seconds: m.seconds, ...lists.methods[label],
       }]));
       decoded.set(key, {
-        setId, name, set, task, lists, methods, queries: ranks.queries, groups: ranks.groups, positives: integers(ranks.positives), gallery: ranks.gallery,
+        setId, name, set, task, lists, methods, queries: ranks.queries, groups: ranks.groups, positives: ranks.positives, gallery: ranks.gallery,
         places: new Map(rows.map((row, at) => [row, at])), pictured: new Set(Object.keys(lists.queries).map(Number)),
       });
     }

@@ -2,7 +2,7 @@
 "use strict";
 
 (async () => {
-  const { escape, number, state, load, floats, integers, bytes, chart, heat, legend, hiddenLabels } = relocbench;
+  const { escape, number, state, load, chart, heat, legend, hiddenLabels } = relocbench;
   const { $, option, text, numeric, rank, redraw, cell, named, notes, openList, answerColumn, cumulative, middle, curve, upright, stacked, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
   const set = await load(`pipelines/${$("set").dataset.set}`);
@@ -18,12 +18,12 @@
       const raw = await load(set.tasks[name].located), pipelines = {};
       for (const [label, c] of Object.entries(raw.pipelines)) {
         pipelines[label] = {
-          t: floats(c.translation_error_m), r: floats(c.rotation_error_deg), confidence: floats(c.confidence), seconds: floats(c.seconds),
-          retrieval: c.retrieval_seconds && floats(c.retrieval_seconds), status: bytes(c.status), outcome: bytes(c.outcome), rank: integers(c.rank),
-          hit: integers(c.hit_rank), right: integers(c.right_rank),
+          t: c.translation_error_m, r: c.rotation_error_deg, confidence: c.confidence, seconds: c.seconds,
+          retrieval: c.retrieval_seconds, status: c.status, outcome: c.outcome, rank: c.rank,
+          hit: c.hit_rank, right: c.right_rank,
         };
       }
-      decoded.set(name, { name, queries: integers(raw.queries), pipelines });
+      decoded.set(name, { name, queries: raw.queries, pipelines });
     }
     return decoded.get(name);
   }

@@ -2,7 +2,7 @@
 "use strict";
 
 (async () => {
-  const { escape, number, state, load, floats, integers, bytes, chart, heat, legend, hiddenLabels } = relocbench;
+  const { escape, number, state, load, chart, heat, legend, hiddenLabels } = relocbench;
   const { shortName, $, option, text, numeric, rank, redraw, cell, named, notes, openList, answerColumn, line, aside, cumulative, curve, upright, chooseTable } = relocbench.boards;
   const site = relocbench.payload("site");
   const set = await load(`retrieval/${$("set").dataset.set}`);
@@ -17,10 +17,10 @@
     if (!decoded.has(name)) {
       const raw = await load(set.tasks[name].ranks), methods = {};
       for (const [label, m] of Object.entries(raw.methods)) {
-        const first = Float64Array.from(integers(m.first), (value) => (value > 0n ? Number(value) : Infinity));
-        methods[label] = { first, sorted: first.filter(Number.isFinite).sort(), status: bytes(m.status), seconds: floats(m.seconds), distance: m.distance_m && floats(m.distance_m), depth: m.depth };
+        const first = Float64Array.from(m.first, (value) => (value > 0n ? Number(value) : Infinity));
+        methods[label] = { first, sorted: first.filter(Number.isFinite).sort(), status: m.status, seconds: m.seconds, distance: m.distance_m, depth: m.depth };
       }
-      decoded.set(name, { name, queries: raw.queries, groups: raw.groups, positives: integers(raw.positives), gallery: raw.gallery, chance: raw.chance, nearest: raw.nearest_m && floats(raw.nearest_m), methods });
+      decoded.set(name, { name, queries: raw.queries, groups: raw.groups, positives: raw.positives, gallery: raw.gallery, chance: raw.chance, nearest: raw.nearest_m, methods });
     }
     return decoded.get(name);
   }

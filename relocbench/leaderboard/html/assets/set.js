@@ -3,7 +3,7 @@
 "use strict";
 
 (async () => {
-  const { element, escape, number, state, load, floats, integers, bytes, look, chart, heat, legend, hiddenLabels } = relocbench;
+  const { element, escape, number, state, load, look, chart, heat, legend, hiddenLabels } = relocbench;
   const $ = (id) => document.getElementById(id);
   const site = relocbench.payload("site");
   const set = await load(`sets/${$("set").dataset.set}`);
@@ -30,13 +30,13 @@
       const methods = {};
       for (const [label, m] of Object.entries(raw.methods)) {
         methods[label] = {
-          t: floats(m.translation_error_m), r: floats(m.rotation_error_deg),
-          confidence: floats(m.confidence), seconds: floats(m.seconds), status: bytes(m.status),
+          t: m.translation_error_m, r: m.rotation_error_deg,
+          confidence: m.confidence, seconds: m.seconds, status: m.status,
         };
       }
       decoded.set(name, {
-        name, pairs: raw.pairs, reference: integers(raw.reference), query: integers(raw.query), groups: raw.groups,
-        group: floats(raw.group), distance: floats(raw.distance_m), angle: floats(raw.angle_deg), methods,
+        name, pairs: raw.pairs, reference: raw.reference, query: raw.query, groups: raw.groups,
+        group: raw.group, distance: raw.distance_m, angle: raw.angle_deg, methods,
       });
     }
     return decoded.get(name);

@@ -206,14 +206,13 @@ def _camera_axes(known: Dataset, pair_set: PairSet) -> Array:
     return make_transform(R_frame_camera(poses), np.zeros(3))
 
 
-def _poses(poses: Sequence[Array | None], axes: Array | None) -> str:
+def _poses(poses: Sequence[Array | None], axes: Array | None) -> dict[str, str]:
     """The upper three rows of each ``T_query_ref``, in other axes (4, 4) if they are given, one after the other."""
     out = np.full((len(poses), 3, 4), np.nan)
     for place, pose in enumerate(poses):
         if pose is not None:
             out[place] = (pose if axes is None else invert(axes) @ pose @ axes)[:3]
-    with np.errstate(over="ignore"):
-        return floats(out.astype(np.float32))
+    return floats(out)
 
 
 def _folders(pair_set: PairSet) -> dict[str, str]:

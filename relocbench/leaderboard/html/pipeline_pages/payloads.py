@@ -159,8 +159,8 @@ def _answers(pipeline: Pipeline, task: str) -> dict[str, Any]:
     whole = _numbers([a.seconds for a in rows])
     retrieval = retrieval_seconds(pipeline, task)
     return {
-        "translation_error_m": _single([a.translation_error_m for a in rows]),
-        "rotation_error_deg": _single([a.rotation_error_deg for a in rows]),
+        "translation_error_m": floats([a.translation_error_m for a in rows]),
+        "rotation_error_deg": floats([a.rotation_error_deg for a in rows]),
         "confidence": floats(_numbers([a.confidence for a in rows])),
         "seconds": floats(whole),
         "retrieval_seconds": None if retrieval is None else floats(retrieval),
@@ -179,9 +179,3 @@ def _or_none(answer: PipelineAnswer, name: str) -> int:
 
 def _numbers(values: Sequence[float | None]) -> Array:
     return np.array([np.nan if value is None else value for value in values])
-
-
-def _single(values: Sequence[float]) -> str:
-    """As float32; what is too large for it is infinite."""
-    with np.errstate(over="ignore"):
-        return floats(np.asarray(values, dtype=np.float32))
