@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from relocbench.leaderboard.tracking.tables import RANKING
 
 if TYPE_CHECKING:
+    from relocbench.leaderboard.common.model import Board as TaskBoard
+    from relocbench.leaderboard.displays import Display
     from relocbench.leaderboard.tracking.by_condition import ByCondition, Column
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
 
@@ -122,3 +124,18 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     print_table(f"{dataset.entry.record.name}, {over} ({table.pairs} pairs{rejected})", heads, rows)
     if why := why_no_ranks(board, table):
         print(why)
+
+
+def print_by_query(display: Display[Any, Any], board: TaskBoard[Any, Any, Any, Any]) -> None:
+    """A short table for each table of a board of retrievers or of pipelines."""
+    from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.ranks import why_no_ranks
+
+    columns = display.columns(board)
+    heads = [short_heading(key, columns[key].unit) for key in display.terminal(board)]
+    for of in board.sets:
+        for table in of.tables:
+            rows = display.texts(board, of, table)
+            print_table(f"{of.title}: {table.name} ({table.queries} queries)", heads, rows)
+            if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
+                print(why)

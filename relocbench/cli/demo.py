@@ -55,7 +55,7 @@ def demo(
     from relocbench.execution import Run, default_workers
     from relocbench.files import locked_output
     from relocbench.leaderboard import write_leaderboard
-    from relocbench.leaderboard.html.rows import Boards
+    from relocbench.leaderboard.boards import Boards
     from relocbench.leaderboard.html.site import write_site
     from relocbench.leaderboard.tracking.by_condition import by_condition
     from relocbench.leaderboard.tracking.condition_picture import write_condition_picture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -59,38 +60,17 @@ def evaluate(
 
     Example: relocbench evaluate -d D -m identity -m orb-pnp -m dso --set dso.points=1000
     """
+    chosen = common.chosen(locals())
     from relocbench.cli.configuration import merged
-    from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.console import print_results, reporter
     from relocbench.cli.counts import of_evaluation
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 
-    chosen = common.given(
-        dataset=dataset,
-        methods=methods,
-        set=settings,
-        predictions=predictions,
-        matching=matching,
-        out=out,
-        split=split,
-        pair_sets=pair_sets,
-        overwrite=overwrite,
-        seed=seed,
-        time_limit=time_limit,
-        memory_limit=memory_limit,
-        workers=workers,
-        scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
-    )
     options = merged(EvaluateOptions, config, chosen)
     progress = reporter(quiet)
     report = evaluate_methods(options, progress)
-    if json:
-        print_json(report.to_dict(), of_evaluation(report))
-    else:
-        _print_report(report, progress, matching=options.matching)
-        for label, message in report.crashed:
-            typer.echo(f"{label}: {message}", err=True)
-        if not quiet:
-            typer.echo(f"results: {report.results}", err=True)
+    show = partial(_print_report, report, progress, matching=options.matching)
+    print_results(report, of_evaluation(report), show, json=json, quiet=quiet)
 
 
 ELSEWHERE_COLUMNS = ("answered_share", "confident_share", "confident_high")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -81,40 +82,15 @@ def evaluate_relocalization(
 
     Example: relocbench evaluate-relocalization -d D -r orb-bow -r oracle -m gn-net -m dso --top 3
     """
+    chosen = common.chosen(locals())
     from relocbench.cli.configuration import merged
-    from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.console import print_results, reporter
     from relocbench.cli.counts import of_pipelines
     from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 
-    chosen = common.given(
-        dataset=dataset,
-        retriever=retrievers,
-        methods=methods,
-        set=settings,
-        top=top,
-        out=out,
-        split=split,
-        pair_sets=pair_sets,
-        overwrite=overwrite,
-        seed=seed,
-        radius=radius,
-        heading=heading,
-        probe=probe,
-        time_limit=time_limit,
-        memory_limit=memory_limit,
-        workers=workers,
-        scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
-    )
     options = merged(RelocalizationOptions, config, chosen)
     report = evaluate_pipelines(options, reporter(quiet))
-    if json:
-        print_json(report.to_dict(), of_pipelines(report))
-    else:
-        _print_report(report)
-        for label, message in report.crashed:
-            typer.echo(f"{label}: {message}", err=True)
-        if not quiet:
-            typer.echo(f"results: {report.results}", err=True)
+    print_results(report, of_pipelines(report), partial(_print_report, report), json=json, quiet=quiet)
 
 
 def _print_report(report: RelocalizationReport) -> None:

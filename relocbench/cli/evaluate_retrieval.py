@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -119,40 +120,15 @@ def evaluate_retrieval(
 
     Example: relocbench evaluate-retrieval -d D -m lpn --set lpn.weights=trained/weights.safetensors
     """
+    chosen = common.chosen(locals())
     from relocbench.cli.configuration import merged
-    from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.console import print_results, reporter
     from relocbench.cli.counts import of_retrieval
     from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 
-    chosen = common.given(
-        dataset=dataset,
-        methods=methods,
-        set=settings,
-        predictions=predictions,
-        keep=keep,
-        out=out,
-        pair_sets=tasks,
-        overwrite=overwrite,
-        seed=seed,
-        split=split,
-        positives=positives,
-        radius=radius,
-        heading=heading,
-        by_condition=by_condition,
-        time_limit=time_limit,
-        memory_limit=memory_limit,
-        workers=workers,
-    )
     options = merged(RetrievalOptions, config, chosen)
     report = evaluate_retrievers(options, reporter(quiet))
-    if json:
-        print_json(report.to_dict(), of_retrieval(report))
-    else:
-        _print_report(report)
-        for label, message in [*report.crashed, *report.suspicions]:
-            typer.echo(f"{label}: {message}", err=True)
-        if not quiet:
-            typer.echo(f"results: {report.results}", err=True)
+    print_results(report, of_retrieval(report), partial(_print_report, report), json=json, quiet=quiet)
 
 
 def _print_report(report: RetrievalReport) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,16 +12,9 @@ from relocbench.cli.options import Json, Quiet, split_commas
 
 if TYPE_CHECKING:
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-    from relocbench.leaderboard.common.columns import Column
-    from relocbench.leaderboard.common.model import Board as TaskBoard
-    from relocbench.leaderboard.common.model import SetBoard
-    from relocbench.leaderboard.common.model import Table as TaskTable
-    from relocbench.leaderboard.relocalization.board import PipelineBoard
-    from relocbench.leaderboard.retrieval.board import RetrievalBoard
-    from relocbench.leaderboard.tracking.model import Board
+    from relocbench.leaderboard.boards import Boards
     from relocbench.progress import Reporter
 
-L = TypeVar("L")
 _USUAL = {
     "--metric": "recall@(0.25m,2deg)",
     "--retrieval-metric": "R@1",
@@ -119,16 +112,13 @@ def leaderboard(
 
     Example: relocbench leaderboard results --out tables --format latex
     """
-    from relocbench.cli.boards import print_board
+    from relocbench.cli.boards import print_board, print_by_query
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.files import locked_output
     from relocbench.leaderboard.common.loading import note_missing
     from relocbench.leaderboard.formats import How, check_formats, write_formats
-    from relocbench.leaderboard.html.rows import Boards
-    from relocbench.leaderboard.relocalization.write import pipeline_rows
-    from relocbench.leaderboard.retrieval.write import retrieval_rows
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
     check_in_no_dataset(out)
@@ -136,35 +126,28 @@ def leaderboard(
     progress, chosen = reporter(quiet), check_formats(formats, html)
     lookup = DatasetLookup(results, dataset or (), progress)
     with locked_output(out):
-        board, retrievers, pipelines = _load(results, lookup, ranked_by, split, seed, progress)
-        if retrievers is not None:
-            note_missing(retrievers, progress)
-        if pipelines is not None:
-            note_missing(pipelines, progress)
-        files = write_formats(Boards(board, retrievers, pipelines), out, chosen, How(pairs, progress))
+        boards = _load(results, lookup, ranked_by, split, seed, progress)
+        for _, other in boards.by_query:
+            note_missing(other, progress)
+        files = write_formats(boards, out, chosen, How(pairs, progress))
+    board = boards.tracking
     if json:
-        retrieval = (
-            {}
-            if retrievers is None
-            else {"retrieval_metric": retrievers.metric, "retrieval": retrieval_rows(retrievers)}
-        )
-        if pipelines is not None:
-            retrieval |= {"relocalization_metric": pipelines.metric, "relocalization": pipeline_rows(pipelines)}
+        others: dict[str, Any] = {}
+        for display, other in boards.by_query:
+            others |= {f"{display.name}_metric": other.metric, display.name: display.records(other)}
         rows = [] if board is None else leaderboard_rows(board)
         counts = {
-            "rows": len(rows) + sum(len(v) for v in retrieval.values() if isinstance(v, list)),
+            "rows": len(rows) + sum(len(others[display.name]) for display, _ in boards.by_query),
             "pair_sets": sum(len(b.entry.pair_sets) for b in board.datasets) if board else 0,
             "files_written": len(files),
         }
         head = {"metric": ranked_by["--metric"], "seed": seed, "split": split, "formats": chosen}
-        print_json({**head, "files": [str(path) for path in files], "rows": rows, **retrieval}, counts)
+        print_json({**head, "files": [str(path) for path in files], "rows": rows, **others}, counts)
     else:
         if board is not None:
             print_board(board)
-        if retrievers is not None:
-            _print_retrieval(retrievers)
-        if pipelines is not None:
-            _print_pipelines(pipelines)
+        for display, other in boards.by_query:
+            print_by_query(display, other)
         if not quiet:
             for path in _first_pages(files):
                 typer.echo(f"written: {path}", err=True)
@@ -210,7 +193,6 @@ def report(
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.files import locked_output
     from relocbench.leaderboard.html.manifest import earlier_files
-    from relocbench.leaderboard.html.rows import Boards
     from relocbench.leaderboard.html.site import write_site
 
     ranked_by = _ranked_by(results, metric, retrieval_metric, relocalization_metric)
@@ -218,7 +200,7 @@ def report(
     earlier_files(out)  # a folder that is not for pages is refused before the work
     lookup = DatasetLookup(results, dataset or (), progress)
     with locked_output(out):
-        boards = Boards(*_load(results, lookup, ranked_by, split, seed, progress))
+        boards = _load(results, lookup, ranked_by, split, seed, progress)
         start = write_site(boards, out, pairs=pairs, reporter=progress)
     if json:
         counts = {
@@ -238,9 +220,10 @@ def _load(
     split: str | None,
     seed: int,
     progress: Reporter,
-) -> tuple[Board | None, RetrievalBoard | None, PipelineBoard | None]:
-    """The boards of trackers, retrievers and pipelines; None where the folder holds nothing of a task."""
+) -> Boards:
+    """The boards of all tasks that the folder holds something of."""
     from relocbench.evaluation.common.results import folders_with
+    from relocbench.leaderboard.boards import Boards
     from relocbench.leaderboard.common.loading import load_board
     from relocbench.leaderboard.relocalization.board import RELOCALIZATION
     from relocbench.leaderboard.retrieval.board import RETRIEVAL
@@ -259,7 +242,7 @@ def _load(
     board = None
     if entries is not None:
         board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=progress)
-    return board, retrievers, pipelines
+    return Boards(board, retrievers, pipelines)
 
 
 def _ranked_by(
@@ -286,41 +269,3 @@ def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None
             raise ConfigError(
                 f"{option} ranks results of {made_by[option]}, of which there are none here, only of {there}", results
             )
-
-
-def _print_retrieval(board: RetrievalBoard) -> None:
-    from relocbench.leaderboard.retrieval.columns import lines_of, retrieval_columns, terminal_columns
-
-    columns = retrieval_columns(board)
-    for asked in board.sets:
-        for table in asked.tables:
-            chosen = [columns[key] for key in terminal_columns(board)]
-            _print_lines(board, asked, table, chosen, lines_of(asked, table))
-
-
-def _print_pipelines(board: PipelineBoard) -> None:
-    from relocbench.leaderboard.relocalization.columns import lines_of, pipeline_columns, terminal_columns
-
-    columns = pipeline_columns(board)
-    for asked in board.sets:
-        for table in asked.tables:
-            chosen = [columns[key] for key in terminal_columns(board)]
-            _print_lines(board, asked, table, chosen, lines_of(asked, table))
-
-
-def _print_lines(
-    board: TaskBoard[Any, Any, Any, Any],
-    asked: SetBoard[Any, Any, Any, Any],
-    table: TaskTable[Any, Any],
-    columns: Sequence[Column[L]],
-    lines: Sequence[L],
-) -> None:
-    from relocbench.cli.boards import short_heading
-    from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.ranks import why_no_ranks
-
-    heads = [short_heading(column.key, column.unit) for column in columns]
-    rows = [[column.text(line, bounds=False) for column in columns] for line in lines]
-    print_table(f"{asked.title}: {table.name} ({table.queries} queries)", heads, rows)
-    if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
-        print(why)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
@@ -185,3 +186,20 @@ def scheduler_values(
 
         raise ConfigError(f"--scheduler-{next(iter(given)).replace('_', '-')} has no effect without --scheduler")
     return None
+
+
+_FIELDS = {"settings": "set", "retrievers": "retriever", "tasks": "pair_sets"}
+"""arguments of commands that cannot be called as the fields of their options are"""
+
+
+def chosen(arguments: Mapping[str, object]) -> dict[str, object]:
+    """The options that the command line has, by the fields of the command's options.
+
+    Args:
+        arguments: all arguments of a command, as ``locals()`` has them at its beginning.
+    """
+    values = {_FIELDS.get(name, name): v for name, v in arguments.items() if name not in ("config", "quiet", "json")}
+    parts: list[Any] = [
+        values.pop(name, None) for name in ("scheduler", *(f"scheduler_tls_{part}" for part in ("ca", "cert", "key")))
+    ]
+    return given(**values, scheduler=scheduler_values(*parts))

@@ -83,32 +83,12 @@ def probe(
 
     Example: relocbench probe -d D -m dso -m gn-net --out probe
     """
+    chosen = common.chosen(locals())
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.probe import ProbeOptions, probe_methods
     from relocbench.files import locked_output
 
-    chosen = common.given(
-        dataset=dataset,
-        methods=methods,
-        set=settings,
-        out=out,
-        split=split,
-        pair_sets=pair_sets,
-        pixels=pixels,
-        poses=poses,
-        start=start,
-        pairs=pairs,
-        per_pair=per_pair,
-        structured=structured,
-        directions=directions,
-        feature_maps=feature_maps,
-        seed=seed,
-        time_limit=time_limit,
-        memory_limit=memory_limit,
-        workers=workers,
-        scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
-    )
     options = merged(ProbeOptions, config, chosen)
     with locked_output(options.out):
         report = probe_methods(options, reporter(quiet))

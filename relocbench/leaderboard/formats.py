@@ -9,13 +9,9 @@ from types import MappingProxyType
 
 from relocbench.errors import ConfigError, available, quoted
 from relocbench.files import write_text
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.html.manifest import earlier_files
-from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
-from relocbench.leaderboard.relocalization import latex as pipeline_latex
-from relocbench.leaderboard.relocalization.write import write_pipeline_page, write_pipeline_table
-from relocbench.leaderboard.retrieval import latex as retrieval_latex
-from relocbench.leaderboard.retrieval.write import write_retrieval_page, write_retrieval_table
 from relocbench.leaderboard.tracking import latex as tracking_latex
 from relocbench.leaderboard.tracking.write import write_pages, write_tables
 from relocbench.progress import Reporter
@@ -36,30 +32,20 @@ Writer = Callable[[Boards, Path, How], list[Path]]
 
 def _csv(boards: Boards, out: Path, how: How) -> list[Path]:
     files = [] if boards.tracking is None else write_tables(boards.tracking, out)
-    files += [] if boards.retrieval is None else write_retrieval_table(boards.retrieval, out)
-    return files + ([] if boards.relocalization is None else write_pipeline_table(boards.relocalization, out))
+    return files + [path for display, board in boards.by_query for path in display.write_table(board, out)]
 
 
 def _markdown(boards: Boards, out: Path, how: How) -> list[Path]:
     files = [] if boards.tracking is None else write_pages(boards.tracking, out)
-    files += [] if boards.retrieval is None else write_retrieval_page(boards.retrieval, out)
-    return files + ([] if boards.relocalization is None else write_pipeline_page(boards.relocalization, out))
+    return files + [path for display, board in boards.by_query for path in display.write_page(board, out)]
 
 
 def _latex(boards: Boards, out: Path, how: How) -> list[Path]:
-    texts = {
-        "leaderboard.tex": None if boards.tracking is None else tracking_latex.latex_page(boards.tracking),
-        "retrieval.tex": None if boards.retrieval is None else retrieval_latex.latex_page(boards.retrieval),
-        "relocalization.tex": None
-        if boards.relocalization is None
-        else pipeline_latex.latex_page(boards.relocalization),
-    }
-    files = []
-    for name, text in texts.items():
-        if text is not None:
-            files.append(out / name)
-            write_text(files[-1], text)
-    return files
+    texts = {} if boards.tracking is None else {out / "leaderboard.tex": tracking_latex.latex_page(boards.tracking)}
+    texts |= {out / f"{display.name}.tex": display.latex(board) for display, board in boards.by_query}
+    for path, text in texts.items():
+        write_text(path, text)
+    return list(texts)
 
 
 def _html(boards: Boards, out: Path, how: How) -> list[Path]:

@@ -14,7 +14,7 @@ from test_leaderboard import WINTER, MadeResults, made
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.inspect.agreement import ImageAgreement, Verdict
 from relocbench.leaderboard import make_board
-from relocbench.leaderboard.html.rows import Boards
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.html.site import write_site
 from relocbench.leaderboard.tracking import doubt
 from relocbench.leaderboard.tracking.doubt import TruthCheck, check_truth

@@ -8,9 +8,9 @@ import pytest
 from refusals import refused
 
 from relocbench.errors import ConfigError
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.html.links import method_page
 from relocbench.leaderboard.html.manifest import MANIFEST, earlier_files
-from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 
 EMPTY = Boards()

@@ -21,6 +21,7 @@ from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions,
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.leaderboard import load_results, make_board
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common.loading import load_board
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, pipelines_payload
@@ -29,7 +30,6 @@ from relocbench.leaderboard.html.retrieval_pages.distances import distances_of
 from relocbench.leaderboard.html.retrieval_pages.lists import kept_lists
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, ranks_payload
 from relocbench.leaderboard.html.retrieval_pages.queries import chosen_queries
-from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 from relocbench.leaderboard.html.thumbnails import small, thumbnail_name
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION, Pipeline, PipelineBoard

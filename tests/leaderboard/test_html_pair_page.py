@@ -26,9 +26,9 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard import load_results, make_board
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.html.pair_page import write as pair_page
 from relocbench.leaderboard.html.pair_page.write import chosen_pairs
-from relocbench.leaderboard.html.rows import Boards
 from relocbench.leaderboard.html.site import write_site
 
 HOSTILE = "<script>document.title = 'taken over'</script><img src=x onerror=alert(1)>"

@@ -23,7 +23,7 @@ from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS, STA
 from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard import load_results, make_board
-from relocbench.leaderboard.html.rows import Boards
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.html.site import write_site
 
 HOSTILE = "<img src=x onerror=alert(1)>"

@@ -15,10 +15,11 @@ from browser_pages import needs_browser, serious_faults
 from test_leaderboard import NIGHT, WINTER, MadeResults, made
 
 from relocbench.leaderboard import load_results, make_board
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.html import colours, links
 from relocbench.leaderboard.html.data import floats, script_json
 from relocbench.leaderboard.html.looks import looks
-from relocbench.leaderboard.html.rows import Boards, sections
+from relocbench.leaderboard.html.rows import sections
 from relocbench.leaderboard.html.site import write_site
 from relocbench.leaderboard.retrieval.board import RetrievalBoard
 from relocbench.metrics import CORRECT

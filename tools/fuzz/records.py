@@ -88,27 +88,27 @@ def _lists(place: Place) -> None:
 
 
 def _retrieval_board(place: Place) -> Iterable[str]:
+    from relocbench.leaderboard import displays
     from relocbench.leaderboard.common.loading import load_board
     from relocbench.leaderboard.retrieval.board import RETRIEVAL
     from relocbench.leaderboard.retrieval.page import retrieval_page
-    from relocbench.leaderboard.retrieval.write import retrieval_rows
 
     board = load_board(RETRIEVAL, place.root / "retrieval")
     if board is not None:
-        retrieval_rows(board)
+        displays.RETRIEVAL.records(board)
         retrieval_page(board)
     return ()
 
 
 def _pipeline_board(place: Place) -> None:
+    from relocbench.leaderboard import displays
     from relocbench.leaderboard.common.loading import load_board
     from relocbench.leaderboard.relocalization.board import RELOCALIZATION
     from relocbench.leaderboard.relocalization.page import relocalization_page
-    from relocbench.leaderboard.relocalization.write import pipeline_rows
 
     board = load_board(RELOCALIZATION, place.root / "chains")
     if board is not None:
-        pipeline_rows(board)
+        displays.RELOCALIZATION.records(board)
         relocalization_page(board)
 
 

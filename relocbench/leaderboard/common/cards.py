@@ -17,17 +17,21 @@ from relocbench.files import write_bytes
 _FOLDER = "cards"
 
 
-class Submitted(Protocol):
+class MayHaveCard(Protocol):
     """A method that may have been submitted."""
 
     @property
     def label(self) -> str: ...
 
     @property
-    def run(self) -> RunRecord: ...
+    def card(self) -> KeptCard | None: ...
+
+
+class Submitted(MayHaveCard, Protocol):
+    """The same with how it was run."""
 
     @property
-    def card(self) -> KeptCard | None: ...
+    def run(self) -> RunRecord: ...
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ def card_file(title: str, label: str) -> str:
     return f"{_FOLDER}/{title}/{label}.yaml"
 
 
-def write_cards(out: Path, title: str, methods: Sequence[Submitted]) -> list[Path]:
+def write_cards(out: Path, title: str, methods: Sequence[MayHaveCard]) -> list[Path]:
     """Write the cards of the methods of one dataset as they were handed in, and remove those of rows that are gone."""
     paths = []
     for method in methods:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.looks import looks
 from relocbench.leaderboard.html.pipeline_pages.payloads import is_keyframe_pose
 from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
-from relocbench.leaderboard.html.rows import Boards, pipeline_line, retriever_line
+from relocbench.leaderboard.html.rows import pipeline_line, retriever_line
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineSetBoard
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard, Retriever
 from relocbench.leaderboard.retrieval.page import evaluate_command

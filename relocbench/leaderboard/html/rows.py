@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from relocbench.evaluation.common.matching_table import ALL
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common import ranks
 from relocbench.leaderboard.common.ranks import HasRank, rank_text
 from relocbench.leaderboard.common.text import number
@@ -30,28 +30,6 @@ from relocbench.metrics import Interval
 
 _MEAN = "mean "
 """begins the names of tables over several tasks that are not of some conditions or views alone"""
-
-
-@dataclass(frozen=True)
-class Boards:
-    """What results hold, one board a task; None where there is nothing of it."""
-
-    tracking: Board | None = None
-    retrieval: RetrievalBoard | None = None
-    relocalization: PipelineBoard | None = None
-
-    @property
-    def sets(self) -> int:
-        """How many datasets and retrieval sets have a page."""
-        tracked = len(self.tracking.datasets) if self.tracking is not None else 0
-        return tracked + sum(len(board.sets) for board in (self.retrieval, self.relocalization) if board is not None)
-
-    @property
-    def methods(self) -> frozenset[str]:
-        """The labels of all trackers and retrievers, which have a page each."""
-        trackers = [m.label for d in (self.tracking.datasets if self.tracking else ()) for m in d.entry.methods]
-        retrievers = [m.label for asked in (self.retrieval.sets if self.retrieval else ()) for m in asked.methods]
-        return frozenset({*trackers, *retrievers})
 
 
 def sections(boards: Boards) -> list[dict[str, Any]]:

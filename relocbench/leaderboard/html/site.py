@@ -10,6 +10,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from relocbench.files import remove_parts
+from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common.ranks import SHARED
 from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
@@ -29,7 +30,7 @@ from relocbench.leaderboard.html.payloads import (
 )
 from relocbench.leaderboard.html.pipeline_pages.write import write_pipeline_pages
 from relocbench.leaderboard.html.retrieval_pages.write import write_retrieval_pages
-from relocbench.leaderboard.html.rows import Boards, line, sections
+from relocbench.leaderboard.html.rows import line, sections
 from relocbench.leaderboard.html.set_page.write import write_charts
 from relocbench.leaderboard.tracking.cells import why_no_ranks
 from relocbench.leaderboard.tracking.load import Method, evaluate_command

@@ -53,6 +53,8 @@ class Pipeline:
     rescored: frozenset[str] = frozenset()
     """the tasks whose rows were computed anew from rankings, trackers' answers and truth"""
     folder: PipelineResults | None = None
+    card: None = None
+    """nobody submits pipelines"""
 
     @property
     def knows_truth(self) -> bool:

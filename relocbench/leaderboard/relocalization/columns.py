@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from relocbench.evaluation.relocalization.basin import SAID
 from relocbench.evaluation.relocalization.records import PipelineBasin
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, POSE_METRICS, RANKING
@@ -49,11 +47,6 @@ def terminal_columns(board: PipelineBoard) -> tuple[str, ...]:
 def lines_of(asked: PipelineSetBoard, table: PipelineTable) -> list[PipelineLine]:
     """A line for each pipeline."""
     return [Line(asked, table, row) for row in table.rows]
-
-
-def all_lines(board: PipelineBoard) -> Iterator[PipelineLine]:
-    """The lines of all tables."""
-    return (line for asked in board.sets for table in asked.tables for line in lines_of(asked, table))
 
 
 def pipeline_columns(board: PipelineBoard) -> dict[str, PipelineColumn]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from relocbench.evaluation.retrieval.records import METRICS
 from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
 from relocbench.leaderboard.common.headings import COUNTS, METHOD, RANK, RESCORED, SECONDS
@@ -42,11 +40,6 @@ def terminal_columns(board: RetrievalBoard) -> tuple[str, ...]:
 def lines_of(asked: RetrievalSetBoard, table: RetrievalTable) -> list[RetrievalLine]:
     """A line for each method, and the last for chance."""
     return [*(Line(asked, table, row) for row in table.rows), Line(asked, table, None)]
-
-
-def all_lines(board: RetrievalBoard) -> Iterator[RetrievalLine]:
-    """The lines of all tables."""
-    return (line for asked in board.sets for table in asked.tables for line in lines_of(asked, table))
 
 
 def retrieval_columns(board: RetrievalBoard) -> dict[str, RetrievalColumn]:

@@ -29,10 +29,10 @@ from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.run import run_method
 from relocbench.execution import Run
 from relocbench.files import dump_yaml, load_yaml_values, write_text
+from relocbench.leaderboard import displays
 from relocbench.leaderboard.common.loading import load_board
 from relocbench.leaderboard.retrieval.board import RETRIEVAL
 from relocbench.leaderboard.retrieval.page import retrieval_page
-from relocbench.leaderboard.retrieval.write import retrieval_rows
 from relocbench.leaderboard.tracking.load import load_results
 from relocbench.leaderboard.tracking.write import write_leaderboard
 from relocbench.methods import parse_method
@@ -214,7 +214,7 @@ def test_retrievers_on_two_copies_of_one_question_stand_in_one_table(original: D
     assert (board.record.fingerprint, board.copies) == (first, (second,))
     assert {m.label for m in board.methods} == {"colour-histogram", "random", f"random@{second[:12]}"}
     assert "on other copies of the same question" in retrieval_page(boards)
-    assert {row["question"] for row in retrieval_rows(boards)} == {board.record.question}
+    assert {row["question"] for row in displays.RETRIEVAL.records(boards)} == {board.record.question}
 
 
 def test_lists_of_another_copy_of_the_question_are_scored_and_lists_of_another_question_are_not(

@@ -24,9 +24,9 @@ from relocbench.evaluation.relocalization.answers import PipelineAnswer, read_pi
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 from relocbench.evaluation.relocalization.records import PipelineResults
 from relocbench.files import sha256_file
+from relocbench.leaderboard import displays
 from relocbench.leaderboard.common.loading import load_board
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION
-from relocbench.leaderboard.relocalization.write import write_pipeline_page, write_pipeline_table
 from relocbench.progress import Silent
 
 FRAMES = 8
@@ -79,8 +79,8 @@ def forge(results: Path, change: Callable[[PipelineAnswer], PipelineAnswer]) -> 
 def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], dict[str, str]]:
     board = load_board(RELOCALIZATION, results, datasets=DatasetLookup(results, datasets))
     assert board is not None
-    write_pipeline_table(board, out)
-    write_pipeline_page(board, out)
+    displays.RELOCALIZATION.write_table(board, out)
+    displays.RELOCALIZATION.write_page(board, out)
     with (out / "relocalization.csv").open(newline="", encoding="utf-8") as stream:
         return {(r["retriever"], r["tracker"]): r for r in csv.DictReader(stream) if r["table"] == ACROSS}
 

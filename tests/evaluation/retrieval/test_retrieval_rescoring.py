@@ -33,9 +33,9 @@ from relocbench.evaluation.retrieval.records import (
 )
 from relocbench.evaluation.retrieval.score import summary
 from relocbench.files import sha256_file
+from relocbench.leaderboard import displays
 from relocbench.leaderboard.common.loading import load_board
 from relocbench.leaderboard.retrieval.board import RETRIEVAL, rescored_text
-from relocbench.leaderboard.retrieval.write import write_retrieval_page, write_retrieval_table
 from relocbench.metrics import relevance_within
 from relocbench.progress import Silent
 
@@ -110,8 +110,8 @@ def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], 
     lookup = DatasetLookup(results, datasets)
     board = load_board(RETRIEVAL, results, datasets=lookup)
     assert board is not None
-    write_retrieval_table(board, out)
-    write_retrieval_page(board, out)
+    displays.RETRIEVAL.write_table(board, out)
+    displays.RETRIEVAL.write_page(board, out)
     lookup.check_used()
     with (out / "retrieval.csv").open(newline="", encoding="utf-8") as stream:
         return {(row["table"], row["method"]): row for row in csv.DictReader(stream)}
