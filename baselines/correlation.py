@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment import DSO_PATTERN
 from baselines.alignment.features.pyramid import sample
 from baselines.alignment.shared.pyramid import halve, level_camera, to_grey
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Floats, Image, Mask
 from relocbench.geometry import Camera, apply
 
 LARGEST_COUNT = 1000
@@ -26,12 +25,12 @@ _CELL_PX = 8
 class GreyImage:
     """A grey image and its camera."""
 
-    values: NDArray[np.float32]
+    values: Floats
     """(H, W) grey levels"""
     camera: Camera
 
     @classmethod
-    def half_of(cls, image: NDArray[np.uint8], camera: Camera) -> GreyImage:
+    def half_of(cls, image: Image, camera: Camera) -> GreyImage:
         """The image at half its size, whose pixels hold less noise and forgive an error of a pixel.
 
         Args:

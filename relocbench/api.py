@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.progress import Reporter, Silent
@@ -24,8 +22,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from relocbench.leaderboard.tracking.load import DatasetEntry
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

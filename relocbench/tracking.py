@@ -13,12 +13,10 @@ from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image
 from relocbench.errors import one_line, raised
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
 
 MOST_QUERIES = 8
 """queries of a keyframe about which an evaluation asks in one call"""
@@ -53,7 +51,7 @@ class Neighbour:
 
     seconds_from_ref: float
     """time from the reference to this frame, negative before it"""
-    image: NDArray[np.uint8]
+    image: Image
     """(H, W) grey or (H, W, 3) RGB"""
     camera: Camera
     T_neighbour_ref: Array
@@ -68,12 +66,12 @@ class Reference:
     """identifies the keyframe; a tracker that is evaluated sees a digest of image and camera"""
     timestamp_ns: int | None
     """when the image was taken; None for a tracker that does not declare ``uses_times``"""
-    image: NDArray[np.uint8]
+    image: Image
     """(H, W) grey or (H, W, 3) RGB"""
     camera: Camera
     sparse_points: KeyframePoints | None = None
     """points of a sparse map; None where the keyframe has a dense depth image"""
-    depth: NDArray[np.float32] | None = None
+    depth: Floats | None = None
     """(H, W) metres along z, 0 where unknown; None where the map is sparse"""
     depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """(a, b, c): sigma of a dense depth z is a + b z + c z^2, metres"""
@@ -96,7 +94,7 @@ class Reference:
         return KeyframePoints(*points)
 
     @cached_property
-    def inverse_depth_map(self) -> NDArray[np.float32]:
+    def inverse_depth_map(self) -> Floats:
         """(H, W) inverse depth in 1/m, 0 where unknown; of sparse points rounded to one pixel, the nearest counts."""
         out = np.zeros((self.camera.height, self.camera.width), dtype=np.float32)
         if self.depth is not None:
@@ -120,7 +118,7 @@ class Query:
     """identifies the image; a tracker that is evaluated sees a digest of image and camera"""
     timestamp_ns: int | None
     """when the image was taken; None for a tracker that does not declare ``uses_times``"""
-    image: NDArray[np.uint8]
+    image: Image
     """(H, W) grey or (H, W, 3) RGB"""
     camera: Camera
 
@@ -217,7 +215,7 @@ class FeatureMap(Protocol):
     """One level of a method's features of an image."""
 
     @property
-    def map(self) -> NDArray[np.float32]:
+    def map(self) -> Floats:
         """(H, W, D)"""
         ...
 
@@ -235,7 +233,7 @@ class FeatureMaps(Protocol):
 class SupportsFeatures(Protocol):
     """Optional: return the dense features that the method computes of an image, so that they can be drawn."""
 
-    def features(self, image: NDArray[np.uint8], camera: Camera) -> FeatureMaps: ...
+    def features(self, image: Image, camera: Camera) -> FeatureMaps: ...
 
 
 class ContractFault(Exception):

@@ -15,10 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Floats, Image
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter, Silent
 from relocbench.retrieval import PlaceData, Retriever
@@ -47,15 +44,15 @@ class TrainingPair:
     """
 
     label: PairLabel
-    image_ref: NDArray[np.uint8]
+    image_ref: Image
     """(H, W, 3) RGB; a grey image has three equal channels"""
-    image_query: NDArray[np.uint8]
+    image_query: Image
     """(H, W, 3)"""
-    u_ref: NDArray[np.float32]
+    u_ref: Floats
     """(N, 2) pixels (u, v), centres at integers"""
-    u_query: NDArray[np.float32]
+    u_query: Floats
     """(N, 2)"""
-    sigma_px: NDArray[np.float32] | None = None
+    sigma_px: Floats | None = None
     """(N,) one standard deviation of ``u_query``, NaN where unknown; None where the data has none"""
 
 
@@ -92,7 +89,7 @@ class PosedPair:
 class TrainingView:
     """One image of the training data with its camera."""
 
-    image: NDArray[np.uint8]
+    image: Image
     """(H, W, 3) RGB; a grey image has three equal channels"""
     camera: Camera
     points: KeyframePoints

@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.tracking import Array
+from relocbench.arrays import Array, Image, Indices
 
-Indices = NDArray[np.intp]
 FeatureKind = Literal["orb", "sift"]
 
 _OVERSAMPLING = 4  # keypoints detected for each one kept, so that weakly textured cells have some too
@@ -43,7 +42,7 @@ class Features:
         return Features(*chosen, self.size)
 
 
-def to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def to_grey(image: Image) -> Image:
     """The grey values (H, W) of a grey (H, W) or (H, W, 1) or an RGB (H, W, 3) image."""
     if image.ndim == 2:
         return np.ascontiguousarray(image)
@@ -52,7 +51,7 @@ def to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
-def detect(image: NDArray[np.uint8], kind: FeatureKind, budget: int) -> Features:
+def detect(image: Image, kind: FeatureKind, budget: int) -> Features:
     """Up to four times ``budget`` features, strongest first, for :func:`spread_evenly` to choose from."""
     grey = to_grey(image)
     if kind == "orb":

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relocbench.arrays import Floats
-from relocbench.tracking import Array, KeyframePoints, Reference
+from relocbench.arrays import Array, Floats, Indices
+from relocbench.tracking import KeyframePoints, Reference
 
 _CONTINUOUS = 0.05  # largest relative range of the four neighbours' inverse depths on one surface
 _NEIGHBOURS = 16  # points of a sparse map that a plane is fitted to; 13 lie within the usual reach on average
@@ -53,7 +52,7 @@ def inverse_depth_at(reference: Reference, uv: Array, radius_px: float | None = 
 class Lifted:
     """The pixels of a keyframe that have a depth, as points of its frame."""
 
-    index: NDArray[np.intp]
+    index: Indices
     """(N,) of these among the pixels that were asked for, ascending"""
     points: Array
     """(N, 3) metres, reference camera frame"""

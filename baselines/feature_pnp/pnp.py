@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.calibration import Calibration
 from baselines.correlation import GreyImage, correlations, strong_pixels
 from baselines.feature_pnp.keyframe_depth import inverse_depth_at
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
-from relocbench.tracking import Array, Query, Reference, TrackResult
+from relocbench.arrays import Array, Indices
+from relocbench.tracking import Query, Reference, TrackResult
 
 _SMALLEST_SIGMA = 0.03  # metres; a smaller standard deviation says no more about errors of 0.25 m
 SHOWN_INLIERS, SHOWN_OTHERS = 50, 25
@@ -139,7 +139,7 @@ class Pnp(ABC, Generic[Prepared]):
         return TrackResult(refined.T_query_ref, confidence=confidence, info=info)
 
 
-def sampled_matches(matches: Matches2D3D, inliers: NDArray[np.intp]) -> list[list[float]]:
+def sampled_matches(matches: Matches2D3D, inliers: Indices) -> list[list[float]]:
     """Some matches as ``info["shown_matches"]`` has them, so that pages can draw them: evenly chosen, inliers first.
 
     Each is ``[u, v of the keyframe, u, v of the query, 1 for an inlier, else 0]``, in tenths of pixels.

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.geometry import Camera, apply, compose, hat, make_transform, se3_exp, so3_exp
-from relocbench.tracking import Array
 
 PIXEL_NOISE = 0.5  # standard deviation of a keypoint on the finest pyramid level, pixels
 _HUBER = 2.0  # in units of this noise
@@ -91,7 +90,7 @@ class Refined:
 
     T_query_ref: Array
     """(4, 4)"""
-    inliers: NDArray[np.intp]
+    inliers: Indices
     """indices of the matches that agree with it"""
     rms_px: float
     """root mean square of the inliers' reprojection errors, each divided by its keypoint's scale"""
@@ -149,7 +148,7 @@ def _scaled_errors(T_query_ref: Array, matches: Matches2D3D, camera: Camera) -> 
     return out
 
 
-def _take(matches: Matches2D3D, index: NDArray[np.intp]) -> Matches2D3D:
+def _take(matches: Matches2D3D, index: Indices) -> Matches2D3D:
     return Matches2D3D(
         matches.points[index], matches.pixels[index], matches.scale[index], matches.depth_direction[index]
     )

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.calibration import ORB_PNP, SIFT_PNP, Calibration
-from baselines.feature_pnp.features import FeatureKind, Features, Indices, detect, match, spread_evenly
+from baselines.feature_pnp.features import FeatureKind, Features, detect, match, spread_evenly
 from baselines.feature_pnp.keyframe_depth import lift
 from baselines.feature_pnp.pnp import Pnp, PreparedKeyframe, StrongPixels
 from baselines.feature_pnp.solve import Matches2D3D
-from relocbench.tracking import Array, Query, Reference
+from relocbench.arrays import Array, Image, Indices
+from relocbench.tracking import Query, Reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class FeaturePnp(Pnp[PreparedReference]):
         self.grid_px = grid_px
 
     @abstractmethod
-    def detect(self, image: NDArray[np.uint8]) -> Features:
+    def detect(self, image: Image) -> Features:
         """The features of an image, strongest first; more than ``features`` are thinned out evenly."""
 
     @abstractmethod
@@ -144,7 +144,7 @@ class RatioTestPnp(FeaturePnp):
         self.ratio = ratio
         self.mutual = mutual
 
-    def detect(self, image: NDArray[np.uint8]) -> Features:
+    def detect(self, image: Image) -> Features:
         return detect(image, self.kind, self.features)
 
     def match_features(self, reference: Features, query: Features) -> Indices:

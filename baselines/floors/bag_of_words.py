@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.cluster.vq import kmeans2
 
+from relocbench.arrays import Array, Floats
 from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
 
-Words = NDArray[np.float32]
 _BITS = 256
 _ROUNDS = 10
 """iterations of k-means, after which the words hardly change"""
@@ -51,8 +51,8 @@ class OrbBagOfWords:
         sample: Annotated[int, Field(ge=2)] = 40_000,
     ) -> None:
         self._words, self._features, self._sample = words, features, sample
-        self._centres: Words | None = None
-        self._idf: NDArray[np.float64] = np.zeros(0)
+        self._centres: Floats | None = None
+        self._idf: Array = np.zeros(0)
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> None:
         """Make the vocabulary and its weights.
@@ -94,7 +94,7 @@ class OrbBagOfWords:
         out: NDArray[np.floating] = np.divide(rows, norms, out=np.full_like(rows, np.nan), where=norms > 0)
         return out
 
-    def _counts(self, image: ImageView) -> NDArray[np.float64]:
+    def _counts(self, image: ImageView) -> Array:
         """The share (K,) of an image's features that each word has; zeros if it has no features."""
         assert self._centres is not None
         found, centres = self._bits(image), self._centres
@@ -103,7 +103,7 @@ class OrbBagOfWords:
         counts = np.bincount(nearest, minlength=len(centres)).astype(np.float64)
         return np.asarray(counts / max(len(found), 1))
 
-    def _bits(self, image: ImageView) -> Words:
+    def _bits(self, image: ImageView) -> Floats:
         """The ORB descriptors (n, 256) as bits, in an order that does not depend on the detector's threads."""
         grey = cv2.cvtColor(np.ascontiguousarray(image.image), cv2.COLOR_RGB2GRAY)
         orb = cv2.ORB.create(nfeatures=self._features, edgeThreshold=_BORDER, fastThreshold=_FAST_THRESHOLD)

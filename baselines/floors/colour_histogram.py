@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from relocbench.arrays import Array
 from relocbench.retrieval import ImageView
 
 
@@ -28,7 +29,7 @@ class ColourHistogram:
         """The descriptors (N, light * colour^2) of images, float64 of norm 1."""
         return np.stack([self._histogram(image) for image in images])
 
-    def _histogram(self, image: ImageView) -> NDArray[np.float64]:
+    def _histogram(self, image: ImageView) -> Array:
         lab = cv2.cvtColor(np.ascontiguousarray(image.image), cv2.COLOR_RGB2LAB)
         counts = cv2.calcHist([lab], [0, 1, 2], None, list(self._cells), [0, 256] * 3).ravel().astype(np.float64)
         return np.asarray(np.sqrt(counts / counts.sum()))

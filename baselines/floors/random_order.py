@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.retrieval import ImageView
 
 _NUMBERS = 64
@@ -29,6 +30,6 @@ class RandomOrder:
         rows = np.stack([self._direction(f"{image.view}/{image.key}") for image in images])
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
-    def _direction(self, name: str) -> NDArray[np.float64]:
+    def _direction(self, name: str) -> Array:
         digest = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
         return np.random.default_rng([self._seed, digest]).standard_normal(_NUMBERS)

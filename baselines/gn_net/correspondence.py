@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from baselines.alignment import FeaturePyramid
 from baselines.alignment.features.pyramid import level_coordinates, sample
 from baselines.gn_net.window_kernel import add_window_distances
-from relocbench.arrays import Array, Floats, Mask
+from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.tracking import KeyframePoints
 
 Features = Floats
@@ -58,7 +58,7 @@ class Landmarks:
 
 def match_landmarks(
     landmarks: Landmarks, query: FeaturePyramid, level: int, windows: Sequence[int]
-) -> tuple[NDArray[np.intp], Array]:
+) -> tuple[Indices, Array]:
     """Match landmarks to pixels of a query.
 
     Args:
@@ -81,7 +81,7 @@ def match_landmarks(
     return rows[order], ((uv + 0.5) * float(1 << level) - 0.5)[order]
 
 
-def _search(landmarks: Landmarks, query: FeaturePyramid, level: int) -> tuple[NDArray[np.intp], Array, Features]:
+def _search(landmarks: Landmarks, query: FeaturePyramid, level: int) -> tuple[Indices, Array, Features]:
     """Mutual nearest neighbours on a level: rows (M,), pixels (M, 2) and squared distances (M,)."""
     height, width = query.levels[level].map.shape[:2]
     values = np.concatenate(landmarks.values[level:], axis=1)

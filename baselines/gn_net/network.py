@@ -18,13 +18,13 @@ from typing import cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.gn_net.encoder import Filter, make_encoder
 from baselines.gn_net.options import NetworkOptions
 from baselines.initialisation import Foldable, convolution
+from relocbench.arrays import Image
 
 _LEAST = 1e-6
 """confidence; weights of points must be positive"""
@@ -154,7 +154,7 @@ class FeatureNet(nn.Module):
             nn.init.xavier_normal_(cast(Tensor, head.weight), gain=self.options.dim**-0.5, generator=generator)
 
 
-def image_tensor(image: NDArray[np.uint8]) -> Tensor:
+def image_tensor(image: Image) -> Tensor:
     """(1, 3, H, W) or (1, 1, H, W) float32 in [0, 1] of an (H, W, 3) RGB or (H, W) grey image."""
     channels = image[..., None] if image.ndim == 2 else image
     # The conversion copies; torch does not accept read-only arrays.

@@ -12,7 +12,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 from torch.nn import functional
 
@@ -49,7 +48,7 @@ from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.weights import load_weights
 from baselines.options import Finite
-from relocbench.arrays import Array, Image
+from relocbench.arrays import Array, Floats, Image
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.tracking import Query, Reference, TrackResult
@@ -73,7 +72,7 @@ ONE_START: Mapping[str, Any] = {
 it, and, where matches are used, one from the pose that they give"""
 SELECTION_LEVELS = 3
 """levels of the intensity pyramid on which points are chosen"""
-Maps = tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]
+Maps = tuple[list[Floats], list[Floats]]
 """features (H, W, D) and confidences (H, W, 1) of each level, finest first; no confidences if the network has none"""
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from relocbench.tracking import Array, Query, Reference, TrackResult
+from relocbench.arrays import Array
+from relocbench.tracking import Query, Reference, TrackResult
 
 
 class Identity:

@@ -8,13 +8,13 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from baselines.device import to_device
 from baselines.feature_cache import FeatureCache
 from baselines.feature_pnp.features import Features
 from baselines.learned_pnp.images import network_input
+from relocbench.arrays import Image
 
 
 class NetworkDetector(ABC):
@@ -52,7 +52,7 @@ class NetworkDetector(ABC):
         """Keypoints (N, 2), pixels with centres at integers, responses (N,) and descriptors (N, D) in an image
         (1, channels, H, W)."""
 
-    def __call__(self, image: NDArray[np.uint8]) -> Features:
+    def __call__(self, image: Image) -> Features:
         """The features of a grey (H, W) or RGB (H, W, 3) image, strongest first.
 
         Raises:
@@ -61,7 +61,7 @@ class NetworkDetector(ABC):
         return self._cache.get(image, self._compute)
 
     @torch.inference_mode()
-    def _compute(self, image: NDArray[np.uint8]) -> Features:
+    def _compute(self, image: Image) -> Features:
         tensor, factor = network_input(
             image, self.channels, self.longest_px, self.name, self.device, multiple=self.multiple
         )

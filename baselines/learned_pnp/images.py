@@ -7,9 +7,9 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from baselines.feature_pnp.features import to_grey
+from relocbench.arrays import Array, Image
 from relocbench.errors import MethodError
 
 _LEAST_SIDE_PX = 64
@@ -17,8 +17,8 @@ _LEAST_SIDE_PX = 64
 
 
 def network_input(
-    image: NDArray[np.uint8], channels: Literal[1, 3], longest_px: int, network: str, device: str, multiple: int = 1
-) -> tuple[torch.Tensor, NDArray[np.float64]]:
+    image: Image, channels: Literal[1, 3], longest_px: int, network: str, device: str, multiple: int = 1
+) -> tuple[torch.Tensor, Array]:
     """An image for a network.
 
     Args:
@@ -43,13 +43,13 @@ def network_input(
     return planes[None].to(device, torch.float32) / 255.0, factor
 
 
-def _rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _rgb(image: Image) -> Image:
     if image.ndim == 3 and image.shape[2] == 3:
         return np.ascontiguousarray(image)
     return np.ascontiguousarray(np.broadcast_to(image.reshape(*image.shape[:2], 1), (*image.shape[:2], 3)))
 
 
-def _shrunk(image: NDArray[np.uint8], longest_px: int, multiple: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def _shrunk(image: Image, longest_px: int, multiple: int) -> tuple[Image, Array]:
     """The image with a longer side of at most ``longest_px``, and its pixels' width and height in original ones."""
     height, width = image.shape[:2]
     ratio = min(1.0, longest_px / max(height, width))

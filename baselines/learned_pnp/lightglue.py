@@ -9,9 +9,10 @@ import numpy as np
 import torch
 
 from baselines.device import to_device
-from baselines.feature_pnp.features import Features, Indices
+from baselines.feature_pnp.features import Features
 from baselines.learned_pnp.kornia_networks import from_kornia
 from baselines.published_weights import fill, read_weights
+from relocbench.arrays import Indices
 
 _LAYERS = 9
 

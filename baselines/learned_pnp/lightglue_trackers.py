@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.calibration import Calibration
-from baselines.feature_pnp.features import Features, Indices
+from baselines.feature_pnp.features import Features
 from baselines.feature_pnp.tracker import FeaturePnp
 from baselines.learned_pnp import published
 from baselines.learned_pnp.aliked import Aliked
@@ -19,6 +17,7 @@ from baselines.learned_pnp.disk import Disk
 from baselines.learned_pnp.lightglue import LightGlue
 from baselines.learned_pnp.superpoint import SuperPoint
 from baselines.published_weights import by_place, find_weights
+from relocbench.arrays import Image, Indices
 from relocbench.weights import PublishedFile
 
 
@@ -101,7 +100,7 @@ class LightGluePnp(FeaturePnp):
         """The files of the authors, by where they are looked for."""
         return by_place(cls.file, cls.matcher_file)
 
-    def detect(self, image: NDArray[np.uint8]) -> Features:
+    def detect(self, image: Image) -> Features:
         return self._detector(image)
 
     def match_features(self, reference: Features, query: Features) -> Indices:

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from baselines.device import to_device
 from baselines.learned_pnp.images import network_input
 from baselines.learned_pnp.kornia_networks import from_kornia
 from baselines.published_weights import fill, read_weights
-from relocbench.tracking import Array
+from relocbench.arrays import Array, Image
 
 LoftrModel = Literal["outdoor", "indoor_new"]
 _ENTRY = "state_dict"
@@ -29,7 +27,7 @@ class LoftrImage:
     """What LoFTR computes of one image alone."""
 
     maps: dict[str, torch.Tensor]
-    factor: NDArray[np.float64]
+    factor: Array
     """(2,) width and height, in pixels of the image, of those of the shrunk one"""
 
 
@@ -57,7 +55,7 @@ class Loftr:
         self.device = device
 
     @torch.inference_mode()
-    def encode(self, image: NDArray[np.uint8]) -> LoftrImage:
+    def encode(self, image: Image) -> LoftrImage:
         """What is computed of a grey (H, W) or RGB (H, W, 3) image alone.
 
         Raises:

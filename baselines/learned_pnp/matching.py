@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.feature_pnp.features import Indices
+from relocbench.arrays import Floats, Indices
 
 
-def mutual_nearest(first: NDArray[np.float32], second: NDArray[np.float32], ratio: float = 1.0) -> Indices:
+def mutual_nearest(first: Floats, second: Floats, ratio: float = 1.0) -> Indices:
     """Match descriptors (N, D) and (M, D) of norm 1 that are each other's nearest neighbour.
 
     Args:

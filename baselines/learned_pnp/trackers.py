@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.calibration import ALIKED_PNP, Calibration
-from baselines.feature_pnp.features import Features, Indices
+from baselines.feature_pnp.features import Features
 from baselines.feature_pnp.tracker import FeaturePnp
 from baselines.learned_pnp import published
 from baselines.learned_pnp.aliked import Aliked, AlikedModel
@@ -20,6 +18,7 @@ from baselines.learned_pnp.matching import mutual_nearest
 from baselines.learned_pnp.superpoint import SuperPoint
 from baselines.learned_pnp.xfeat import XFeat
 from baselines.published_weights import by_place, find_weights
+from relocbench.arrays import Image, Indices
 from relocbench.weights import PublishedFile
 
 
@@ -98,7 +97,7 @@ class NearestPnp(FeaturePnp):
         """The file of the authors, by where it is looked for."""
         return by_place(cls.file)
 
-    def detect(self, image: NDArray[np.uint8]) -> Features:
+    def detect(self, image: Image) -> Features:
         return self._detector(image)
 
     def match_features(self, reference: Features, query: Features) -> Indices:
@@ -175,7 +174,7 @@ class AlikedPnp(FeaturePnp):
         """The file of the authors, by where it is looked for."""
         return by_place(published.ALIKED[model])
 
-    def detect(self, image: NDArray[np.uint8]) -> Features:
+    def detect(self, image: Image) -> Features:
         return self._detector(image)
 
     def match_features(self, reference: Features, query: Features) -> Indices:

@@ -24,6 +24,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.lpn.descriptor import descriptors, parts_of
+from relocbench.arrays import Image
 from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
 
@@ -118,7 +119,7 @@ def _images(folder: Path) -> Iterator[Path]:
                 yield Path(path, name)
 
 
-def _read(path: Path) -> NDArray[np.uint8]:
+def _read(path: Path) -> Image:
     try:
         image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as bad:  # more pixels than OpenCV reads

@@ -6,7 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+
+from relocbench.arrays import Indices
 
 
 def derived_seed(seed: int, *path: int) -> int:
@@ -38,5 +39,5 @@ def shuffled_round(seed: int, path: tuple[int, ...], draw: int, count: int) -> t
 
 
 @lru_cache(maxsize=64)
-def _order(seed: int, path: tuple[int, ...], round_number: int, count: int) -> NDArray[np.int64]:
+def _order(seed: int, path: tuple[int, ...], round_number: int, count: int) -> Indices:
     return np.random.default_rng([seed, *path, round_number]).permutation(count)

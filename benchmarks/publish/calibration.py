@@ -36,7 +36,6 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
@@ -45,7 +44,7 @@ from baselines.dso import Dso, DsoMultiStart
 from baselines.feature_pnp import OrbPnp, SiftPnp
 from baselines.gn_net.tracker import GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
 from baselines.learned_pnp import AlikedPnp
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import invert, rotation_angle
 from relocbench.metrics import pose_errors
@@ -257,7 +256,7 @@ def _right(result: TrackResult, truth: Array | None) -> bool:
     return bool(errors.translation_error_m[0] <= 0.25 and errors.rotation_error_deg[0] <= 2.0)
 
 
-def fit(evidence: Array, right: NDArray[np.bool_], names: Sequence[str], caution: float = 1.0) -> Calibration:
+def fit(evidence: Array, right: Mask, names: Sequence[str], caution: float = 1.0) -> Calibration:
     """Fit a logistic regression whose weights are not negative to evidence (N, D) of answers that are right or wrong.
 
     Minimised is the mean log loss, in which a wrong answer counts ``caution`` times, with a little of the squared
@@ -304,11 +303,11 @@ def _told(method: str, kept: Calibration, fitted: list[Answered], reported: list
     return worth
 
 
-def _percent(chosen: NDArray[np.bool_]) -> str:
+def _percent(chosen: Mask) -> str:
     return f"{100 * np.mean(chosen):.1f}" if len(chosen) else "-"
 
 
-def _share(chosen: NDArray[np.bool_]) -> float | None:
+def _share(chosen: Mask) -> float | None:
     return float(np.mean(chosen)) if len(chosen) else None
 
 

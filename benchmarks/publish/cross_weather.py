@@ -48,9 +48,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from districts import COUNT, NEXT_PHRASE, PHRASE, District, districts
-from numpy.typing import NDArray
 
 from baselines.gn_net.tracker import ALONG, ONE_START, TURNS_DEG
+from relocbench.arrays import Array
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.results import all_results
@@ -63,8 +63,6 @@ from relocbench.metrics import (
     metric_named,
     paired_difference,
 )
-
-Array = NDArray[np.float64]
 
 METRICS = ("recall@(0.25m,2deg)", "t_auc@0.5m", "r_auc@0.5deg")
 METHODS = (

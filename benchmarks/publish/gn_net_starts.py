@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import os
 
+from relocbench.arrays import Array
+
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # one core; read when numpy is imported
 
@@ -32,7 +34,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment import FeatureAlignment, align_features
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
@@ -43,8 +44,6 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.geometry import rotation_angle
-
-Array = NDArray[np.float64]
 
 USUAL = StartSettings()
 

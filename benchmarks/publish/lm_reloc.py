@@ -28,12 +28,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from districts import District, districts
-from numpy.typing import NDArray
 
 import relocbench as rb
+from relocbench.arrays import Array
 from relocbench.metrics import PoseErrors, by_place, mean_interval, metric_named, paired_difference
-
-Array = NDArray[np.float64]
 
 PHRASE = "a pose network guesses before the alignment looks"
 METRICS = ("recall@(0.25m,2deg)", "r_auc@0.5deg")

@@ -15,6 +15,8 @@ import os
 import sys
 from pathlib import Path
 
+from relocbench.arrays import Array, Floats, Image
+
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # one core; read when numpy is imported
@@ -26,7 +28,6 @@ from collections.abc import Callable
 
 import numpy as np
 import plain_alignment as plain
-from numpy.typing import NDArray
 
 from baselines.alignment import LevelPoints, Settings, align, image_pyramid, linearize, with_gradients
 from baselines.alignment.shared.pyramid import camera_intrinsics
@@ -34,15 +35,13 @@ from baselines.dso import Dso
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.tracking import Reference
 
-Array = NDArray[np.float64]
-
 CAMERA = Camera("pinhole", 512, 512, 380.0, 380.0, 255.5, 255.5)
 STEP = 1.0  # metres between reference and query
 WALLS = ((0, -3.0), (0, 4.0), (1, 1.6), (1, -2.5), (2, 24.0))  # (axis, coordinate): a corridor, metres
 WAVES = 48
 
 
-def render(T_cam_world: Array, rng_seed: int = 7) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def render(T_cam_world: Array, rng_seed: int = 7) -> tuple[Image, Floats]:
     """Image and depth of the corridor, of which each wall has a texture of its own, a sum of seeded waves."""
     rng = np.random.default_rng(rng_seed)
     T_world_cam = invert(T_cam_world)
@@ -98,7 +97,7 @@ def evaluation_ms(repeats: int, points: int = 2000) -> float:
     )
 
 
-def corridor() -> tuple[tuple[LevelPoints, ...], NDArray[np.uint8], Array, Settings]:
+def corridor() -> tuple[tuple[LevelPoints, ...], Image, Array, Settings]:
     """The prepared reference, the query image, the true T_query_ref and the settings."""
     T_query_ref = np.eye(4)
     T_query_ref[2, 3] = -STEP

@@ -17,6 +17,8 @@ import os
 import sys
 from pathlib import Path
 
+from relocbench.arrays import Array, Floats
+
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # one core; read when numpy is imported
@@ -28,7 +30,6 @@ import cv2
 import numpy as np
 import plain_feature_alignment as plain
 from alignment import CAMERA, STEP, WALLS, error, median_ms
-from numpy.typing import NDArray
 
 from baselines.alignment import Start, align_features, align_features_best
 from baselines.alignment.features.kernel import linearize_features, workspace_for
@@ -40,8 +41,6 @@ from baselines.alignment.shared.pyramid import camera_intrinsics, level_camera, 
 from baselines.dso.tracker import small_rotations
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.tracking import KeyframePoints
-
-Array = NDArray[np.float64]
 
 LEVELS = 4
 CHANNELS = 16
@@ -72,7 +71,7 @@ def surface(T_cam_world: Array, camera: Camera) -> tuple[Array, Array]:
     return origin + directions * depth[..., None], depth
 
 
-def features(points: Array, level: int) -> NDArray[np.float32]:
+def features(points: Array, level: int) -> Floats:
     """D smooth functions (H, W, D) of world points (H, W, 3), each a sum of seeded waves with mean square 1/2."""
     rng = np.random.default_rng(100 + level)
     lengths = SHORTEST * 2.0**level * np.exp(rng.uniform(0, np.log(4), (CHANNELS, WAVES)))
@@ -104,7 +103,7 @@ def pyramid(T_cam_world: Array, changed: bool) -> FeaturePyramid:
     return FeaturePyramid.from_maps(maps, CAMERA)
 
 
-def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float32]:
+def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     """Noise (H, W, D) of variance 1, interpolated from every eighth pixel, as the errors of a network are smooth."""
     coarse = rng.standard_normal((shape[0] // NOISE_GRID, shape[1] // NOISE_GRID, shape[2]), dtype=np.float32)
     fine = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)

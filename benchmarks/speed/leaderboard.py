@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
@@ -52,7 +51,6 @@ from relocbench.evaluation.tracking.score import (
 )
 from relocbench.geometry import Camera, make_transform, so3_exp
 
-Array = NDArray[np.float64]
 START_NS, STEP_NS = 1_600_000_000_000_000_000, 100_000_000
 PER_SET = 50
 """number of pairs of each of the many pair sets"""

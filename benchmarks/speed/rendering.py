@@ -29,6 +29,8 @@ from __future__ import annotations
 
 import os
 
+from relocbench.arrays import Array, Floats
+
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # in each worker; Mitsuba has its own thread pool
 
@@ -45,7 +47,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import previewed
@@ -59,9 +60,6 @@ from relocbench.datasets.synthetic.renderer.response import exposure_gain, tone_
 from relocbench.datasets.synthetic.town.town import compose
 from relocbench.execution.calling import pin_threads
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 WORKERS = 2
 SIZE = 512

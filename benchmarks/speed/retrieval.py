@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Indices
 from relocbench.metrics import (
     RETRIEVAL_METRICS,
     rank_descriptors,
@@ -38,8 +38,7 @@ from relocbench.metrics import (
     summarize_retrieval,
 )
 
-Descriptors = NDArray[np.float32]
-Labels = NDArray[np.int64]
+Descriptors = Floats
 
 BUILDINGS, ASKED, VIEWS = 951, 701, 54
 APART = 0.05
@@ -50,9 +49,9 @@ APART = 0.05
 class Case:
     name: str
     query: Descriptors
-    query_labels: Labels
+    query_labels: Indices
     gallery: Descriptors
-    gallery_labels: Labels
+    gallery_labels: Indices
 
     def thinned(self, queries: int) -> Case:
         """``count`` evenly spread queries."""
@@ -65,14 +64,14 @@ def made_cases(size: int, noise: float, seed: int = 0) -> list[Case]:
     rng = np.random.default_rng(seed)
     prototypes = rng.standard_normal((BUILDINGS, size), dtype=np.float32)
 
-    def described(labels: Labels) -> Descriptors:
+    def described(labels: Indices) -> Descriptors:
         x = rng.standard_normal((len(labels), size), dtype=np.float32)
         x *= noise
         x += prototypes[labels]
         x /= np.sqrt(np.einsum("ij,ij->i", x, x))[:, None]
         return x
 
-    def drones(buildings: int) -> Labels:
+    def drones(buildings: int) -> Indices:
         return np.concatenate([[0], np.repeat(np.arange(buildings), VIEWS)])
 
     cases = []

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from ground_truth_judging import errors
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
 
@@ -16,7 +16,7 @@ Off = tuple[float, float, float]
 """metres and degrees off the truth, and the normalised error squared"""
 
 
-def off_truth(pair: PairOutcome, T_query_ref: NDArray[np.float64]) -> Off:
+def off_truth(pair: PairOutcome, T_query_ref: Array) -> Off:
     """How far a pair with a pose is off the true one (4, 4)."""
     assert pair.T_query_ref is not None
     assert pair.covariance is not None

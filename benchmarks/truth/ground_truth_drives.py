@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Times
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
 from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
@@ -28,9 +28,6 @@ from relocbench.execution import Run
 from relocbench.files import atomic_write, write_text
 from relocbench.geometry import Camera, interpolate_trajectory, invert, make_transform, transform_from_tq
 from relocbench.progress import Advance
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 EXTENT_M = 400.0
 FRAMES = 720
@@ -118,7 +115,7 @@ class Ticks:
     def T_rig_cam(self) -> Array:
         return T_RIG_CAM
 
-    def read(self, index: int) -> NDArray[np.uint8]:
+    def read(self, index: int) -> Image:
         raise NotImplementedError("there are no images")
 
     def file(self, index: int) -> Path | None:

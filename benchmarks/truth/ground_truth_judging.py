@@ -11,13 +11,11 @@ from pathlib import Path
 
 import numpy as np
 from ground_truth_drives import T_RIG_CAM, Taken
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.files import atomic_write
 from relocbench.geometry import invert, rotation_angle, se3_log
-
-Array = NDArray[np.float64]
 
 WRONG_M, WRONG_DEG = 0.3, 1.0
 _NEAR_LIMIT_M, _NEAR_LIMIT_DEG = 0.05, 0.5

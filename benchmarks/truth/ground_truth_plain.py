@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from ground_truth_work import Spent, timed
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
 from relocbench.datasets.groundtruth.icp.icp import run_icp
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
@@ -23,8 +23,6 @@ from relocbench.datasets.groundtruth.recipe.raw_submaps import RawSubmaps
 from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,14 +30,12 @@ from ground_truth_work import (
     without_gnss,
 )
 from ground_truth_world import OPTIONS, DrivePair, World, apart, judge, rounded, say
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, RegistrationUnit
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, ImageTimes
 from relocbench.geometry import invert, make_transform, so3_exp
-
-Array = NDArray[np.float64]
 
 ABLATED: tuple[DrivePair, ...] = ((0, 3), (5, 6), (0, 8))
 START_PAIRS: tuple[DrivePair, DrivePair] = ((0, 3), (5, 6))

@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 from ground_truth_drives import T_RIG_CAM
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.two_drives import (
     AlignmentOptions,
     FirstPose,
@@ -35,7 +35,6 @@ from relocbench.files import write_text
 from relocbench.geometry import invert
 from relocbench.progress import Silent
 
-Array = NDArray[np.float64]
 Result = TypeVar("Result")
 
 NO_THRESHOLDS = Thresholds(-1.0, -1.0, 2.0, -1.0, 1e9, 1e9, 1e9)

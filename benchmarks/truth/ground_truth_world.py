@@ -11,8 +11,8 @@ import numpy as np
 from ground_truth_drives import Spoken, Taken
 from ground_truth_judging import Exact, Judged
 from ground_truth_work import CutUnit, DecideUnit, RegisterUnit, Spent, cut, unverified
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.two_drives import RegistrationUnit
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
@@ -21,7 +21,6 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.execution import Run, run_units
 from relocbench.geometry import invert, rotation_angle
 
-Array = NDArray[np.float64]
 DrivePair = tuple[int, int]
 """indices of the reference's and the query's drive"""
 

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import os
 
+from relocbench.arrays import Floats, Image, Mask
+
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"
 
@@ -24,7 +26,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
 from relocbench.datasets.groundtruth.blocks.store import build_blocks
@@ -40,9 +41,6 @@ from relocbench.datasets.synthetic.town.mesh import Semantic
 from relocbench.datasets.synthetic.town.town import District, compose, make_district
 from relocbench.execution import Run
 from relocbench.geometry import Camera, interpolate_trajectory, invert, make_transform, transform_from_tq
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 CAMERA = Camera("pinhole", 640, 480, 491.5, 491.5, 319.5, 239.5)
 T_RIG_CAM = make_transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0, 0, 0])
@@ -105,7 +103,7 @@ def shoot(town: District, condition: str, folder: Path, blocks: Path, count: int
     return shots
 
 
-def at_jump(depth: NDArray[np.float32]) -> Mask:
+def at_jump(depth: Floats) -> Mask:
     """The pixels within two pixels of a jump of the true depth by more than a tenth."""
     filled = np.where(depth > 0, depth, np.float32(1e3))
     kernel = np.ones((5, 5), np.uint8)
@@ -145,11 +143,11 @@ HEAD = (
 )
 
 
-def picture(shot: Shot) -> NDArray[np.uint8]:
+def picture(shot: Shot) -> Image:
     """A picture of the image with the edges of the depth, the depth, the true depth and the error (red: too near)."""
     depth, truth = shot.found.depth, shot.frame.depth
 
-    def coloured(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    def coloured(values: Floats) -> Image:
         shade = np.clip(np.log(np.maximum(values, 1) / 2) / np.log(40), 0, 1)
         image = cv2.applyColorMap((255 - 255 * shade).astype(np.uint8), cv2.COLORMAP_TURBO)
         image[values <= 0] = 0

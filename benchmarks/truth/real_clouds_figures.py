@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from real_clouds_kitti import kitti_00
 from real_clouds_methods import (
     OWN,
@@ -26,10 +25,9 @@ from real_clouds_methods import (
 )
 from real_clouds_scans import Pair, Scans
 
+from relocbench.arrays import Array
 from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG
 from relocbench.geometry import invert
-
-Array = NDArray[np.float64]
 
 CLOSE = (0.03, 0.15)
 """limits in metres and degrees that a registration should meet"""

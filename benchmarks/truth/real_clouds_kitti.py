@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthView
@@ -32,14 +32,14 @@ class Kitti00:
     """The builder's results."""
 
     elevation_deg: float
-    along_m: NDArray[np.float64]
+    along_m: Array
     """(5,)"""
     coverage: float
     """share of the first image's pixels with depth from lidar"""
     agreement: Agreement
 
     @property
-    def errors_m(self) -> NDArray[np.float64]:
+    def errors_m(self) -> Array:
         """(5,) against :data:`ALONG_M`."""
         return np.asarray(self.along_m - ALONG_M)
 

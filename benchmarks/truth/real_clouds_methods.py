@@ -10,9 +10,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from real_clouds_scans import Pair, Scans
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, icp_result_at, run_icp
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
 from relocbench.datasets.groundtruth.pose_graph.least_squares import solve
@@ -28,7 +28,6 @@ from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.verification.verification import verification_evidence
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp
 
-Array = NDArray[np.float64]
 Answers = dict[Pair, Array]
 """``T_ref_query`` of each pair"""
 Method = Callable[[Scans, Pair, Array], Array]

@@ -8,9 +8,9 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
@@ -18,7 +18,6 @@ from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG, ra
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, transform_from_tq
 
-Array = NDArray[np.float64]
 Pair = tuple[int, int]
 
 _NEIGHBOURS = 15

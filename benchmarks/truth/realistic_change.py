@@ -42,9 +42,9 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.layout import pair_set_name
 from relocbench.datasets.core.pairfile import Pair
@@ -64,7 +64,6 @@ from relocbench.execution import Run, default_workers
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.progress import Silent
 
-Array = NDArray[np.float64]
 Sets = dict[tuple[str, str], str]
 """pair set by (reference, query) drive"""
 
@@ -133,7 +132,7 @@ class Frames:
         self._traversal = traversal
 
     @lru_cache(maxsize=64)  # noqa: B019  # a few drives, all of them kept to the end
-    def read(self, row: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    def read(self, row: int) -> tuple[Image, Floats]:
         """The grey levels and the depth (H, W) of a frame."""
         timestamp = self.posed.timestamps[row]
         depth = self._traversal.depth(CAMERA, timestamp)

@@ -24,6 +24,8 @@ from __future__ import annotations
 
 import os
 
+from relocbench.arrays import Array
+
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # so that the order of sums does not depend on the machine
 
@@ -36,7 +38,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from register_real import real_pairs
 from register_scenes import (
     Pair,
@@ -95,7 +96,7 @@ def tell(title: str, pairs: Iterator[tuple[str, Pair]], *, from_truth: bool) -> 
         spent, count = time.process_time() - begin, count + 1
         known = bool(np.isfinite(pair.T_a_b).all() and np.isfinite(found.T_a_b).all())
         off = pose_difference(pair.T_a_b, found.T_a_b) if known else (np.nan, np.nan)
-        xi: NDArray[np.float64] = se3_log(invert(found.T_a_b) @ pair.T_a_b) if known else np.full(6, np.nan)
+        xi: Array = se3_log(invert(found.T_a_b) @ pair.T_a_b) if known else np.full(6, np.nan)
         said = "trusted" if found.trusted else found.reason
         say(
             f"{title:14s} {name:8s} off {100 * off[0]:8.2f} cm {off[1]:7.3f} deg, "

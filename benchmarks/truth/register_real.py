@@ -8,15 +8,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from register_scenes import Pair
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud, cloud_of_file
 from relocbench.datasets.sensors.cloud_files import read_cloud
 from relocbench.datasets.sensors.cloud_poses import read_cloud_poses
 from relocbench.geometry import interpolate_trajectory, invert, transform_from_tq
-
-Array = NDArray[np.float64]
 
 _CAMERA = (517.3, 516.5, 318.6, 255.3)
 """fx fy cx cy of freiburg1; its distortion is not removed, which moves points near the border by a few pixels"""

@@ -7,8 +7,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import open3d as o3d
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
 from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.drives.routes import RouteName, route
@@ -16,8 +16,6 @@ from relocbench.datasets.synthetic.lidar.lidar import LidarScene, scan, spinning
 from relocbench.datasets.synthetic.town.town import District, compose, make_district
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert, make_transform, so3_exp
-
-Array = NDArray[np.float64]
 
 EXTENT_M = 300.0
 _LENGTH_M = 200.0
@@ -76,7 +74,7 @@ class Streets:
             self._scenes[condition] = LidarScene(compose(self.district, factors))
         lidar = spinning(rings, 1000)
 
-        def still(times: NDArray[np.int64]) -> Array:
+        def still(times: Times) -> Array:
             return np.broadcast_to(T_world_lidar, (len(times), 4, 4))
 
         measured = scan(lidar, self._scenes[condition], still, 0, factors, np.random.default_rng([seed, 11]))

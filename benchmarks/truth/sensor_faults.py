@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import os
 
+from relocbench.arrays import Array
+
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # in each worker
 
@@ -32,7 +34,6 @@ import numpy as np
 from case_figures import case_figures, off_truth
 from ground_truth_drives import EXTENT_M, T_RIG_CAM, Leg, Spoken, Taken, read_legs, record_legs
 from ground_truth_judging import WRONG_DEG, WRONG_M
-from numpy.typing import NDArray
 from sensor_faults_spinning import record_spinning
 
 from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
@@ -46,7 +47,6 @@ from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.execution import Run
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
 
-Array = NDArray[np.float64]
 Spoil = Callable[[FieldRecording], FieldRecording]
 
 T_RIG_BACK = make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]) @ T_RIG_CAM

@@ -18,6 +18,8 @@ from __future__ import annotations
 
 import os
 
+from relocbench.arrays import Array, Times
+
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # in each worker
 
@@ -35,7 +37,6 @@ import numpy as np
 from case_figures import Off, case_figures, off_truth
 from ground_truth_drives import Spoken
 from ground_truth_judging import WRONG_DEG, WRONG_M
-from numpy.typing import NDArray
 from register_scenes import Boxes, camera_directions, room, sphere_directions
 
 from relocbench.datasets.core.schema import Condition
@@ -51,8 +52,6 @@ from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajecto
 from relocbench.execution import Run
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 Device = Literal["lidar", "depth"]
 
 TITLES: dict[Device, str] = {

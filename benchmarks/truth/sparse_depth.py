@@ -31,9 +31,10 @@ import cv2
 import numpy as np
 
 from baselines.feature_pnp import FeaturePnp, OrbPnp, SiftPnp
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.metrics import pose_errors
-from relocbench.tracking import Array, KeyframePoints, Reference, TrackResult
+from relocbench.tracking import KeyframePoints, Reference, TrackResult
 
 TRACKERS: dict[str, type[Any]] = {"orb-pnp": OrbPnp, "sift-pnp": SiftPnp}
 RELATIVE_SIGMA = 0.01

@@ -36,7 +36,6 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 import numpy as np
 import street_clouds
 from limits import Limits
-from numpy.typing import NDArray
 from simulated_blocks import Planes, submap_registrations
 from simulated_graph import (
     CAMERA,
@@ -62,7 +61,6 @@ from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.synthetic.drives.odometry import OdometryErrors
 from relocbench.geometry import invert, se3_exp, se3_log
 
-Array = NDArray[np.float64]
 Figures = dict[str, float]
 
 

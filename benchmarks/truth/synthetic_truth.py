@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.core.pair_set import PairSet
@@ -46,9 +46,6 @@ from relocbench.geometry import Camera, apply, invert
 from relocbench.kernels import njit
 from relocbench.progress import Silent
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 _TILE_PX = 16
 _SAME_POINT = 1e-6
 """relative distance within which two points are the same in double precision"""
@@ -62,7 +59,7 @@ _BUSY = ("Sunny", "Rain", "Night")
 
 
 @njit(cache=True)
-def _nearest(corners: Array, rays: Array, first: NDArray[np.int64], columns: int, rows: int, lens: Array) -> Any:
+def _nearest(corners: Array, rays: Array, first: Indices, columns: int, rows: int, lens: Array) -> Any:
     """Depth (N,) and triangle (N,) of the first hit of rays (x, y, 1) from the origin, which are sorted by tiles.
 
     ``first[t]`` is the first ray of tile t; ``lens`` is fx, fy, cx, cy. A triangle is intersected with the rays of all
@@ -121,7 +118,7 @@ class Eye:
         inside = (self.mesh.vertices.astype(np.float64) - self.T_world_cam[:3, 3]) @ self.T_world_cam[:3, :3]
         return np.asarray(inside[self.mesh.triangles])
 
-    def cast(self, pixels: Array) -> tuple[Array, NDArray[np.int64]]:
+    def cast(self, pixels: Array) -> tuple[Array, Indices]:
         """The depth along z (N,) of pixels (N, 2), inf without a hit, and the triangle (N,), -1 without a hit."""
         if len(pixels) == 0:
             return np.empty(0), np.empty(0, dtype=np.int64)
@@ -211,7 +208,7 @@ def beside(pixels: Array) -> Iterator[Array]:
         yield pixels + _SILHOUETTE_PX * np.array([np.cos(angle), np.sin(angle)])
 
 
-def check_depth(tally: Tally, eye: Eye, stored: NDArray[np.float32], count: int, rng: np.random.Generator) -> None:
+def check_depth(tally: Tally, eye: Eye, stored: Floats, count: int, rng: np.random.Generator) -> None:
     """Compare the stored depth at random pixels."""
     rows = rng.choice(stored.size, min(count, stored.size), replace=False)
     pixels = np.column_stack([rows % stored.shape[1], rows // stored.shape[1]]).astype(np.float64)

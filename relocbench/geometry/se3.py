@@ -9,9 +9,9 @@ chapter 7; Eade, Lie Groups for 2D and 3D Transformations). Quaternions are ``(q
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Times
 
 
 def _series(theta2: Array, coefficients: tuple[float, ...]) -> Array:
@@ -255,7 +255,7 @@ def interpolate_trajectory(timestamps_ns: ArrayLike, transforms: ArrayLike, quer
     return interpolate(poses[left], poses[right], fraction)
 
 
-def _integer_times(times_ns: ArrayLike) -> NDArray[np.int64]:
+def _integer_times(times_ns: ArrayLike) -> Times:
     """Times as (N,) int64. Float seconds are refused: they would silently lose digits."""
     times = np.atleast_1d(np.asarray(times_ns))
     if times.size and times.dtype.kind not in "iu":

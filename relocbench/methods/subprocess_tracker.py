@@ -30,9 +30,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.images import write_depth, write_image, write_points
 from relocbench.datasets.core.pairfile import QUATERNION_TOLERANCE
 from relocbench.errors import MethodError, one_line
@@ -110,7 +110,7 @@ class SubprocessTracker:
             message["points"] = str(folder / "points.csv")
         return _Sent(message, scratch)
 
-    def track(self, reference: _Sent, query: Query, prior: NDArray[np.float64] | None = None) -> TrackResult:
+    def track(self, reference: _Sent, query: Query, prior: Array | None = None) -> TrackResult:
         """Ask the program about one query; if it breaks, only this pair is lost.
 
         Where it gave no answer to so many queries in a row that it is given up, it is not asked.
@@ -134,7 +134,7 @@ class SubprocessTracker:
             return self._failure(bad)
 
     def track_batch(
-        self, reference: _Sent, queries: Sequence[Query], priors: Sequence[NDArray[np.float64] | None]
+        self, reference: _Sent, queries: Sequence[Query], priors: Sequence[Array | None]
     ) -> list[TrackResult]:
         """Ask the program about several queries of one keyframe, as many at once as it takes.
 
@@ -148,7 +148,7 @@ class SubprocessTracker:
         return results
 
     def _track_together(
-        self, reference: _Sent, queries: Sequence[Query], priors: Sequence[NDArray[np.float64] | None]
+        self, reference: _Sent, queries: Sequence[Query], priors: Sequence[Array | None]
     ) -> list[TrackResult]:
         if len(queries) > 1 and not self._given_up:
             asked = [
@@ -220,7 +220,7 @@ def _time(timestamp_ns: int | None) -> dict[str, int]:
     return {} if timestamp_ns is None else {"timestamp_ns": timestamp_ns}
 
 
-def _question(reference: _Sent, query: Query, prior: NDArray[np.float64] | None, name: str) -> dict[str, Any]:
+def _question(reference: _Sent, query: Query, prior: Array | None, name: str) -> dict[str, Any]:
     """The fields of a query, whose image is written beside its keyframe."""
     image = Path(reference.scratch.name) / f"{name}.png"
     write_image(image, query.image)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core.images import as_rgb
@@ -25,7 +24,7 @@ class ColouredPoints:
 
     positions: Array
     """(N, 3) metres"""
-    colours: NDArray[np.uint8]
+    colours: Image
     """(N, 3) RGB"""
 
 

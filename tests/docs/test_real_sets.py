@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 from repository import ROOT
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.generic import dataset as generic
 from relocbench.execution import Run
@@ -129,7 +129,7 @@ def test_poses_of_kitti_00_by_its_scans_are_those_of_an_independent_registration
     if not (kitti / "sequences" / "00" / "velodyne").is_dir():
         pytest.skip(f"no recordings in {RECORDINGS}")
     kitti_lidar_poses.write(kitti, "00", tmp_path / "posed")
-    poses: NDArray[np.float64] = np.loadtxt(tmp_path / "posed" / "poses" / "00.txt").reshape(-1, 3, 4)
+    poses: Array = np.loadtxt(tmp_path / "posed" / "poses" / "00.txt").reshape(-1, 3, 4)
     # Generalized ICP of each scan to the first one, by the notes on the recording; along the lidar's x axis, which is
     # about the camera's z axis.
     assert np.allclose(poses[:, 2, 3], [0.0, 0.689, 1.382, 2.100, 2.832, 3.576], atol=0.02)

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.geometry import Camera, camera_from_dict
-
-Array = NDArray[np.float64]
 
 PINHOLE = Camera("pinhole", 640, 480, 517.3, 516.5, 318.6, 255.3)
 # TUM RGB-D freiburg1 (Sturm et al., IROS 2012)

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.geometry import Camera, Scale, ScaleError, depth_scale, so3_exp, translation_scale
-
-Array = NDArray[np.float64]
 
 PINHOLE = Camera("pinhole", 640, 480, 500.0, 510.0, 320.0, 238.0)
 RADTAN = Camera("radtan", 640, 480, 500.0, 510.0, 320.0, 238.0, (-0.25, 0.08, 0.001, -0.0005, 0.01))

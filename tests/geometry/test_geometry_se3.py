@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from relocbench.arrays import Array, Times
 from relocbench.geometry import (
     adjoint,
     apply,
@@ -30,8 +30,6 @@ from relocbench.geometry import (
     transform_from_tq,
     transform_to_tq,
 )
-
-Array = NDArray[np.float64]
 
 AXES = (
     st.tuples(*[st.floats(-1, 1)] * 3)
@@ -220,7 +218,7 @@ def test_halfway_between_350_and_20_degrees_is_5() -> None:
 NOW_NS = 1_602_074_877_390_449_152  # float64 holds such a time to 256 ns
 
 
-def ramp(n: int = 4, step_ns: int = 1000) -> tuple[NDArray[np.int64], Array]:
+def ramp(n: int = 4, step_ns: int = 1000) -> tuple[Times, Array]:
     """Times from now on, and poses that move one metre along x and turn a tenth of a radian each step."""
     times = NOW_NS + step_ns * np.arange(n, dtype=np.int64)
     twists = np.zeros((n, 6))

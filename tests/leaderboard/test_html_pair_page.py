@@ -14,10 +14,10 @@ import pytest
 from answered_dataset import add_answers
 from browser_pages import needs_browser, serious_faults
 from command_line import relocbench
-from numpy.typing import NDArray
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from test_leaderboard import WINTER, MadeResults, made
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import (
@@ -52,7 +52,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_dataset_record(dataset_results(root / "results", dataset), dataset)
     failing = {pair_set.evaluated[0].key for pair_set in dataset.pair_sets()}
 
-    def wrong(pair: Pair) -> NDArray[np.float64] | None:
+    def wrong(pair: Pair) -> Array | None:
         assert pair.T_query_ref is not None
         return None if pair.key in failing else FAULT @ pair.T_query_ref
 

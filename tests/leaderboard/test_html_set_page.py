@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from answered_dataset import add_answers
 from browser_pages import needs_browser, serious_faults
-from numpy.typing import NDArray
 from small_dataset import ACROSS, make_small_dataset
 from test_leaderboard import MadeResults, made
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.matching_table import OFFSETS_PX, MatchingRow, OffsetCounts
@@ -47,7 +47,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_dataset_record(dataset_results(root / "results", dataset), dataset)
     failing = {pair.key for pair in dataset.pair_set(ACROSS).evaluated[:2]}
 
-    def wrong(pair: Pair) -> NDArray[np.float64] | None:
+    def wrong(pair: Pair) -> Array | None:
         assert pair.T_query_ref is not None
         off = 0.02 * (pair.query_timestamp_ns // 10**8 % 7)
         return None if pair.key in failing else make_transform(so3_exp([0.0, off, 0.0]), [off, 0, 0]) @ pair.T_query_ref

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from answered_dataset import add_answers
 from command_line import relocbench
-from numpy.typing import NDArray
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
+from relocbench.arrays import Array, Floats, Indices
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors, sweep
 from relocbench.errors import PredictionError
@@ -41,11 +41,11 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return make_small_dataset(tmp_path_factory.mktemp("small") / "dataset")
 
 
-def _poses(rotation: NDArray[np.float64], positions: Any) -> NDArray[np.float64]:
+def _poses(rotation: Array, positions: Any) -> Array:
     return np.array([make_transform(rotation, position) for position in positions])
 
 
-def _floats(array: dict[str, str]) -> NDArray[np.float32]:
+def _floats(array: dict[str, str]) -> Floats:
     return np.frombuffer(base64.b64decode(array[":f4"]), dtype="<f4")
 
 
@@ -60,7 +60,7 @@ def _floats(array: dict[str, str]) -> NDArray[np.float32]:
     ],
 )
 def test_a_map_is_seen_from_above_and_not_mirrored(
-    rotation: NDArray[np.float64], names: tuple[str, str], up: tuple[float, ...]
+    rotation: Array, names: tuple[str, str], up: tuple[float, ...]
 ) -> None:
     plan = plan_of(_poses(rotation, [[0, 0, 0], [1, 2, 3]]))
     assert plan.names == names
@@ -132,7 +132,7 @@ DATES, SECONDS = np.array([[15 * 10**17, 16 * 10**17]]), np.array([[0, 10**9]])
     ],
 )
 def test_months_come_from_dates_then_seasons_or_are_not_recorded(
-    record: PairSetRecord, keys: NDArray[np.int64], by: str | None, months: int | None
+    record: PairSetRecord, keys: Indices, by: str | None, months: int | None
 ) -> None:
     assert months_apart(record, keys, None) == {"by": by, "months": months}
 

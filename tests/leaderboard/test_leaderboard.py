@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from board_pages import board_pages
 from forgery import reseal
-from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.answer_table import Answer, write_answers
@@ -43,8 +43,8 @@ STEPS = ("step_1", "step_2", "step_8", "step_10")
 class Made:
     """What a method answers on one pair set: errors of each pair, inf where it fails."""
 
-    translation_m: Sequence[float] | NDArray[np.float64]
-    rotation_deg: Sequence[float] | NDArray[np.float64]
+    translation_m: Sequence[float] | Array
+    rotation_deg: Sequence[float] | Array
     broke: frozenset[int] = frozenset()
     seconds: float = 0.25
 

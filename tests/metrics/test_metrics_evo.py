@@ -15,12 +15,11 @@ from evo.core import metrics, sync
 from evo.core.trajectory import PosePath3D
 from evo.core.units import Unit
 from evo.tools import file_interface
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.geometry import invert, project_to_rotation
 from relocbench.metrics import PoseErrors, pose_errors
 
-Array = NDArray[np.float64]
 RealData = Callable[[str], Path]
 PoseRelation = metrics.PoseRelation
 

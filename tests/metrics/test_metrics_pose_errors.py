@@ -7,12 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
 from relocbench.metrics import pose_errors, within
-
-Array = NDArray[np.float64]
 
 twists = arrays(np.float64, (4, 6), elements=st.floats(-3, 3))
 one_twist = arrays(np.float64, (6,), elements=st.floats(-3, 3))

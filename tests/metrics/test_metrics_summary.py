@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from refusals import refused
 
+from relocbench.arrays import Array
 from relocbench.errors import ConfigError
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics import (
@@ -27,8 +28,6 @@ from relocbench.metrics import (
     spread_over_seeds,
     summarize,
 )
-
-Array = NDArray[np.float64]
 
 some_errors = arrays(np.float64, st.integers(1, 40), elements=st.one_of(st.floats(0, 3), st.just(np.inf), st.just(0.5)))
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Floats, Indices
 from relocbench.errors import ConfigError, DatasetError, PredictionError
 from relocbench.metrics import (
     NEVER,
@@ -37,7 +38,6 @@ from relocbench.metrics import (
 )
 from relocbench.metrics.retrieval.descriptors import _on_grid, _scales
 
-Array = NDArray[np.float64]
 RealData = Callable[[str], Path]
 seeds = st.integers(0, 2**32 - 1)
 
@@ -77,7 +77,7 @@ def at(*of_queries: list[int], gallery: int = 1000) -> RetrievalScores:
     return score_retrieval(Ranking(starts, flat, np.ones(len(of_queries), dtype=bool), gallery))
 
 
-def drawn_case(seed: int, values: int = 6, queries: int = 5) -> tuple[NDArray[np.int64], Relevance]:
+def drawn_case(seed: int, values: int = 6, queries: int = 5) -> tuple[Indices, Relevance]:
     """Integer scores with many ties, labels with junk and queries without positives."""
     rng = np.random.default_rng(seed)
     gallery = int(rng.integers(1, 40))
@@ -302,7 +302,7 @@ def test_descriptors_rank_as_their_exact_products_do(seed: int, query_block: int
     assert positions(in_metres) == positions(ranking)
 
 
-def near_ties(seed: int, size: int = 96) -> tuple[NDArray[np.float32], NDArray[np.float32], Relevance]:
+def near_ties(seed: int, size: int = 96) -> tuple[Floats, Floats, Relevance]:
     """Unit descriptors so near one another that float32 products cannot tell many of them apart."""
     rng = np.random.default_rng(seed)
     centre = rng.normal(size=size)
@@ -538,9 +538,7 @@ NEAR_TIE = 266, 45429, 16506
 """a query of s2d_1.5, and two images 9.5e-8 apart, the second a positive: float32 products put them in one place"""
 
 
-def golden(
-    real_data: RealData, case: str
-) -> tuple[NDArray[np.float32], NDArray[np.float32], Relevance, dict[str, float]]:
+def golden(real_data: RealData, case: str) -> tuple[Floats, Floats, Relevance, dict[str, float]]:
     """Features and expected percentages, by the description that comes with them."""
     folder = real_data("retrieval_golden")
     labels = np.load(folder / "labels.npz")

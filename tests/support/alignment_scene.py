@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
-
-Array = NDArray[np.float64]
 
 CAMERA = Camera("pinhole", 320, 256, 260.0, 270.0, 158.0, 128.5)
 PLANES = (np.array([0.0, 0.0, 1.0, 9.0]), np.array([0.0, 1.0, 0.25, 3.0]))  # n . X = d: a wall and a slanted floor
@@ -24,7 +22,7 @@ def texture(points: Array) -> Array:
     return 128 + 15 * value  # no wave is shorter than five pixels: bilinear look-up stays honest
 
 
-def render(T_cam_world: Array, camera: Camera = CAMERA) -> tuple[Array, NDArray[np.float32]]:
+def render(T_cam_world: Array, camera: Camera = CAMERA) -> tuple[Array, Floats]:
     """Grey levels (H, W) and depth (H, W) of the scene."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     rays, _ = camera.unproject(np.stack([u, v], axis=-1))
@@ -38,7 +36,7 @@ def render(T_cam_world: Array, camera: Camera = CAMERA) -> tuple[Array, NDArray[
     return texture(points), depth.astype(np.float32)
 
 
-def to_image(grey: Array, gain: float = 1.0, offset: float = 0.0) -> NDArray[np.uint8]:
+def to_image(grey: Array, gain: float = 1.0, offset: float = 0.0) -> Image:
     return np.clip(np.rint(gain * grey + offset), 0, 255).astype(np.uint8)
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.evaluation.common.answer_table import Answer, write_answers
@@ -15,7 +13,7 @@ from relocbench.evaluation.common.results import RunRecord, dataset_results
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.files import dump_yaml, write_text
 
-Answering = Callable[[Pair], NDArray[np.float64] | None]
+Answering = Callable[[Pair], Array | None]
 
 
 def add_answers(

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array
 
 
 def autoregressive(rng: np.random.Generator, n: int, rho: float) -> Array:

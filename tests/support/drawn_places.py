@@ -19,9 +19,9 @@ from baselines.place_networks.gem import GemNetwork
 from baselines.place_networks.megaloc import MegaLocNetwork
 from baselines.place_networks.netvlad import NetVladNetwork
 from baselines.place_networks.retrievers import PlaceRetriever
+from relocbench.arrays import Image
 from relocbench.retrieval import ImageView
 
-Image = NDArray[np.uint8]
 State = dict[str, Tensor]
 VIT = VitShape(channels=128, hidden=96, blocks=2, patch=14, grid=5)
 CLUSTERS = 6

@@ -6,14 +6,12 @@ from functools import cache
 
 import numpy as np
 from alignment_scene import CAMERA, motion, render
-from numpy.typing import NDArray
 
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.shared.pyramid import level_camera
+from relocbench.arrays import Array, Floats
 from relocbench.geometry import Camera, apply, invert
 from relocbench.tracking import KeyframePoints
-
-Array = NDArray[np.float64]
 
 LEVELS = 4
 WAVES = 4
@@ -28,7 +26,7 @@ def world_points(T_cam_world: Array, camera: Camera) -> Array:
     return points
 
 
-def features(points: Array, level: int, channels: int = 8) -> NDArray[np.float32]:
+def features(points: Array, level: int, channels: int = 8) -> Floats:
     """D smooth functions of world points (..., 3): sums of seeded waves, twice as long on each coarser level."""
     rng = np.random.default_rng(level)
     lengths = 1.0 * 2.0**level * np.exp(rng.uniform(0, np.log(4), (channels, WAVES)))
@@ -36,11 +34,11 @@ def features(points: Array, level: int, channels: int = 8) -> NDArray[np.float32
     directions *= (2 * np.pi / lengths / np.linalg.norm(directions, axis=-1))[..., None]
     argument = points @ directions.reshape(-1, 3).T + rng.uniform(0, 2 * np.pi, channels * WAVES)
     waves = np.sin(argument).reshape(*points.shape[:-1], channels, WAVES)
-    out: NDArray[np.float32] = (waves.sum(axis=-1) / np.sqrt(WAVES)).astype(np.float32)
+    out: Floats = (waves.sum(axis=-1) / np.sqrt(WAVES)).astype(np.float32)
     return out
 
 
-def feature_maps(T_cam_world: Array, channels: int = 8, levels: int = LEVELS) -> list[NDArray[np.float32]]:
+def feature_maps(T_cam_world: Array, channels: int = 8, levels: int = LEVELS) -> list[Floats]:
     cameras = [level_camera(CAMERA, level) for level in range(levels)]
     return [features(world_points(T_cam_world, camera), level, channels) for level, camera in enumerate(cameras)]
 

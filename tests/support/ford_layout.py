@@ -15,17 +15,16 @@ import cv2
 import numpy as np
 from lidar_layouts import Mounted, pose_times, write
 from made_bags import Bag
-from numpy.typing import NDArray
 from recorded_street import StreetDrive
 from scipy.spatial.transform import Rotation
 from velodyne_packets import BLOCK_US, ELEVATION_DEG, FIRING_US, PACKET_US, packet
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.lidar import Lidar, LidarScene
 from relocbench.datasets.synthetic.lidar.lidar import scan as simulate
 from relocbench.geometry import make_transform, transform_to_tq
 
-Array = NDArray[np.float64]
 Axes = Literal["ros", "velodyne"]
 TURN_NS = 100_000_000
 PACKETS = 180

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Image
 from relocbench.datasets.core import images
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 160, 96, 100.0, 0.5
@@ -17,7 +17,7 @@ CALIBRATION = (
 )
 
 
-def wall_image(x: float, depth: float) -> NDArray[np.uint8]:
+def wall_image(x: float, depth: float) -> Image:
     """A textured wall at ``depth`` seen by a camera at (x, 0, 0)."""
     texture = np.random.default_rng(5).integers(0, 255, size=(HEIGHT // 2, 400)).astype(np.uint8)
     blurred = cv2.GaussianBlur(cv2.resize(texture, (800, HEIGHT)), (0, 0), 1.0)

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from recorded_street import StreetDrive
 
+from relocbench.arrays import Array, Floats, Indices, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.layouts.robotcar import mosaic
 from relocbench.datasets.synthetic.lidar.lidar import Lidar, LidarScene
 from relocbench.datasets.synthetic.lidar.lidar import scan as simulate
 from relocbench.geometry import Camera, apply, invert, make_transform, transform_to_tq
 
-Array = NDArray[np.float64]
 TURN_NS = 100_000_000
 
 
@@ -34,10 +34,10 @@ class RawScan:
     """the middle of its turn"""
     points: Array
     """(N, 3) in the lidar's frame; beams without a return are left out"""
-    offsets_ns: NDArray[np.int64]
+    offsets_ns: Times
     """(N,) from the middle of the turn"""
-    ring: NDArray[np.int64]
-    column: NDArray[np.int64]
+    ring: Indices
+    column: Indices
 
 
 def scans_of(drive: StreetDrive) -> list[RawScan]:
@@ -61,13 +61,13 @@ def compensated(drive: StreetDrive, found: RawScan) -> Array:
     return np.asarray(apply(T_lidar_fired, found.points[:, None, :])[:, 0])
 
 
-def pose_times(drive: StreetDrive, period_ns: int = 10_000_000) -> NDArray[np.int64]:
+def pose_times(drive: StreetDrive, period_ns: int = 10_000_000) -> Times:
     """Times while all sensors record."""
     scans = drive.layout.times["lidar"]
     return np.arange(int(scans[0]) - 2 * TURN_NS, int(scans[-1]) + 2 * TURN_NS, period_ns, dtype=np.int64)
 
 
-def matrix_rows(times: NDArray[np.int64], poses: Array, between: str = ",") -> str:
+def matrix_rows(times: Times, poses: Array, between: str = ",") -> str:
     """A time and twelve numbers a line."""
     rows = (
         between.join([str(t), *(repr(v) for v in pose[:3].ravel().tolist())])
@@ -76,7 +76,7 @@ def matrix_rows(times: NDArray[np.int64], poses: Array, between: str = ",") -> s
     return "\n".join(rows) + "\n"
 
 
-def quaternion_rows(times: NDArray[np.int64], poses: Array) -> str:
+def quaternion_rows(times: Times, poses: Array) -> str:
     """``time x y z qx qy qz qw``"""
     values = np.hstack(transform_to_tq(poses)).tolist()
     return "".join(f"{t} {' '.join(map(repr, row))}\n" for t, row in zip(times.tolist(), values, strict=True))
@@ -187,7 +187,7 @@ class Mounted:
     drive: StreetDrive
     T_car_sensor: Array
 
-    def __call__(self, times_ns: NDArray[np.int64], /) -> Array:
+    def __call__(self, times_ns: Times, /) -> Array:
         return np.asarray(self.drive.T_world_car(times_ns) @ self.T_car_sensor)
 
 
@@ -251,7 +251,7 @@ def numbers(matrix: Array) -> str:
     return " ".join(map(repr, matrix.ravel().tolist()))
 
 
-def dates(times: NDArray[np.int64]) -> str:
+def dates(times: Times) -> str:
     """A date and a time of day with nine decimals a line."""
     parts = [(datetime.fromtimestamp(t // 10**9, UTC), t % 10**9) for t in times.tolist()]
     return "".join(f"{second:%Y-%m-%d %H:%M:%S}.{rest:09d}\n" for second, rest in parts)
@@ -296,7 +296,7 @@ def write_complex_urban(drive: StreetDrive, folder: Path, lens: Camera, R_rect_c
     write(folder / "global_pose.csv", matrix_rows(times, utm(drive.T_world_car(times))))
 
 
-def undistorted_pixels(lens: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def undistorted_pixels(lens: Camera) -> tuple[Floats, Floats]:
     """u and v (H, W) in the pinhole image of each pixel of the lens."""
     v, u = np.mgrid[: lens.height, : lens.width].astype(np.float64)
     pixels, _ = lens.undistort(np.stack([u, v], axis=-1), lens.pinhole())

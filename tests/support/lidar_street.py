@@ -7,14 +7,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 from relocbench.geometry import make_transform, so3_exp
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 START_NS = 1_700_000_000_000_000_000
 RIG_HEIGHT_M = 1.5

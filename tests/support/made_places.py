@@ -7,10 +7,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from torch import nn
 from torchvision.models.resnet import BasicBlock  # type: ignore[import-untyped]
 
+from relocbench.arrays import Image
 from relocbench.retrieval import ImageView, PlaceData, PlaceImage
 
 TINY: dict[str, Any] = {
@@ -26,14 +26,14 @@ TINY: dict[str, Any] = {
 """options of a training that takes a second"""
 
 
-def picture(place: int, view: str, number: int, side: int = 64) -> NDArray[np.uint8]:
+def picture(place: int, view: str, number: int, side: int = 64) -> Image:
     """(side, side, 3): the place's colours, turned and lit as the view and the number say."""
     rng = np.random.default_rng([place])
     coarse = rng.uniform(30, 225, (4, 4, 3)).astype(np.float32)
     image = cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)
     image = np.rot90(image, number % 4) if view == "drone" else image
     noise = np.random.default_rng([place, len(view), number]).normal(0, 4, image.shape)
-    out: NDArray[np.uint8] = np.clip(image * (1.0 if view == "drone" else 0.9) + noise, 0, 255).astype(np.uint8)
+    out: Image = np.clip(image * (1.0 if view == "drone" else 0.9) + noise, 0, 255).astype(np.uint8)
     return out
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment import DSO_PATTERN, Level, MatchSettings
 from baselines.alignment.shared.pyramid import level_camera, with_gradients
+from relocbench.arrays import Array
 from relocbench.geometry import Camera
 
-Array = NDArray[np.float64]
 WIDTH, HEIGHT = 320, 240
 CAMERA = Camera("pinhole", WIDTH, HEIGHT, 250.0, 250.0, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5)
 INTENSITY = MatchSettings(DSO_PATTERN, "affine", damping=0.01)

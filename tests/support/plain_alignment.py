@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from baselines.alignment.direct.settings import Settings
 from baselines.alignment.shared.depth_map import LevelPoints
 from baselines.alignment.shared.pyramid import SMALLEST_AREA, Level, level_camera
+from relocbench.arrays import Array, Image, Mask
 from relocbench.geometry import Camera, se3_exp
-
-Array = NDArray[np.float64]
 
 SCALE = np.array([1, 1, 1, 0.5, 0.5, 0.5, 10, 1000])
 BORDER = 2
@@ -36,7 +35,7 @@ class NormalEquations:
     """(8,) mean w J r"""
 
 
-def image_pyramid(image: NDArray[np.uint8], camera: Camera, max_levels: int = 6) -> list[Level]:
+def image_pyramid(image: Image, camera: Camera, max_levels: int = 6) -> list[Level]:
     """Grey image (H, W) -> maps of value, x and y derivative, finest first."""
     grey = image.astype(np.float32)
     levels: list[Level] = []
@@ -53,7 +52,7 @@ def image_pyramid(image: NDArray[np.uint8], camera: Camera, max_levels: int = 6)
 
 def projected(
     camera: Camera, points: NDArray[Any], T_query_ref: Array
-) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, Array]:
+) -> tuple[Mask, Array, Array, Array, Array, Array]:
     """Points in the query.
 
     Args:

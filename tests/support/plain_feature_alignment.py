@@ -8,16 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from plain_alignment import bilinear, projected
 
 from baselines.alignment.features.pyramid import FeatureLevel, FeaturePyramid
 from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.features.settings import FeatureSettings
 from baselines.alignment.shared.damping import Damping
+from relocbench.arrays import Array
 from relocbench.geometry import se3_exp
-
-Array = NDArray[np.float64]
 
 SCALE = np.array([1, 1, 1, 0.5, 0.5, 0.5])
 BORDER = 2

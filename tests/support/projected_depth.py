@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.geometry import Camera, apply, invert
-
-Array = NDArray[np.float64]
 
 
 def true_depth(scene: LidarScene, camera: Camera, T_world_cam: Array) -> Array:

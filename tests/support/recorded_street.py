@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from built_once import built_once
 from fenced_street import fenced_street_mesh, record_fenced
-from numpy.typing import NDArray
 from projected_depth import depth_errors, true_depth
 from small_street import Street
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.boreas.recording import read_boreas
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
@@ -29,8 +29,6 @@ from relocbench.geometry import interpolate_trajectory, invert, transform_from_t
 from relocbench.metrics.pose.errors import pose_errors
 from relocbench.progress import Reporter, Silent
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 SMALL = (
     *("--submap", 20, "--depth-submap", 10, "--keyframe-distance", 5, "--query-distance", 4, "--correspondences", 50),
     *("--matcher", "fgr", "--calibration", "given"),

@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.geometry import interpolate_trajectory, transform_from_tq
-
-Array = NDArray[np.float64]
 
 
 def hashes(root: Path) -> dict[str, str]:

@@ -13,18 +13,16 @@ import numpy as np
 from built_once import built_once
 from command_line import Outcome, relocbench
 from fenced_street import record_fenced
-from numpy.typing import NDArray
 from recording_reading import Truth
 from small_street import StraightRoad
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
 from relocbench.datasets.synthetic.jobs.recording import Recorded
 from relocbench.geometry import invert
 from relocbench.metrics.pose.errors import PoseErrors, pose_errors
-
-Array = NDArray[np.float64]
 
 FRAMES = 64
 CAMERAS = ("stereo/left", "stereo/right", "mono_rear")

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from simulated_graph import NO_EVIDENCE, Drive
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit, LocalOptions
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import adjoint, apply, invert, se3_exp
-
-Array = NDArray[np.float64]
 
 
 class Planes:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
@@ -17,8 +17,6 @@ from relocbench.datasets.groundtruth.verification.evidence import Evidence, Regi
 from relocbench.datasets.synthetic.drives.odometry import OdometryErrors, visual_odometry
 from relocbench.geometry import invert, make_transform, se3_exp, se3_log, so3_exp
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 STEP_M = 0.6
 """sixteen odometry steps a second at 10 m/s"""
 NODE_M = 2.0

@@ -14,8 +14,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 from built_once import built_once
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
 from relocbench.datasets.core.dataset import Dataset
@@ -29,8 +29,6 @@ from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.progress import Silent
 from relocbench.tracking import KeyframePoints, Query, Reference
-
-Array = NDArray[np.float64]
 
 CAMERA = "cam0"
 START_NS = 1_600_000_000_000_000_000
@@ -63,7 +61,7 @@ def small_pose(frame: int, *, lateral_m: float = 0.0, yaw_deg: float = 0.0, spac
     return make_transform(so3_exp([0.0, np.radians(yaw_deg), 0.0]), [lateral_m, 0.0, spacing_m * frame])
 
 
-def render(camera: Camera, T_world_cam: Array, seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def render(camera: Camera, T_world_cam: Array, seed: int = 0) -> tuple[Image, Floats]:
     """Image (H, W) grey and depth (H, W) metres of the scene."""
     v, u = np.mgrid[: camera.height, : camera.width]
     rays, _ = camera.unproject(np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float64))
@@ -82,7 +80,7 @@ def render(camera: Camera, T_world_cam: Array, seed: int = 0) -> tuple[NDArray[n
     return np.rint(image).astype(np.uint8).reshape(shape), depth.astype(np.float32).reshape(shape)
 
 
-def photograph(camera: Camera, T_world_cam: Array) -> NDArray[np.uint8]:
+def photograph(camera: Camera, T_world_cam: Array) -> Image:
     """Image of a camera that may have distortion: each pixel takes what its ray sees in a wide pinhole image."""
     if not camera.distortion:
         return render(camera, T_world_cam)[0]
@@ -195,7 +193,7 @@ def _write_traversal(
             writer.depth(traversal, CAMERA, time, depth)
 
 
-def _sparse_points(depth: NDArray[np.float32], rng: np.random.Generator, count: int = 400) -> KeyframePoints:
+def _sparse_points(depth: Floats, rng: np.random.Generator, count: int = 400) -> KeyframePoints:
     v, u = np.nonzero(depth > 0)
     rows = np.sort(rng.choice(len(u), min(count, len(u)), replace=False))
     z = depth[v[rows], u[rows]].astype(np.float64)
@@ -238,7 +236,7 @@ def _with_pose(pair: Pair, T_query_ref: Array | None) -> Pair:
     )
 
 
-def _bilinear(texture: NDArray[np.float32], at: Array) -> Array:
+def _bilinear(texture: Floats, at: Array) -> Array:
     """Values (N,) of a texture that repeats, at (N, 2) row and column."""
     low = np.floor(at).astype(int)
     f = at - low
@@ -249,7 +247,7 @@ def _bilinear(texture: NDArray[np.float32], at: Array) -> Array:
 
 
 @cache
-def _texture(seed: int, size: int = 256) -> NDArray[np.float32]:
+def _texture(seed: int, size: int = 256) -> Floats:
     """Blobs of several sizes that repeat without a seam, values 20 to 235."""
     rng = np.random.default_rng(seed)
     total = np.zeros((size, size))
@@ -258,5 +256,5 @@ def _texture(seed: int, size: int = 256) -> NDArray[np.float32]:
         smooth = cv2.GaussianBlur(noise, (0, 0), sigma)[size : 2 * size, size : 2 * size]
         total += weight * smooth / smooth.std()
     total = np.clip(total / (2.2 * total.std()), -1, 1)
-    out: NDArray[np.float32] = (127.5 + 107.5 * total).astype(np.float32)
+    out: Floats = (127.5 + 107.5 * total).astype(np.float32)
     return out

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.layouts.recorded import MovingCar
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
 
 
 def quads(corners: Array, material: Material, instance: int = 0) -> Mesh:

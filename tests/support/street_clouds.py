@@ -6,13 +6,12 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes, Surface
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import apply, invert, make_transform, so3_exp
 
-Array = NDArray[np.float64]
 HEIGHT = 1.8
 """of the sensor"""
 
@@ -44,7 +43,7 @@ def periodic(period: float, length: float = 240.0) -> Street:
     return Street((starts, starts), (depths, depths), length)
 
 
-def measure(street: Street, seed: int, low: float, high: float, noise: float = 0.01) -> dict[str, NDArray[np.float64]]:
+def measure(street: Street, seed: int, low: float, high: float, noise: float = 0.01) -> dict[str, Array]:
     """Points in the street's frame between two places along x, with normals, origins and surface."""
     rng = np.random.default_rng(seed)
     points, normals, origins, surface = [], [], [], []

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from forgery import change_yaml
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
@@ -17,7 +16,7 @@ from relocbench.evaluation.submission.card import TEMPLATE
 from relocbench.files import dump_yaml, parse_yaml
 from relocbench.geometry import make_transform, so3_exp
 
-Pose = Callable[[Pair], NDArray[np.float64]]
+Pose = Callable[[Pair], Array]
 
 
 def filled_card(dataset: Dataset, **changes: Any) -> dict[str, Any]:
@@ -28,7 +27,7 @@ def filled_card(dataset: Dataset, **changes: Any) -> dict[str, Any]:
     return {**card, **changes}
 
 
-def guess(pair: Pair) -> NDArray[np.float64]:
+def guess(pair: Pair) -> Array:
     """A pose that is another one for each pair, and no copy of the truth."""
     number = (pair.ref_timestamp_ns * 7 + pair.query_timestamp_ns) % 13
     return make_transform(so3_exp([0.0, 0.01 * number, 0.0]), [0.3, 0.0, -0.1 * number])

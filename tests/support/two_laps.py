@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.geometry import make_transform, transform_to_tq
-
-Array = NDArray[np.float64]
 
 START_NS = 1_600_000_000_000_000_000
 LAP = 60

@@ -13,9 +13,9 @@ import struct
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array, Indices
+
 FIRING_US, BLOCK_US, PACKET_US = 1.152, 46.08, 12 * 46.08
 STRONGEST, LAST, DUAL = 0x37, 0x38, 0x39
 ELEVATION_DEG = np.array([[-30.67 + 4 / 3 * k, -9.33 + 4 / 3 * k] for k in range(16)]).ravel()
@@ -25,7 +25,7 @@ RangesOf = Callable[[Array, Array, Array], Array]
 
 
 def packet(
-    azimuths: NDArray[np.int64],
+    azimuths: Indices,
     ranges: Array,
     clock_us: int,
     mode: int = STRONGEST,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fuzz.asking import asks
 from fuzz.parser import Parser, Place
+from relocbench.arrays import Image
 
 ACROSS = "summer__winter__cam0"
 CAMERA = "cam0"
@@ -31,7 +32,7 @@ def write_images(root: Path) -> None:
     grey = rng.integers(0, 256, (12, 16), dtype=np.uint8)
     colour = rng.integers(0, 256, (12, 16, 3), dtype=np.uint8)
     depth = rng.integers(0, 65536, (12, 16), dtype=np.uint16)
-    pictures: dict[str, NDArray[np.uint8] | NDArray[np.uint16]] = {
+    pictures: dict[str, Image | NDArray[np.uint16]] = {
         "grey.png": grey,
         "colour.png": colour,
         "alpha.png": np.dstack([colour, grey]),

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from fuzz.asking import asks, write
 from fuzz.parser import Parser, Place, Read
+from relocbench.arrays import Image
 
 _UNIT = "1, 0, 0, 0"
 
@@ -48,7 +48,7 @@ def write_kapture(root: Path) -> None:
             np.full((24, 32), 4.0, "<f4").tofile(pictures / f"{time}.depth")
 
 
-def _noise(seed: int) -> NDArray[np.uint8]:
+def _noise(seed: int) -> Image:
     """An image (24, 32)."""
     return np.random.default_rng(seed).integers(0, 255, (24, 32), dtype=np.uint8)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.pyramid import Level
-from relocbench.arrays import Array, Floats
+from relocbench.arrays import Array, Floats, Indices
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
 
@@ -115,7 +115,7 @@ def coarse_points(points: KeyframePoints, levels: Sequence[Level]) -> list[Level
     return out
 
 
-def _read_off(sums: InverseDepthSums) -> tuple[NDArray[np.int64], Array]:
+def _read_off(sums: InverseDepthSums) -> tuple[Indices, Array]:
     kept = sums.weight > 0
     kept[:KEPT_BORDER] = kept[-KEPT_BORDER:] = False
     kept[:, :KEPT_BORDER] = kept[:, -KEPT_BORDER:] = False

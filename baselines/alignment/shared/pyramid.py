@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.kernels import njit
 
-Map = NDArray[np.float32]
+Map = Floats
 
 SMALLEST_AREA = 5000
 """pixels; a level of this area or less is the coarsest one (DSO)"""
@@ -41,12 +41,12 @@ def level_camera(camera: Camera, level: int) -> Camera:
     return replace(camera.scaled(1.0 / (1 << level)), width=width, height=height)
 
 
-def camera_intrinsics(camera: Camera) -> NDArray[np.float64]:
+def camera_intrinsics(camera: Camera) -> Array:
     """The intrinsics fx, fy, cx, cy (4,) of a pinhole camera, pixels."""
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
 
 
-def image_pyramid(image: NDArray[np.uint8], camera: Camera, max_levels: int = 6) -> list[Level]:
+def image_pyramid(image: Image, camera: Camera, max_levels: int = 6) -> list[Level]:
     """Intensity pyramid, finest level first.
 
     Levels are halved while they have more than 5000 pixels. DSO also stops at odd sizes, since its images are cropped
@@ -81,14 +81,14 @@ def require_pinhole(camera: Camera) -> None:
         )
 
 
-def to_grey(image: NDArray[np.uint8]) -> Map:
+def to_grey(image: Image) -> Map:
     """(H, W) float32 grey levels of a grey or RGB image."""
     image = np.ascontiguousarray(image)
     return image.astype(np.float32) if image.ndim == 2 else _luma(image)
 
 
 @njit(cache=True)
-def _luma(image: NDArray[np.uint8]) -> Map:
+def _luma(image: Image) -> Map:
     height, width, _ = image.shape
     grey = np.empty((height, width), np.float32)
     red, green, blue = np.float32(0.299), np.float32(0.587), np.float32(0.114)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.pyramid import Level
+from relocbench.arrays import Floats, Indices, Mask
 from relocbench.kernels import njit
 
 BLOCK = 32
@@ -22,12 +23,8 @@ FIRST_CELL = 4
 MAX_TRIES = 8
 DIRECTIONS = 16
 
-FloatMap = NDArray[np.float32]
 
-
-def select_pixels(
-    levels: list[Level], candidates: NDArray[np.bool_], wanted: int, rng: np.random.Generator
-) -> NDArray[np.int32]:
+def select_pixels(levels: list[Level], candidates: Mask, wanted: int, rng: np.random.Generator) -> NDArray[np.int32]:
     """Choose about ``wanted`` candidates of large gradient.
 
     The image is divided into cells of d, 2d and 4d pixels. Of each d-cell, among the candidates whose gradient exceeds
@@ -78,7 +75,7 @@ def select_pixels(
     return np.stack([u, v], axis=-1).astype(np.int32)
 
 
-def block_thresholds(magnitude: FloatMap) -> FloatMap:
+def block_thresholds(magnitude: Floats) -> Floats:
     """The threshold of each 32x32 block: the median gradient magnitude (in whole bins) + 7, averaged over 3x3 blocks.
 
     Incomplete blocks at the right and lower border belong to their neighbour.
@@ -99,22 +96,22 @@ def block_thresholds(magnitude: FloatMap) -> FloatMap:
             medians[i, j] = min(np.floor(np.median(block)), LARGEST_BIN)
     raised = np.pad(medians + THRESHOLD_OVER_MEDIAN, 1, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(raised, (3, 3))
-    out: FloatMap = np.nanmean(windows, axis=(2, 3)).astype(np.float32)
+    out: Floats = np.nanmean(windows, axis=(2, 3)).astype(np.float32)
     return out
 
 
-def _gradient(level: Level) -> FloatMap:
+def _gradient(level: Level) -> Floats:
     return np.ascontiguousarray(level.map[..., 1:3])
 
 
 @njit(cache=True)
 def _best_in_cell(
-    gradient: FloatMap,
+    gradient: Floats,
     shift: int,
-    allowed: NDArray[np.bool_],
-    thresholds: FloatMap,
+    allowed: Mask,
+    thresholds: Floats,
     factor: float,
-    direction: FloatMap,
+    direction: Floats,
     y0: int,
     x0: int,
     side: int,
@@ -141,16 +138,16 @@ def _best_in_cell(
 
 @njit(cache=True)
 def _choose(
-    gradient_0: FloatMap,
-    gradient_1: FloatMap,
-    gradient_2: FloatMap,
-    shifts: NDArray[np.int64],
-    allowed: NDArray[np.bool_],
-    thresholds: FloatMap,
-    compass: FloatMap,
-    drawn: NDArray[np.int64],
+    gradient_0: Floats,
+    gradient_1: Floats,
+    gradient_2: Floats,
+    shifts: Indices,
+    allowed: Mask,
+    thresholds: Floats,
+    compass: Floats,
+    drawn: Indices,
     d: int,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """The chosen pixels (H, W) for cells of d, 2d and 4d pixels; ``drawn`` holds the direction of each cell."""
     height, width = allowed.shape
     chosen = np.zeros((height, width), np.bool_)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Floats, Image, Mask
+from relocbench.arrays import Array, Floats, Image, Indices, Mask
 
 Pixels = Floats
 
@@ -33,7 +33,7 @@ class Cut(NamedTuple):
     """(M,) bool: which of the given correspondences both crops hold"""
     scale_query: Array
     """(2,) by which the query was scaled along u and v"""
-    corner_query: NDArray[np.int64]
+    corner_query: Indices
     """(2,) pixel of the scaled query at the crop's first pixel"""
 
 
@@ -102,11 +102,11 @@ def mirrored(image: Image, u: Pixels) -> tuple[Image, Pixels]:
     return np.ascontiguousarray(image[:, ::-1]), uv_mirrored.astype(np.float32)
 
 
-def _inside(corner: NDArray[np.floating], image: Image, side: int) -> NDArray[np.int64]:
+def _inside(corner: NDArray[np.floating], image: Image, side: int) -> Indices:
     """The corner (u, v) moved so that the square lies in the image, or at the corner of an image that is smaller."""
     height, width = image.shape[:2]
     last = np.maximum([width - side, height - side], 0)
-    out: NDArray[np.int64] = np.clip(corner, 0, last).astype(np.int64)
+    out: Indices = np.clip(corner, 0, last).astype(np.int64)
     return out
 
 
@@ -114,7 +114,7 @@ def _within(u: NDArray[np.floating], side: int) -> Mask:
     return np.asarray(np.all((u >= 0) & (u <= side - 1), axis=1), dtype=bool)
 
 
-def _cut(image: Image, corner: NDArray[np.int64], side: int) -> Image:
+def _cut(image: Image, corner: Indices, side: int) -> Image:
     u, v = corner
     part = image[v : v + side, u : u + side]
     missing = side - part.shape[0], side - part.shape[1]

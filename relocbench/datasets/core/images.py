@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Image
+from relocbench.arrays import Floats, Image
 from relocbench.datasets.core.image_header import (
     JPEG_START,
     MOST_FILE_BYTES,
@@ -72,12 +72,12 @@ def write_image(path: Path, image: Image) -> None:
     write_bytes(path, png_bytes(image))
 
 
-def read_depth(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.float32]:
+def read_depth(path: Path, expected: ExpectedSize | None = None) -> Floats:
     """Depth along z in metres, (H, W), 0 where unknown. Raises DatasetError like :func:`read_image`."""
     return read_raw_depth(path, 1.0 / DEPTH_SCALE, expected)
 
 
-def read_raw_depth(path: Path, metres_per_unit: float, expected: ExpectedSize | None = None) -> NDArray[np.float32]:
+def read_raw_depth(path: Path, metres_per_unit: float, expected: ExpectedSize | None = None) -> Floats:
     """The values of a 16-bit PNG times ``metres_per_unit``, (H, W). Raises DatasetError like :func:`read_image`."""
     stored = _decode(path, expected)
     if stored.dtype != np.uint16 or stored.ndim != 2:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Image
 from relocbench.datasets.core import fingerprint, images, pairfile
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.intrinsics import write_intrinsics
@@ -121,7 +121,7 @@ class DatasetWriter:
         """Whether the depth image has to be written."""
         return not _kept(self.layout.traversal(traversal).depth(camera, timestamp_ns))
 
-    def image(self, traversal: str, camera: str, timestamp_ns: int, image: NDArray[np.uint8]) -> None:
+    def image(self, traversal: str, camera: str, timestamp_ns: int, image: Image) -> None:
         """Write an image, (H, W) grey or (H, W, 3) RGB."""
         images.write_image(self.layout.traversal(traversal).image(camera, timestamp_ns), image)
 

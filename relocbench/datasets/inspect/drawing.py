@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Image, Mask
 from relocbench.datasets.core.images import as_grey
@@ -15,7 +14,7 @@ WHITE, YELLOW, RED = (255, 255, 255), (255, 225, 60), (255, 90, 70)
 _MARGIN = 6
 
 
-def depth_colours(depth: Array) -> NDArray[np.uint8]:
+def depth_colours(depth: Array) -> Image:
     """RGB colours (N, 3) from red for near to blue for far, linear in inverse depth."""
     if len(depth) == 0:
         return np.zeros((0, 3), dtype=np.uint8)
@@ -29,7 +28,7 @@ def depth_colours(depth: Array) -> NDArray[np.uint8]:
 def draw_points(
     image: Image,
     uv: Array,
-    colours: NDArray[np.uint8],
+    colours: Image,
     shown: Mask,
     corners: list[int],
     scale: int,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Image
 from relocbench.datasets.core import fingerprint
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_rgb
@@ -143,7 +143,7 @@ class DatasetPairs:
                     self._images[_name(label, drive, time)] = len(self._sources), drive, time
             self._sources.append(_Source(dataset.root, pair_set.camera, label, index))
 
-    def _image(self, source: _Source, traversal: str, timestamp_ns: int) -> NDArray[np.uint8]:
+    def _image(self, source: _Source, traversal: str, timestamp_ns: int) -> Image:
         return as_rgb(self._traversal(source, traversal).image(source.camera, timestamp_ns))
 
     def _traversal(self, source: _Source, name: str) -> Traversal:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Indices, Mask, Times
 from relocbench.datasets.pairs.pixel_sigma import pixel_sigma
 from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, see
 from relocbench.geometry import Camera
@@ -26,8 +26,8 @@ _OVERLAP_PIXELS = 60_000
 class Correspondences:
     """Rows of a correspondence file as arrays of equal length."""
 
-    ref_timestamp_ns: NDArray[np.int64]
-    query_timestamp_ns: NDArray[np.int64]
+    ref_timestamp_ns: Times
+    query_timestamp_ns: Times
     uv_ref: Array
     """(N, 2) pixels"""
     depth_ref: Array
@@ -98,7 +98,7 @@ def pair_correspondences(
     )
 
 
-def spread_sample(pixels: Array, camera: Camera, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def spread_sample(pixels: Array, camera: Camera, count: int, rng: np.random.Generator) -> Indices:
     """Rows of up to ``count`` of the pixels (N, 2), sampled evenly over cells of the image, in increasing order.
 
     No cell gives a second pixel before every cell has given one.

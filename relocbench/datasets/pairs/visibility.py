@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relocbench.arrays import Array, Floats, Mask
+from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.geometry import Camera, apply, invert
 from relocbench.tracking import Reference
 
@@ -75,7 +75,7 @@ class ReferencePoints:
         depth = 1.0 / points.inverse_depth
         return cls(points.uv, depth, points.sigma * depth * depth)
 
-    def take(self, rows: NDArray[np.int64] | Mask) -> ReferencePoints:
+    def take(self, rows: Indices | Mask) -> ReferencePoints:
         return ReferencePoints(self.uv[rows], self.depth[rows], self.sigma[rows])
 
     def __len__(self) -> int:
@@ -225,7 +225,7 @@ def reference_z_buffer(T_query_ref: Array, reference: DepthView, query: DepthVie
     return buffer
 
 
-def _reach(depth: Array, z: Array, camera_ref: Camera, camera_query: Camera) -> tuple[NDArray[np.int64], Array]:
+def _reach(depth: Array, z: Array, camera_ref: Camera, camera_query: Camera) -> tuple[Indices, Array]:
     """Radius in pixels with which elements are drawn, and the number of query pixels per reference pixel."""
     magnification = depth / z * (camera_query.fx / camera_ref.fx)
     return np.clip(np.ceil((magnification - 1.0) / 2.0), 0, _SPLAT_LIMIT).astype(np.int64), magnification

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import DatasetError
 
 Number = Literal["float32", "float64"]
@@ -98,7 +99,7 @@ def detect_layout(data: bytes, path: Path, number: Number | None = None, columns
     return BinaryLayout(chosen, best)
 
 
-def _first(data: bytes, number: Number) -> NDArray[np.float64]:
+def _first(data: bytes, number: Number) -> Array:
     kind = np.dtype(number).newbyteorder("<")
     count = min(len(data) // kind.itemsize, _LOOKED_AT)
     return np.frombuffer(data, dtype=kind, count=count).astype(np.float64)
@@ -117,7 +118,7 @@ def _is_sensible(data: bytes, number: Number) -> bool:
     return bool(np.mean(zero | ((size >= _SMALLEST) & (size <= _LARGEST))) >= _SENSIBLE)
 
 
-def _lag_difference(values: NDArray[np.float64], lag: int) -> float:
+def _lag_difference(values: Array, lag: int) -> float:
     """Mean difference of values ``lag`` apart, on a logarithmic scale, so that no column outweighs the others."""
     scaled = np.arcsinh(np.nan_to_num(values))
     return float(np.mean(np.abs(scaled[lag:] - scaled[:-lag])))

@@ -8,22 +8,22 @@ it), its lower five bits and the next byte + 1 the distance.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Bytes
 from relocbench.kernels import njit
 
 RATIO = 88
 """greatest ratio of unpacked to packed bytes: three bytes can refer back to 264"""
 
 
-def decompress(packed: NDArray[np.uint8], size: int) -> NDArray[np.uint8] | None:
+def decompress(packed: Bytes, size: int) -> Bytes | None:
     """Unpack to (size,) bytes; None if the packed data do not give exactly this size."""
     out = np.empty(size, dtype=np.uint8)
     return out if _unpack(packed, out) else None
 
 
 @njit(cache=True, nogil=True)
-def _unpack(packed: NDArray[np.uint8], out: NDArray[np.uint8]) -> bool:
+def _unpack(packed: Bytes, out: Bytes) -> bool:
     i, o = np.int64(0), np.int64(0)
     while i < packed.size:
         control = np.int64(packed[i])

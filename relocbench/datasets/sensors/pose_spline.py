@@ -6,11 +6,10 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array, Indices, Times
 from relocbench.geometry import make_transform
-
-Array = NDArray[np.float64]
 
 _CLOSEST = 0.2
 """poses closer in time than this share of their usual spacing tell no velocity: their noise would make a bulge"""
@@ -27,7 +26,7 @@ class PoseSpline:
     0.01 s^2, which for 0.4 rad/s^2 is 0.03 degrees.
     """
 
-    def __init__(self, timestamps_ns: NDArray[np.int64], transforms: ArrayLike) -> None:
+    def __init__(self, timestamps_ns: Times, transforms: ArrayLike) -> None:
         """
         Args:
             timestamps_ns: (N,) strictly increasing, at least two.
@@ -53,18 +52,18 @@ class PoseSpline:
             RotationSpline(seconds, Rotation.from_matrix(poses[:, :3, :3])),
         )
 
-    def _knots(self) -> NDArray[np.intp]:
+    def _knots(self) -> Indices:
         """The poses that the curves go through: the first, the last, and those that are not too close to others."""
         spacing = np.diff(self._times_ns)
         closest = _CLOSEST * float(np.median(spacing))
         rows = _spread(self._times_ns, np.arange(len(self._times_ns)), closest)
         return _spread(-self._times_ns, rows[::-1], closest)[::-1]
 
-    def _seconds(self, times_ns: NDArray[np.int64]) -> Array:
+    def _seconds(self, times_ns: Times) -> Array:
         # Differences are taken as integers: float64 cannot hold a present-day nanosecond count.
         return np.asarray((times_ns - self._times_ns[0]) / 1e9)
 
-    def at(self, query_ns: NDArray[np.int64]) -> Array:
+    def at(self, query_ns: Times) -> Array:
         """(M, 4, 4) ``T_world_body`` at times (M,) within the span; the given poses themselves at their times.
 
         The curves pass by poses that are much closer in time to another than poses usually are, or than the next
@@ -90,7 +89,7 @@ def _end(seconds: Array) -> Literal["natural", "not-a-knot"]:
     return "natural" if spacing[0] > _WIDE * np.median(spacing) else "not-a-knot"
 
 
-def _spread(times_ns: NDArray[np.int64], rows: NDArray[np.intp], closest: float) -> NDArray[np.intp]:
+def _spread(times_ns: Times, rows: Indices, closest: float) -> Indices:
     """The first and the last of the rows, and those between whose interval is no small part of the one before."""
     kept, before = [int(rows[0])], 0.0
     for row in rows[1:]:

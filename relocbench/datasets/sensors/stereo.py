@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Image
 from relocbench.datasets.core.images import as_grey
 
 DISPARITY_SIGMA = 0.5
@@ -36,7 +36,7 @@ class StereoGeometry:
         return 0.0, 0.0, DISPARITY_SIGMA / self.focal_baseline
 
 
-def stereo_depth(left: NDArray[np.uint8], right: NDArray[np.uint8], geometry: StereoGeometry) -> NDArray[np.float32]:
+def stereo_depth(left: Image, right: Image, geometry: StereoGeometry) -> Floats:
     """Depth (H, W) of the left image in metres along z, 0 where unknown.
 
     A match is kept if the match from the right image agrees within a pixel, if it is 10 % better than any other, and if
@@ -49,7 +49,7 @@ def stereo_depth(left: NDArray[np.uint8], right: NDArray[np.uint8], geometry: St
     return depth
 
 
-def _match(left: NDArray[np.uint8], right: NDArray[np.uint8], count: int) -> NDArray[np.float32]:
+def _match(left: Image, right: Image, count: int) -> Floats:
     """Disparity (H, W) in pixels, negative where unknown."""
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,

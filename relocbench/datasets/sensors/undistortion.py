@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
 
@@ -35,5 +36,5 @@ def undistort_points(points: KeyframePoints, camera: Camera) -> KeyframePoints:
 
 
 @lru_cache(maxsize=8)
-def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _undistortion_map(camera: Camera) -> tuple[Floats, Floats]:
     return camera.undistortion_map()

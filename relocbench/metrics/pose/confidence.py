@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array, Indices, Mask
+
 CONFIDENT = 0.5
 """the confidence from which on an answer counts as confident: as a probability, more probably right than wrong"""
 
@@ -60,9 +61,9 @@ def precision_recall(correct: ArrayLike, answered: ArrayLike, confidence: ArrayL
     return PrecisionRecall(precision=found / submitted, recall=found / pairs, coverage=submitted / pairs)
 
 
-def is_confident(confidence: Array) -> NDArray[np.bool_]:
+def is_confident(confidence: Array) -> Mask:
     """Which confidences (N,) are at least :data:`CONFIDENT`; NaN, one that was not given, is not."""
-    out: NDArray[np.bool_] = confidence >= CONFIDENT
+    out: Mask = confidence >= CONFIDENT
     return out
 
 
@@ -83,7 +84,7 @@ def risk_coverage_area(correct: ArrayLike, answered: ArrayLike, confidence: Arra
     return float(np.mean(np.cumsum(wrong) / np.arange(1, pairs + 1)))
 
 
-def _blocks(correct: ArrayLike, answered: ArrayLike, confidence: ArrayLike) -> tuple[NDArray[np.intp], Array]:
+def _blocks(correct: ArrayLike, answered: ArrayLike, confidence: ArrayLike) -> tuple[Indices, Array]:
     """The number of answers (K,) of each distinct confidence, highest first, and how many of them (K,) are correct.
 
     Answers without a confidence are the last block. Raises ValueError as :func:`precision_recall`.

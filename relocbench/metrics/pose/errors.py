@@ -19,12 +19,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array, Mask
 from relocbench.geometry import rotation_angle
 from relocbench.metrics.pose.failure_policy import answered_pairs, infinite_where_failed
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class PoseErrors:
         return len(self.translation_error_m)
 
     @property
-    def answered(self) -> NDArray[np.bool_]:
+    def answered(self) -> Mask:
         """(N,) whether each pair has an answer: by the failure policy, exactly the pairs with finite errors."""
         return np.isfinite(self.translation_error_m)
 

@@ -15,14 +15,13 @@ from collections.abc import Hashable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.errors import DatasetError, PredictionError
 
-Array = NDArray[np.float64]
 
-
-def answered_pairs(T_pred: ArrayLike, answered: ArrayLike | None = None) -> NDArray[np.bool_]:
+def answered_pairs(T_pred: ArrayLike, answered: ArrayLike | None = None) -> Mask:
     """Which pairs have an answer: those reported as answered whose pose is finite in every number.
 
     Args:
@@ -38,13 +37,13 @@ def answered_pairs(T_pred: ArrayLike, answered: ArrayLike | None = None) -> NDAr
     poses = np.asarray(T_pred, dtype=np.float64)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4):
         raise ValueError(f"predicted poses must be (N, 4, 4), got {poses.shape}")
-    finite: NDArray[np.bool_] = np.all(np.isfinite(poses), axis=(1, 2))
+    finite: Mask = np.all(np.isfinite(poses), axis=(1, 2))
     if answered is None:
         return finite
     claimed = np.asarray(answered, dtype=bool)
     if claimed.shape != (len(poses),):
         raise ValueError(f"answered must be ({len(poses)},), got {claimed.shape}")
-    out: NDArray[np.bool_] = finite & claimed
+    out: Mask = finite & claimed
     return out
 
 
@@ -60,7 +59,7 @@ def align_predictions(
     *,
     path: Path | str | None = None,
     lines: Sequence[int] | None = None,
-) -> NDArray[np.int64]:
+) -> Indices:
     """The position of each pair's answer among the predictions.
 
     Args:
@@ -94,7 +93,7 @@ def align_predictions(
     return index
 
 
-def place_predictions(index: NDArray[np.int64], values: ArrayLike, missing: float = np.nan) -> Array:
+def place_predictions(index: Indices, values: ArrayLike, missing: float = np.nan) -> Array:
     """Predicted values (M, ...) rearranged to the order of the set's pairs (N, ...), ``missing`` where there is none.
 
     ``index`` is what :func:`align_predictions` returned.

@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Mask
 from relocbench.metrics.pose.failure_policy import infinite_where_failed
 
 THRESHOLDS_PX: tuple[float, ...] = (1, 3)
@@ -76,7 +77,7 @@ def matching_quality(
         raise ValueError(
             f"start offsets must lie in {offset_edges_px[0]}..{offset_edges_px[-1]} px and true pixels be finite"
         )
-    answered: NDArray[np.bool_] = np.all(np.isfinite(end), axis=1)
+    answered: Mask = np.all(np.isfinite(end), axis=1)
     distance = np.round(np.linalg.norm(np.where(answered[:, None], end, 0) - truth, axis=-1), _DIGITS)
     distance = infinite_where_failed(distance, answered)
 

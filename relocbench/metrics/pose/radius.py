@@ -20,11 +20,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array
 from relocbench.metrics.statistics.intervals import LEVEL, Interval, linear_interval
-
-Array = NDArray[np.float64]
 
 HALF = 0.5
 

@@ -6,15 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.errors import ConfigError
 from relocbench.metrics.pose.confidence import CONFIDENT, is_confident, precision_recall, risk_coverage_area
 from relocbench.metrics.pose.curves import area_shares
 from relocbench.metrics.pose.errors import PoseErrors
 
-Array = NDArray[np.float64]
-_Judged = tuple[NDArray[np.bool_], NDArray[np.bool_], Array]
+_Judged = tuple[Mask, Mask, Array]
 """(N,) whether each pair is correct, whether it is answered, and how confidently"""
 
 RECALL_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.1, 1), (0.25, 2), (0.5, 5), (1, 5), (5, 10))
@@ -88,7 +87,7 @@ def finer_than_truth(
     return any(t is not None and sigma is not None and t < factor * sigma for t, sigma in limits)
 
 
-def within(errors: PoseErrors, metres: float, degrees: float) -> NDArray[np.bool_]:
+def within(errors: PoseErrors, metres: float, degrees: float) -> Mask:
     """(N,) whether both errors are at most their thresholds."""
     return (errors.translation_error_m <= metres) & (errors.rotation_error_deg <= degrees)
 

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import DatasetError
 from relocbench.metrics.pose.errors import PoseErrors
 from relocbench.metrics.pose.failure_policy import mean_over_pair_sets
 from relocbench.metrics.pose.registry import METRICS, PairScores
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

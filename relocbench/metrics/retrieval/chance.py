@@ -13,12 +13,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.metrics.retrieval.measures import recall_depth, unknown_metric
 from relocbench.metrics.retrieval.relevance import Relevance
-
-Array = NDArray[np.float64]
 
 
 def chance_level(relevance: Relevance, metrics: Sequence[str]) -> dict[str, float]:

@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Scaled = NDArray[np.float32] | NDArray[np.float64]
-Indices = NDArray[np.int64]
+from relocbench.arrays import Array, Floats, Indices
+
+Scaled = Floats | Array
 
 _UNIT = 2.0**-24
 _ROUNDINGS = 4
@@ -48,7 +47,7 @@ class Thresholds:
         retrieval_kernels.count_decided(products, *zeros, self._values, self._starts, self._reached, nobody)
 
     def count_decided(
-        self, products: NDArray[np.float32], query_norms: Array, gallery_norms: Array, length: int, most: int
+        self, products: Floats, query_norms: Array, gallery_norms: Array, length: int, most: int
     ) -> Indices | None:
         """Count float32 products (Q, G), except those that are too close to a threshold to be decided.
 

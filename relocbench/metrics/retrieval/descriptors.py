@@ -19,11 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.metrics.retrieval.counting import Scaled, Thresholds, exact_products
 from relocbench.metrics.retrieval.ranking import NEVER, Ranking, ranks_of_positives, sorted_finite
-from relocbench.metrics.retrieval.relevance import Indices, Relevance
-
-Array = NDArray[np.float64]
+from relocbench.metrics.retrieval.relevance import Relevance
 
 QUERY_BLOCK = 1024
 GALLERY_BLOCK = 2048
@@ -150,7 +149,7 @@ def _scaled(rows: NDArray[Any], scale: float) -> Scaled:
 
 
 def _scores_of_positives(
-    grid: Array, positives: Sequence[Indices], gallery: NDArray[Any], known: NDArray[np.bool_], scale: float, block: int
+    grid: Array, positives: Sequence[Indices], gallery: NDArray[Any], known: Mask, scale: float, block: int
 ) -> list[Array]:
     """The exact scores of each query's positives, NaN where the descriptor is not finite.
 

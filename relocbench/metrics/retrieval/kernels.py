@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Indices
 from relocbench.kernels import njit
 
-Array = NDArray[np.float64]
-Scaled = NDArray[np.float32] | NDArray[np.float64]
-Indices = NDArray[np.int64]
+Scaled = Floats | Array
 
 
 @njit(cache=True)

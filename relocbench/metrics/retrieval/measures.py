@@ -23,13 +23,11 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.metrics.retrieval.ranking import NEVER, Ranking
-from relocbench.metrics.retrieval.relevance import Indices, Mask
-
-Array = NDArray[np.float64]
 
 RETRIEVAL_METRICS: tuple[str, ...] = ("R@1", "R@5", "R@10", "R@top1%", "AP", "AP_rectangle", "MRR")
 """metrics of label sets such as University-1652, in the order in which tables show them"""

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from relocbench.arrays import Indices, Mask
 from relocbench.errors import PredictionError
-from relocbench.metrics.retrieval.relevance import Indices, Mask, Relevance
+from relocbench.metrics.retrieval.relevance import Relevance
 
 NEVER = np.iinfo(np.int64).max
 """the position of a positive that was not retrieved"""

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from relocbench.arrays import Array, Indices, Mask
 
 JUNK_LABEL = -1
 """gallery images with this label are removed before ranking: they count neither as right nor as wrong"""

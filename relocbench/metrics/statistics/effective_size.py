@@ -26,9 +26,9 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.metrics.statistics.roads import aligned
 
 MIN_EFFECTIVE = 10.0
@@ -61,9 +61,9 @@ class Inflation:
     cautious: Array
     """at least ``likely``, from the 99.9 % bound of the lag-one autocorrelation: what decides whether there is one"""
 
-    def enough(self, pairs: float) -> NDArray[np.bool_]:
+    def enough(self, pairs: float) -> Mask:
         """Whether so many pairs are worth :data:`MIN_EFFECTIVE` independent ones by the cautious estimate."""
-        out: NDArray[np.bool_] = pairs / self.cautious >= MIN_EFFECTIVE
+        out: Mask = pairs / self.cautious >= MIN_EFFECTIVE
         return out
 
 

@@ -7,26 +7,24 @@ import plain_alignment as plain
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from baselines.alignment import Level, LevelPoints, linearize, with_gradients
+from baselines.alignment.shared.compiled import FloatArray
 from baselines.alignment.shared.pyramid import camera_intrinsics
 from baselines.alignment.shared.scratch import BLOCK
 from baselines.alignment.shared.small_matrices import se3_exp, solve_cholesky
 from relocbench import geometry
+from relocbench.arrays import Array
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.floating]
 
 CAMERA = Camera("pinhole", 80, 60, 70.0, 75.0, 39.0, 30.5)
 T = geometry.se3_exp(np.array([0.05, -0.03, 0.1, 0.02, -0.01, 0.03]))
 
 
 def run(
-    level_map: Floats,
-    points: Floats,
-    values: Floats,
+    level_map: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
     pose: Array,
     gain: float = 1.0,
     offset: float = 0.0,

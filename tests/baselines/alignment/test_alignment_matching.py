@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from pixel_views import CAMERA, HEIGHT, INTENSITY, WIDTH, levels, offsets, pixels, share_found, view
 
 from baselines.alignment import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, image_pyramid, match_pixels
 from baselines.dso import Dso
 from relocbench.tracking import Query, Reference, SupportsMatching
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, -0.61), (-3.25, 2.5)])

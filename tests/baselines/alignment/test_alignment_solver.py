@@ -6,7 +6,6 @@ import numpy as np
 import plain_alignment as plain
 import pytest
 from alignment_scene import CAMERA, motion, render, to_image
-from numpy.typing import NDArray
 from refusals import refused
 
 from baselines.alignment import (
@@ -23,11 +22,10 @@ from baselines.alignment import (
     with_gradients,
 )
 from baselines.alignment.shared.levenberg import CONVERGED
+from relocbench.arrays import Array
 from relocbench.errors import MethodError
 from relocbench.geometry import compose, invert, rotation_angle
 from relocbench.tracking import KeyframePoints
-
-Array = NDArray[np.float64]
 
 MOTION = motion((0.25, -0.1, -0.4), (1.0, -2.0, 1.5))
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba.core.runtime import rtsys  # type: ignore[attr-defined]
-from numpy.typing import NDArray
 from plain_alignment import bilinear
 
 from baselines.alignment import linearize, with_gradients
@@ -19,6 +18,7 @@ from baselines.alignment.features.kernel import linearize_features, workspace_fo
 from baselines.alignment.features.problem import FeatureProblem
 from baselines.alignment.features.pyramid import FeatureLevel
 from baselines.alignment.features.reference import FeaturePoints
+from baselines.alignment.shared.compiled import FloatArray
 from baselines.alignment.shared.levenberg import (
     COUNT,
     ENERGY,
@@ -32,10 +32,8 @@ from baselines.alignment.shared.levenberg import (
 from baselines.alignment.shared.pyramid import camera_intrinsics
 from baselines.alignment.shared.scratch import BLOCK
 from relocbench import geometry
+from relocbench.arrays import Array
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.floating]
 
 CAMERA = Camera("pinhole", 80, 60, 70.0, 75.0, 39.0, 30.5)
 T = geometry.se3_exp(np.array([0.05, -0.03, 0.1, 0.02, -0.01, 0.03]))
@@ -49,14 +47,14 @@ class Outcome:
 
 
 def run(
-    level_map: Floats,
-    points: Floats,
-    values: Floats,
+    level_map: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
     pose: Array,
     huber: float = 9.0,
     cutoff: float = 20.0,
     per_channel: bool = False,
-    weights: Floats | None = None,
+    weights: FloatArray | None = None,
 ) -> Outcome:
     weights = np.ones(points.shape[1], points.dtype) if weights is None else weights
     H, g, statistics = np.full((6, 6), np.nan), np.full(6, np.nan), np.full(STATISTICS, np.nan)

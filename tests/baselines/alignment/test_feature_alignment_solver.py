@@ -21,10 +21,9 @@ from baselines.alignment.features.solver import FeatureAlignment, align_features
 from baselines.alignment.shared.damping import DSO_DAMPING, Damping
 from baselines.alignment.shared.pyramid import level_camera
 from baselines.alignment.shared.starts import Start
+from relocbench.arrays import Array, Floats
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, apply, compose, invert, make_transform, rotation_angle, se3_exp, so3_exp
-
-Array = NDArray[np.float64]
 
 MOVED = (0.25, -0.1, -0.4, 1.0, -2.0, 1.5)
 MOTION = motion(MOVED[:3], MOVED[3:])
@@ -47,7 +46,7 @@ def error(T: Array, truth: Array = MOTION) -> tuple[float, float]:
     return float(np.linalg.norm(centre)), float(np.rad2deg(rotation_angle(delta[:3, :3])))
 
 
-def changed(features: FeaturePyramid, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> FeaturePyramid:
+def changed(features: FeaturePyramid, change: Callable[[Floats], Floats]) -> FeaturePyramid:
     return FeaturePyramid.from_maps([change(level.map.copy()) for level in features.levels], CAMERA)
 
 
@@ -112,7 +111,7 @@ def test_one_channel_is_the_intensity_aligner_without_brightness() -> None:
         assert abs(ours.final.saturated - theirs.final.saturated) <= 1
 
 
-def _found_with(change: Callable[[NDArray[np.float32]], NDArray[np.float32]], settings: FeatureSettings) -> Array:
+def _found_with(change: Callable[[Floats], Floats], settings: FeatureSettings) -> Array:
     """The pose with the features of both sides changed alike."""
     reference = ReferenceFeatures.at_points(keyframe_points(), changed(pyramid(), change))
     return align_features(reference, changed(pyramid(MOVED), change), np.eye(4), settings).T_query_ref
@@ -134,7 +133,7 @@ def test_rotating_the_channels_into_each_other_does_not_matter_to_the_norm() -> 
 
 
 def test_the_cutoff_keeps_what_shows_something_else_out(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
-    def hide(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def hide(values: Floats) -> Floats:
         height, width = values.shape[:2]
         elsewhere = (slice(height // 8, height * 5 // 8), slice(width // 8, width // 2))
         values[elsewhere] = np.roll(values[elsewhere], 1, axis=2)  # as smooth, unrelated channel by channel

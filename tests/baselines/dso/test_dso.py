@@ -11,17 +11,15 @@ import numpy as np
 import pytest
 from alignment_scene import CAMERA, motion, render, to_image
 from answer_contract import fault_of
-from numpy.typing import NDArray
 from refusals import refused
 
 from baselines.alignment import Level, image_pyramid, moved_along
 from baselines.dso import Dso, DsoMultiStart, small_rotations
 from baselines.dso.evidence import evidence_for
+from relocbench.arrays import Array
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, compose, invert, rotation_angle
 from relocbench.tracking import KeyframePoints, Query, Reference, SupportsPrepare, Tracker, TrackResult
-
-Array = NDArray[np.float64]
 
 MOTION = motion((0.25, -0.1, -0.4), (1.0, -2.0, 1.5))
 GREY, DEPTH = render(np.eye(4))

@@ -8,13 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from baselines.dso import Dso, DsoMultiStart
+from relocbench.arrays import Array, Image
 from relocbench.geometry import Camera, compose, invert, rotation_angle, transform_from_tq
 from relocbench.tracking import Query, Reference
 
-Array = NDArray[np.float64]
 Pair = tuple[Reference, Query, Array]
 RealData = Callable[[str], Path]
 
@@ -28,7 +27,7 @@ TUM_FREIBURG1 = Camera(
 )  # as published with the benchmark
 
 
-def grey(path: Path) -> NDArray[np.uint8]:
+def grey(path: Path) -> Image:
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     assert image is not None, path
     return image.astype(np.uint8)
@@ -55,7 +54,7 @@ def kitti_reference(sequence: Path, frame: int) -> Reference:
     return Reference(str(frame), frame, left, kitti_camera(left), depth=depth, depth_sigma=(0.0, 0.0, half_pixel))
 
 
-def kitti_camera(image: NDArray[np.uint8]) -> Camera:
+def kitti_camera(image: Image) -> Camera:
     height, width = image.shape
     return Camera("pinhole", width, height, KITTI_FOCAL_LENGTH, KITTI_FOCAL_LENGTH, 601.8873, 183.1104)
 
@@ -97,7 +96,7 @@ def tum_pairs(root: Path, step: int) -> Iterator[Pair]:
         yield reference, Query(str(second), second, images[second], pinhole), invert(poses[second]) @ poses[first]
 
 
-def errors(tracker: Dso, pairs: Iterator[Pair], from_truth: bool = False) -> NDArray[np.float64]:
+def errors(tracker: Dso, pairs: Iterator[Pair], from_truth: bool = False) -> Array:
     """(N, 2) metres between camera centres and degrees; infinite where there is no answer."""
     out = []
     for reference, query, truth in pairs:

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 from answer_contract import fault_of
-from numpy.typing import NDArray
 
 from baselines.feature_pnp import OrbPnp, SiftPnp
 from baselines.feature_pnp.features import Features, detect, match, spread_evenly
 from baselines.feature_pnp.keyframe_depth import inverse_depth_at, reach_of
 from baselines.feature_pnp.pnp import SHOWN_INLIERS, SHOWN_OTHERS
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
+from relocbench.arrays import Array, Floats, Image
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS, info_text
 from relocbench.geometry import Camera, apply, invert, rotation_angle, se3_exp
 from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
@@ -32,11 +32,10 @@ ONE = pytest.mark.parametrize(
     "tracker", [OrbPnp(), pytest.param(SiftPnp(), marks=pytest.mark.thorough)], ids=["orb", "sift"]
 )
 """for what is the same code in both"""
-Array = NDArray[np.float64]
 
 
 @cache
-def texture() -> NDArray[np.uint8]:
+def texture() -> Image:
     """Blobs of many sizes, so that both detectors find something on every scale."""
     rng = np.random.default_rng(7)
     total = np.zeros((1500, 2000), dtype=np.float32)
@@ -46,7 +45,7 @@ def texture() -> NDArray[np.uint8]:
     return np.clip(128 + 30 * total, 0, 255).astype(np.uint8)
 
 
-def render(camera: Camera, T_camera_ref: Array) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def render(camera: Camera, T_camera_ref: Array) -> tuple[Image, Floats]:
     """Image and z-depth of the nearer of the two planes along each ray."""
     grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
     rays, valid = camera.unproject(grid)
@@ -394,7 +393,7 @@ def test_the_reach_follows_the_density_of_the_map_and_the_size_of_the_image() ->
     assert reach_of(np.repeat(dense[:100], 500, axis=0), (1936, 1936)) >= 2.0
 
 
-def features_at(uv: Array, response: Array, descriptors: NDArray[np.float32] | None = None) -> Features:
+def features_at(uv: Array, response: Array, descriptors: Floats | None = None) -> Features:
     descriptors = np.zeros((len(uv), 4), np.float32) if descriptors is None else descriptors
     return Features(uv, np.ones(len(uv)), response, descriptors, (640, 480))
 

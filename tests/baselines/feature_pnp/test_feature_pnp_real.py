@@ -15,9 +15,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from baselines.feature_pnp import OrbPnp, SiftPnp
+from relocbench.arrays import Array, Floats, Image
 from relocbench.geometry import (
     Camera,
     compose,
@@ -31,7 +31,6 @@ from relocbench.tracking import Query, Reference, TrackResult
 
 pytestmark = pytest.mark.thorough
 FindData = Callable[[str], Path]
-Array = NDArray[np.float64]
 TRACKERS = pytest.mark.parametrize("tracker", [OrbPnp(), SiftPnp()], ids=["orb", "sift"])
 
 KITTI_06 = Camera("pinhole", 1226, 370, 707.0912, 707.0912, 601.8873, 183.1104)
@@ -53,7 +52,7 @@ def medians(errors: Iterable[tuple[float, float]]) -> tuple[float, float]:
     return float(metres), float(degrees)
 
 
-def read(path: Path, flags: int = cv2.IMREAD_GRAYSCALE) -> NDArray[np.uint8]:
+def read(path: Path, flags: int = cv2.IMREAD_GRAYSCALE) -> Image:
     image = cv2.imread(str(path), flags)
     assert image is not None, path
     return np.asarray(image)
@@ -126,8 +125,8 @@ def test_road_at_four_and_eight_frames(real_data: FindData, tracker: OrbPnp) -> 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    image: NDArray[np.uint8]
-    depth: NDArray[np.float32]
+    image: Image
+    depth: Floats
     T_world_camera: Array
 
     def reference(self) -> Reference:

@@ -13,7 +13,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from made_pairs import TINY, MadePairs
-from numpy.typing import NDArray
 from refusals import refused
 
 from baselines.gn_net.training.augmentation import augment
@@ -23,6 +22,7 @@ from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import AugmentationOptions, TrainOptions
 from baselines.options import options_from_dict
 from baselines.training.loading import batches_in_order
+from relocbench.arrays import Array
 from relocbench.errors import ConfigError
 from relocbench.training import TrainingPair
 
@@ -141,8 +141,8 @@ def test_scaling_keeps_pixels_on_what_they_show(factor: float) -> None:
     a, b = (moved - low).T[..., None]
     values = image[..., :2] / 2.0
 
-    def at(du: int, dv: int) -> NDArray[np.float64]:
-        shown: NDArray[np.float64] = values[low[:, 1] + dv, low[:, 0] + du]
+    def at(du: int, dv: int) -> Array:
+        shown: Array = values[low[:, 1] + dv, low[:, 0] + du]
         return shown
 
     shown = (1 - b) * ((1 - a) * at(0, 0) + a * at(1, 0)) + b * ((1 - a) * at(0, 1) + a * at(1, 1))

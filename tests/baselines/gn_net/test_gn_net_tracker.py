@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 from answer_contract import fault_of
-from numpy.typing import NDArray
 from refusals import refused
 from repository import ROOT
 from small_dataset import WITHIN, make_small_dataset, render, small_camera, small_pose
@@ -25,7 +24,7 @@ from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.start import MatchedLandmarks, find_landmarks
 from baselines.gn_net.tracker import ALONG, ONE_START, GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
 from baselines.gn_net.weights import save_weights
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, make_transform, rotation_angle, so3_exp
@@ -102,7 +101,7 @@ def test_one_prepared_reference_serves_all_queries_and_the_network_sees_it_once(
     seen = []
     features = tracker.features
 
-    def counted(image: NDArray[np.uint8], camera: Camera) -> FeaturePyramid:
+    def counted(image: Image, camera: Camera) -> FeaturePyramid:
         seen.append(image.shape)
         return features(image, camera)
 
@@ -293,7 +292,7 @@ def test_the_variants_are_parts_of_the_method(weights: Path) -> None:
     assert (from_prior.uses_prior, pnp.uses_prior) == (True, False)
 
 
-def _pose(result: TrackResult) -> NDArray[np.float64]:
+def _pose(result: TrackResult) -> Array:
     assert result.T_query_ref is not None, result.message
     return result.T_query_ref
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import torch
 from command_line import relocbench
-from numpy.typing import NDArray
 from refusals import refused
 from repository import ROOT
 from safetensors.torch import save_file
@@ -28,6 +27,7 @@ from baselines.learned_pnp.lightglue import LightGlue
 from baselines.learned_pnp.loftr import Loftr, LoftrModel
 from baselines.learned_pnp.superpoint import SuperPoint, SuperPointNetwork
 from baselines.learned_pnp.xfeat import XFeat
+from relocbench.arrays import Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError
 from relocbench.tracking import Query, Reference
@@ -35,7 +35,6 @@ from relocbench.weights import SupportsFetching
 
 kornia = pytest.importorskip("kornia.feature", reason="the extra 'learned' is not installed")
 
-Image = NDArray[np.uint8]
 DETECTORS: dict[str, type[NetworkDetector]] = {"disk": Disk, "xfeat": XFeat, "superpoint": SuperPoint}
 TRACKERS = {
     made.name: made for made in (getattr(learned_pnp, name) for name in learned_pnp.__all__) if hasattr(made, "name")

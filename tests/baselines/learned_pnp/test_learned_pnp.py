@@ -15,7 +15,6 @@ import torch
 from command_line import relocbench
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from refusals import refused
 from safetensors.torch import save_file
 from small_dataset import ACROSS, make_small_dataset
@@ -23,11 +22,10 @@ from small_dataset import ACROSS, make_small_dataset
 from baselines.learned_pnp import AlikedPnp
 from baselines.learned_pnp.aliked import Aliked
 from baselines.learned_pnp.matching import mutual_nearest
+from relocbench.arrays import Image
 from relocbench.errors import MethodError
 
 kornia_aliked = pytest.importorskip("kornia.feature", reason="the extra 'learned' is not installed")
-
-Image = NDArray[np.uint8]
 
 
 @pytest.fixture(scope="module")

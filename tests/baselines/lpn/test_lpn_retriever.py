@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 from made_places import picture
-from numpy.typing import NDArray
 from refusals import refused
 from safetensors.torch import save_file
 from small_lpn import ABOUT, NARROW, drawn_weights
@@ -23,6 +22,7 @@ from baselines.lpn.images import resized
 from baselines.lpn.network import LpnNetwork
 from baselines.lpn.retriever import GlobalAverage, Lpn
 from baselines.lpn.weights import load_weights, save_weights
+from relocbench.arrays import Image
 from relocbench.errors import ConfigError, MethodError
 from relocbench.retrieval import ImageView, RerankingRetriever, Retriever
 
@@ -38,7 +38,7 @@ def views(count: int = 5, view: str = "drone", side: int = 64) -> list[ImageView
     return [ImageView(f"{n}", view, partial(picture, n, view, 0, side)) for n in range(count)]
 
 
-def mirror_image(view: ImageView) -> NDArray[np.uint8]:
+def mirror_image(view: ImageView) -> Image:
     return view.image[:, ::-1].copy()
 
 

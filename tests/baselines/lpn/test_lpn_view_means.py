@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 from made_places import picture
-from numpy.typing import NDArray
 from refusals import refused
 from small_lpn import drawn_weights
 
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.view_means import MOST_IMAGES, ViewMeans, unlabelled_files, unlabelled_images
+from relocbench.arrays import Image
 from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
 
@@ -42,7 +42,7 @@ def views(view: str, first: int = 0, count: int = 4) -> list[ImageView]:
     return [ImageView(f"{n}", view, partial(picture, n, view, 0, 64)) for n in range(first, first + count)]
 
 
-def turned(view: ImageView, quarters: int) -> NDArray[np.uint8]:
+def turned(view: ImageView, quarters: int) -> Image:
     return np.ascontiguousarray(np.rot90(view.image, quarters))
 
 

@@ -13,7 +13,6 @@ from drawn_places import (
     CLUSTERS,
     NETVLAD,
     VIT,
-    Image,
     State,
     described,
     gem_state,
@@ -30,6 +29,7 @@ from baselines.place_networks import CosPlace, NetVlad
 from baselines.place_networks.backbone import Backbone, BackboneName
 from baselines.place_networks.dinov2 import DinoV2, VitShape
 from baselines.place_networks.megaloc import MegaLocNetwork, assignment
+from relocbench.arrays import Array, Image
 
 
 def normalised(image: Image) -> Tensor:
@@ -38,7 +38,7 @@ def normalised(image: Image) -> Tensor:
     return torch.tensor(values.transpose(2, 0, 1)[None], dtype=torch.float32)
 
 
-def unit(vector: NDArray[np.floating]) -> NDArray[np.float64]:
+def unit(vector: NDArray[np.floating]) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
@@ -46,7 +46,7 @@ RESNET = ("conv1", "bn1", "relu", "maxpool", "layer1", "layer2", "layer3", "laye
 
 
 @torch.inference_mode()
-def map_by_hand(name: BackboneName, state: State, prefix: str, image: Image, stages: int = 4) -> NDArray[np.float64]:
+def map_by_hand(name: BackboneName, state: State, prefix: str, image: Image, stages: int = 4) -> Array:
     """The map (C, H, W) of torchvision's whole network, each of its layers called by its name."""
     own = {key.removeprefix(f"{prefix}."): value for key, value in state.items() if key.startswith(f"{prefix}.")}
     whole = getattr(torchvision.models, name.lower())(weights=None)
@@ -80,7 +80,7 @@ def test_cosplace_is_a_backbone_a_generalised_mean_and_a_linear_layer(tmp_path: 
     assert retriever.info == {"backbone": name, "dimensions": 24, "image_size": "unchanged"}
 
 
-def netvlad_by_hand(x: NDArray[np.float64], state: State, pool: str) -> NDArray[np.float64]:
+def netvlad_by_hand(x: Array, state: State, pool: str) -> Array:
     """The formula as a loop over pixels and clusters."""
     weight = state[f"{pool}.conv.weight"].double().numpy()[:, :, 0, 0]
     bias = state[f"{pool}.conv.bias"].double().numpy() if f"{pool}.conv.bias" in state else np.zeros(len(weight))
@@ -142,14 +142,14 @@ def encoder_by_torch(state: State, number: int) -> nn.TransformerEncoderLayer:
     return layer.eval()
 
 
-def salad_by_hand(token: NDArray[np.float64], patches: NDArray[np.float64], state: State) -> NDArray[np.float64]:
+def salad_by_hand(token: Array, patches: Array, state: State) -> Array:
     """SALAD of a class token (C,) and patches (n, C): Sinkhorn's iterations as divisions of a matrix, then loops."""
 
-    def layer(name: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def layer(name: str, x: Array) -> Array:
         weight = state[f"aggregator.agg.{name}.weight"].double().numpy()
         return np.asarray(x @ weight.reshape(len(weight), -1).T + state[f"aggregator.agg.{name}.bias"].double().numpy())
 
-    def mlp(name: str, last: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mlp(name: str, last: int, x: Array) -> Array:
         return layer(f"{name}.{last}", np.maximum(layer(f"{name}.0", x), 0.0))
 
     scores = mlp("score", 3, patches).T
@@ -188,12 +188,12 @@ def test_megaloc_is_as_large_as_is_published() -> None:
     assert round(sum(value.numel() for value in network.state_dict().values()) / 1e6, 1) == 228.6
 
 
-def cubic_ramp(at: NDArray[np.float64]) -> NDArray[np.float64]:
+def cubic_ramp(at: Array) -> Array:
     """The ramp 0, 1, 2, ... by cubic convolution (Keys 1981) with torch's a = -0.75, which is not exact for ramps."""
     a, whole = -0.75, np.floor(at)
     t = at - whole
 
-    def weight(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def weight(x: Array) -> Array:
         near = (a + 2) * x**3 - (a + 3) * x**2 + 1
         return np.where(x <= 1, near, a * x**3 - 5 * a * x**2 + 8 * a * x - 4 * a)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits, Matches, match_points, weights_of_patches
 from relocbench.datasets.groundtruth.pose_graph.edge_information import (
@@ -50,7 +50,7 @@ def walls(seed: int, flanks: float, noise_m: float = 0.01, tilt: float = 0.05) -
     return Submap(points.astype(np.float32), normals.astype(np.float32), origins, kind, ones, block)
 
 
-def contacts(seed: int, flanks: float, T: NDArray[np.float64] | None = None) -> Matches:
+def contacts(seed: int, flanks: float, T: Array | None = None) -> Matches:
     ref, query = (PlaneMap(walls(seed + k, flanks), OPTIONS) for k in (0, 100))
     return match_points(ref.level(0), query.sample(0), np.eye(4) if T is None else T)
 

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.groundtruth.depth.depth import (
     DepthImage,
     DepthNoise,
@@ -32,8 +33,6 @@ from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, war
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, apply, invert, make_transform, se3_exp
 from relocbench.tracking import Reference
-
-Array = NDArray[np.float64]
 
 CAMERA = Camera("pinhole", 320, 240, 245.0, 245.0, 159.5, 119.5)
 T_NODE_CAM = make_transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0, 0, 1.5])
@@ -89,7 +88,7 @@ def joined(*submaps: Submap) -> Submap:
     return Submap(*(np.concatenate([getattr(s, n) for s in submaps]) for n in names))
 
 
-def exact(rectangles: list[Rectangle], T_node_cam: Array = T_NODE_CAM) -> NDArray[np.float32]:
+def exact(rectangles: list[Rectangle], T_node_cam: Array = T_NODE_CAM) -> Floats:
     """Depth along z of rectangles by intersecting each pixel's ray, 0 where there is none."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], -1)
@@ -210,9 +209,7 @@ def test_depth_agrees_with_rays_cast_against_the_surfels_triangles() -> None:
     assert np.median(difference) < 0.02
 
 
-def star_triangles(
-    points: NDArray[np.float32], normals: NDArray[np.float32], axes: NDArray[np.float32], reach: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+def star_triangles(points: Floats, normals: Floats, axes: Floats, reach: Floats) -> tuple[Floats, NDArray[np.uint32]]:
     shown = reach.max(axis=1) > 0
     points, normals, axes, reach = points[shown], normals[shown], axes[shown], reach[shown]
     angle = 2 * np.pi * np.arange(SECTORS) / SECTORS

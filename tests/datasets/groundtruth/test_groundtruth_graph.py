@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from refusals import refused
 from simulated_blocks import Planes, submap_registrations
 from simulated_graph import (
@@ -29,6 +28,7 @@ from simulated_graph import (
     with_gross_errors,
 )
 
+from relocbench.arrays import Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pairs.outcome import Outcomes
 from relocbench.datasets.groundtruth.pose_graph.consensus import RunOptions
@@ -44,10 +44,8 @@ from relocbench.datasets.synthetic.drives.odometry import OdometryErrors
 from relocbench.errors import ConfigError
 from relocbench.geometry import adjoint, invert, se3_exp, se3_log
 
-Array = NDArray[np.float64]
 
-
-def used(solution: Solution) -> NDArray[np.bool_]:
+def used(solution: Solution) -> Mask:
     return np.array([not v for v in solution.verdicts])
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import street_clouds as clouds
-from numpy.typing import NDArray
 from refusals import refused
 from scipy.stats import theilslopes
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes, Surface
 from relocbench.datasets.groundtruth.icp.backends import icp_by_backend
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, Linearised, linearise, linearise_both, run_icp
@@ -41,7 +41,6 @@ from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, se3_log
 
-Array = NDArray[np.float64]
 Pair = tuple[PreparedSubmap, PreparedSubmap]
 RNG = np.random.default_rng(0)
 T_STREET_REF, T_STREET_QUERY = clouds.pose(100.0, 0.3, 1.0), clouds.pose(101.2, -0.6, -2.0)

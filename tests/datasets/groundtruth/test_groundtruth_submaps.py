@@ -12,6 +12,7 @@ from lidar_street import RIG_HEIGHT_M, START_NS, WALL_M, Box, Street, StreetLida
 from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array, Floats, Indices
 from relocbench.datasets.groundtruth.blocks import store as store_module
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes, Surface
 from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
@@ -27,8 +28,6 @@ from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajecto
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, se3_exp, so3_exp
-
-Array = NDArray[np.float64]
 
 _COARSE_M = 0.33
 """no surface of the street lies between two such voxels"""
@@ -289,7 +288,7 @@ def test_normals_have_no_seam_at_the_borders_of_blocks() -> None:
 # --- free space
 
 
-def box_points(recording: FieldRecording, box: Box) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def box_points(recording: FieldRecording, box: Box) -> tuple[Floats, Floats]:
     """Steadiness of points between the walls on the box's side, and of all others."""
     nodes = make_nodes(recording)
     on, off = [], []
@@ -398,7 +397,7 @@ def test_damaged_block_is_named(built: tuple[Nodes, BlockStore], tmp_path: Path)
 def test_claims_are_those_of_all_blocks_at_once() -> None:
     rng = np.random.default_rng(5)
     claims = VoxelClaims()
-    inside: dict[int, tuple[NDArray[np.int64], NDArray[np.float32]]] = {}
+    inside: dict[int, tuple[Indices, Floats]] = {}
     for turn in range(120):
         if inside and rng.random() < 0.45:
             gone = list(inside)[int(rng.integers(len(inside)))]
@@ -494,7 +493,7 @@ def count_claims(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     sizes: dict[int, tuple[int, int]] = {}
     enter, leave = VoxelClaims.enter, VoxelClaims.leave
 
-    def counted_enter(claims: VoxelClaims, block: int, keys: NDArray[np.int64], ranks: NDArray[np.float32]) -> None:
+    def counted_enter(claims: VoxelClaims, block: int, keys: Indices, ranks: Floats) -> None:
         sizes[block] = len(keys), len(np.unique(keys))
         moved.append(sizes[block])
         enter(claims, block, keys, ranks)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import relocbench
-from numpy.typing import NDArray
 from refusals import Notes, assert_names, refused
 
+from relocbench.arrays import Array, Image, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.jobs import inputs
 from relocbench.datasets.groundtruth.jobs.inputs import check_space, driven_m, faults_of
@@ -26,7 +26,7 @@ TENTH = 100_000_000
 class Scans:
     """A lidar whose scans have one point; some are damaged."""
 
-    times_ns: NDArray[np.int64]
+    times_ns: Times
     damaged: tuple[int, ...] = ()
     empty: bool = False
     name: str = "top"
@@ -35,7 +35,7 @@ class Scans:
     sigma_m: float = 0.02
 
     @property
-    def T_rig_lidar(self) -> NDArray[np.float64]:
+    def T_rig_lidar(self) -> Array:
         return np.eye(4)
 
     def read(self, index: int) -> Scan:
@@ -47,23 +47,23 @@ class Scans:
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    times_ns: NDArray[np.int64]
+    times_ns: Times
     size: tuple[int, int] = (40, 30)
     name: str = "front"
     camera: Camera = field(default_factory=lambda: Camera("pinhole", 40, 30, 30.0, 30.0, 20.0, 15.0))
 
     @property
-    def T_rig_cam(self) -> NDArray[np.float64]:
+    def T_rig_cam(self) -> Array:
         return np.eye(4)
 
-    def read(self, index: int) -> NDArray[np.uint8]:
+    def read(self, index: int) -> Image:
         return np.zeros(self.size[::-1], dtype=np.uint8)
 
     def file(self, index: int) -> Path | None:
         return Path(f"{index}.png")
 
 
-def times(count: int, first: int = 0) -> NDArray[np.int64]:
+def times(count: int, first: int = 0) -> Times:
     return first + TENTH * np.arange(count, dtype=np.int64)
 
 

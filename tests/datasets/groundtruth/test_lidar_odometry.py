@@ -9,9 +9,9 @@ import numpy as np
 import open3d as o3d
 import pytest
 import yaml
-from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core import images
 from relocbench.datasets.groundtruth.odometry.jitter import white_noise
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import deskewed, lidar_odometry
@@ -26,7 +26,6 @@ from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, transform_to_tq
 
-Array = NDArray[np.float64]
 FRAMES = 12
 
 
@@ -278,7 +277,7 @@ def test_white_noise_of_odometry_is_that_of_its_poses() -> None:
     [np.arange(600) % 8 > 0, np.random.default_rng(4).uniform(size=600) > 0.35, np.arange(600) < 24],
     ids=["every eighth scan is missing", "a third of them is missing", "a short drive"],
 )
-def test_white_noise_is_told_where_few_scans_follow_each_other(kept: NDArray[np.bool_]) -> None:
+def test_white_noise_is_told_where_few_scans_follow_each_other(kept: Mask) -> None:
     noise = [0.01, 0.004, 0.004, 0.001, 0.0005, 0.0002]
     odometry = noisy(np.array([[0.8 * k, 0.0, 0.0] for k in range(600)]), noise, seed=2)
     found = white_noise(Trajectory(odometry.times_ns[kept], odometry.T_odom_rig[kept]))

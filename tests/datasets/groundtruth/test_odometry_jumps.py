@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from refusals import Notes
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.jumps import find_jumps, interrupted
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
 
-Array = NDArray[np.float64]
 STEP_NS = 62_500_000
 AT = 150
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.alignment import two_drives
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, RegistrationUnit
@@ -23,8 +23,6 @@ from relocbench.datasets.groundtruth.registration.submap_pair import unregistere
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.geometry import se3_exp
-
-Array = NDArray[np.float64]
 
 
 def drive(metres: float, scale: float = 1.0, seed: int = 0, gnss_m: float = 0.5) -> tuple[Trajectory, Trajectory]:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.groundtruth.calibration.estimation import node_twists
@@ -15,7 +15,6 @@ from relocbench.datasets.groundtruth.pairs.outcome import SolvedDrive
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import make_transform
 
-Array = NDArray[np.float64]
 TENTH = 100_000_000
 BREAK = 40
 JUMP_M = 0.3

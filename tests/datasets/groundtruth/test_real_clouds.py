@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from refusals import refused
 from repository import TRUTH
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.icp.icp import run_icp
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.verification.verification import verdict, verification_evidence
@@ -30,8 +30,6 @@ sys.path.insert(0, str(TRUTH))
 from limits import Limits
 from real_clouds_methods import Candidate, adjusted, allowed, apart, best, methods, turned_identities
 from real_clouds_scans import SOURCES, Scans, Source, read_scans, submap
-
-Array = NDArray[np.float64]
 
 
 def room(count: int, seed: int) -> Array:

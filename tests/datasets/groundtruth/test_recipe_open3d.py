@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import street_clouds as clouds
 from command_line import Outcome, relocbench
-from numpy.typing import NDArray
 from recording_reading import hashes
 from refusals import assert_names
 from rig_drives import RigDrives, rig_drives
 from robotcar_street import RobotCarStreet
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.recipe.answers import SOURCE
 from relocbench.datasets.groundtruth.recipe.open3d_pair import Cloud, Open3dFit, Open3dOptions, refine, search
 from relocbench.datasets.groundtruth.recipe.raw_submaps import RawSubmaps
@@ -23,7 +23,6 @@ from relocbench.datasets.importers.robotcar.recording import read_robotcar_drive
 from relocbench.geometry import apply, hat, invert, make_transform, rotation_angle, so3_exp
 from relocbench.progress import Silent
 
-Array = NDArray[np.float64]
 OPTIONS = Open3dOptions()
 T_STREET_REF, T_STREET_QUERY = clouds.pose(100.0, 0.3, 1.0), clouds.pose(101.2, -0.6, -2.0)
 TRUTH = invert(T_STREET_REF) @ T_STREET_QUERY

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from refusals import refused
 from repository import TRUTH
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
 from relocbench.datasets.groundtruth.clouds.distinct import Distinct, distinct_evidence, outside_largest_planes
 from relocbench.datasets.groundtruth.clouds.field_of_view import field_of_view
@@ -33,8 +33,6 @@ from relocbench.geometry import apply, invert, make_transform, se3_exp, se3_log,
 
 sys.path.insert(0, str(TRUTH))
 from register_scenes import Pair, depth_pair, room_pair, unrelated_depth
-
-Array = NDArray[np.float64]
 
 NAN = float("nan")
 GOOD = Evidence(0.95, 0.95, 0.01, 0.01, NAN, NAN, 0.01, (1.0, 0.0, 0.0), 0.01, 0.9, 0.9, 0.9, 0.9)

@@ -13,11 +13,11 @@ from command_line import relocbench
 from hypothesis import given
 from hypothesis import strategies as st
 from lidar_street import Street, drive_street
-from numpy.typing import NDArray
 from recorded_street import StreetDrive, record_street
 from refusals import Notes
 from repository import TRUTH
 
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.writer import DatasetWriter
@@ -39,7 +39,6 @@ from relocbench.progress import Silent
 sys.path.insert(0, str(TRUTH))
 from small_scenes import Walk, record
 
-Array = NDArray[np.float64]
 EIGHTH = 1 / 8
 
 
@@ -237,7 +236,7 @@ def test_a_street_of_an_eighth_gives_poses_of_an_eighth_and_accepts_the_same(tmp
     np.testing.assert_allclose(np.median(small_depth[both] / large_depth[both]), EIGHTH, rtol=1e-3)
 
 
-def _depth(dataset: Dataset, traversal: str, camera: str, time_ns: int) -> NDArray[np.float32]:
+def _depth(dataset: Dataset, traversal: str, camera: str, time_ns: int) -> Floats:
     depth = dataset.traversal(traversal).depth(camera, time_ns)
     assert depth is not None
     return depth

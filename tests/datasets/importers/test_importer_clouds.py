@@ -11,21 +11,19 @@ import pytest
 import yaml
 from command_line import relocbench
 from lidar_layouts import compensated, matrix_rows, pose_times, quaternion_rows, scans_of, write
-from numpy.typing import NDArray
 from projected_depth import agrees
 from recorded_street import SMALL, StreetDrive, assert_pairs_are_right, errors_of, from_poses, with_camera
 from refusals import ErrorData, Notes, noted, refused
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.importers.clouds.recording import SweptClouds, read_clouds
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, transform_to_tq
 
-Table = NDArray[np.float64]
-
 
 def write_clouds(
-    drive: StreetDrive, folder: Path, name: Callable[[int, int], str], content: Callable[[Table, int], bytes]
+    drive: StreetDrive, folder: Path, name: Callable[[int, int], str], content: Callable[[Array, int], bytes]
 ) -> Path:
     """Clouds with names by number and time; content from columns x y z intensity ring seconds and the time."""
     for number, scan in enumerate(scans_of(drive)):
@@ -35,12 +33,12 @@ def write_clouds(
     return folder
 
 
-def floats(columns: int, kind: str = "<f4") -> Callable[[Table, int], bytes]:
+def floats(columns: int, kind: str = "<f4") -> Callable[[Array, int], bytes]:
     return lambda table, _: table[:, :columns].astype(kind).tobytes()
 
 
-def pcd(time_field: str, kind: str, factor: float, absolute: bool) -> Callable[[Table, int], bytes]:
-    def content(table: Table, time_ns: int) -> bytes:
+def pcd(time_field: str, kind: str, factor: float, absolute: bool) -> Callable[[Array, int], bytes]:
+    def content(table: Array, time_ns: int) -> bytes:
         row = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (time_field, kind)])
         out = np.empty(len(table), dtype=row)
         for k, axis in enumerate("xyz"):
@@ -61,7 +59,7 @@ def by_time(suffix: str) -> Callable[[int, int], str]:
     return lambda _, time_ns: f"{time_ns}.{suffix}"
 
 
-def read(folder: Path, **options: object) -> tuple[Notes, list[NDArray[np.int64]]]:
+def read(folder: Path, **options: object) -> tuple[Notes, list[Indices]]:
     """What was said, and the times of the points of the third cloud relative to its own."""
     spoken = Notes()
     lidar = read_clouds(folder, "a", spoken, **options).lidars[0]  # type: ignore[arg-type]
@@ -84,7 +82,7 @@ def read(folder: Path, **options: object) -> tuple[Notes, list[NDArray[np.int64]
     ],
 )
 def test_columns_types_and_times_of_points_are_found(
-    drives: list[StreetDrive], tmp_path: Path, content: Callable[[Table, int], bytes], suffix: str, said: str
+    drives: list[StreetDrive], tmp_path: Path, content: Callable[[Array, int], bytes], suffix: str, said: str
 ) -> None:
     write_clouds(drives[0], tmp_path, by_time(suffix), content)
     spoken, (times, since) = read(tmp_path)
@@ -103,7 +101,7 @@ def test_points_in_firing_order_are_told_from_other_columns(drives: list[StreetD
     for columns in (3, 4, 6):
         folder = tmp_path / str(columns)
 
-        def content(table: Table, _: int, columns: int = columns) -> bytes:
+        def content(table: Array, _: int, columns: int = columns) -> bytes:
             return table[np.lexsort((table[:, 4], table[:, 5]))][:, :columns].astype("<f4").tobytes()
 
         spoken, _ = read(write_clouds(drives[0], folder, by_time("bin"), content))
@@ -230,14 +228,14 @@ def test_bytes_that_are_no_points_are_refused_and_columns_can_be_given(
 ) -> None:
     noise = np.random.default_rng(0)
 
-    def junk(_: Table, __: int) -> bytes:
+    def junk(_: Array, __: int) -> bytes:
         return noise.bytes(4800)
 
     write_clouds(drives[0], tmp_path / "junk", by_time("bin"), junk)
     with refused(DatasetError, "1709287200040000000.bin", None, "float32", "float64"):
         read_clouds(tmp_path / "junk", "a", Notes())
 
-    def swapped(table: Table, _: int) -> bytes:
+    def swapped(table: Array, _: int) -> bytes:
         return table[:, [5, 0, 1, 2, 3]].astype("<f4").tobytes()
 
     folder = write_clouds(drives[0], tmp_path / "swapped", by_time("bin"), swapped)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from refusals import Notes, noted, refused
 from small_dataset import render, small_camera, small_pose
 
+from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import pose_fields, read_pose_lines, write_pose_lines
@@ -33,7 +33,6 @@ from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, so3_exp
 
-Array = NDArray[np.float64]
 RealData = Callable[[str], Path]
 RECORDING = "recording_2020-10-07_14-47-51"
 POINT_COUNTS = {
@@ -257,8 +256,8 @@ def write_keyframe(
     folder: Path,
     time: int,
     T_w_cam: Array,
-    image: NDArray[np.uint8],
-    depth: NDArray[np.float32],
+    image: Image,
+    depth: Floats,
     scale: float,
     rng: np.random.Generator,
 ) -> None:

@@ -9,11 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from refusals import ErrorData, refused
 from repository import DOCS
 from small_dataset import render, small_camera, small_pose
 
+from relocbench.arrays import Array, Image
 from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
@@ -29,7 +29,6 @@ from relocbench.geometry import Camera, interpolate, invert, make_transform, so3
 from relocbench.progress import Silent
 from relocbench.tracking import KeyframePoints
 
-Array = NDArray[np.float64]
 START_NS = 1_600_000_000_000_000_000
 STEP_NS = 100_000_000
 PINHOLE = small_camera(96, 72)
@@ -205,7 +204,7 @@ def test_images_of_a_distorted_camera_are_undistorted_with_their_depth_and_point
     assert not validate_dataset(tmp_path / "out", Silent()).faults
 
 
-def smooth(image: NDArray[np.uint8]) -> Array:
+def smooth(image: Image) -> Array:
     """Without the fine texture that two resamplings blur; the borders left off."""
     return np.asarray(cv2.GaussianBlur(image.astype(np.float64), (0, 0), 2.0)[6:-6, 6:-6])
 

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from command_line import relocbench
 from killing import Fault, run_until_killed
-from numpy.typing import NDArray
 from recording_reading import hashes
 from refusals import assert_names
 from robotcar_street import SMALL, Built, Elsewhere, RobotCarStreet, build_robotcar, record_robotcar
 
+from relocbench.arrays import Array
 from relocbench.geometry import invert, se3_exp, transform_to_tq
 
-Array = NDArray[np.float64]
 GAP_US = (2_000_000, 2_700_000)
 """after the first step of visual odometry"""
 

@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 from made_bags import SECOND, Bag
-from numpy.typing import NDArray
 from refusals import ErrorData, refused
 from velodyne_packets import BLOCK_US, DUAL, ELEVATION_DEG, FIRING_US, packet, turn_of
 
+from relocbench.arrays import Array
 from relocbench.datasets.importers.rosbag.packets import PacketReading, check_calibration, packet_points
 from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
 from relocbench.datasets.importers.rosbag.roles import Wanted
 from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.errors import ConfigError, DatasetError
 
-Array = NDArray[np.float64]
 START = 1_501_822_800 * SECOND
 """a whole hour"""
 WALL_M = 12.0

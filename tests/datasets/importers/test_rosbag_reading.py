@@ -32,7 +32,6 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert, make_transform, se3_exp, transform_from_tq, transform_to_tq
 from relocbench.progress import Silent
 
-Array = NDArray[np.float64]
 START = 1_700_000_000 * SECOND
 SCANS = 12
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])

@@ -10,9 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array, Floats, Mask
 from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences, spread_sample
 from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, reference_z_buffer, see, warp
@@ -28,19 +28,19 @@ WALL, POST = 10.0, 4.0
 """metres: a wall, and a post before it"""
 
 
-def world_depth(camera: Camera, x: float) -> NDArray[np.float32]:
+def world_depth(camera: Camera, x: float) -> Floats:
     """Exact depth, seen from (x, 0, 0) straight ahead, of the wall with the post |X| < 0.4 before it."""
     u = np.arange(camera.width)
     on_post = np.abs((u - camera.cx) / camera.fx * POST + x) < 0.4
     return np.tile(np.where(on_post, POST, WALL).astype(np.float32), (camera.height, 1))
 
 
-def reference_at(x: float, depth: NDArray[np.float32] | None = None) -> Reference:
+def reference_at(x: float, depth: Floats | None = None) -> Reference:
     image = np.zeros((PINHOLE.height, PINHOLE.width), dtype=np.uint8)
     return Reference("r", 0, image, PINHOLE, depth=world_depth(PINHOLE, x) if depth is None else depth)
 
 
-def hidden_behind_post(u_ref: NDArray[np.float64], x_query: float) -> NDArray[np.bool_]:
+def hidden_behind_post(u_ref: Array, x_query: float) -> Mask:
     """Whether the post stands between the query at x and the wall point that pixel u of the reference at 0 sees."""
     wall_x = (u_ref - PINHOLE.cx) / PINHOLE.fx * WALL
     at_post = x_query + (wall_x - x_query) * POST / WALL

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pydantic import ValidationError
 from refusals import refused
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.importers.four_seasons.dataset import Options as FourSeasons
@@ -23,7 +23,7 @@ from relocbench.errors import DatasetError
 from relocbench.geometry import make_transform, so3_exp
 
 
-def drive(xs: NDArray[np.float64], first_time: int) -> PosedFrames:
+def drive(xs: Array, first_time: int) -> PosedFrames:
     """Cameras along x with some yaw, all keyframes, one a nanosecond."""
     poses = np.array([make_transform(so3_exp([0, 0.01 * i, 0]), [x, 0, 0]) for i, x in enumerate(xs)])
     times = tuple(range(first_time, first_time + len(xs)))

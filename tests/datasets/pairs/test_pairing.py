@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.pairs.pairing import make_pairs, nearest_matches, step_matches
 from relocbench.datasets.pairs.posed_frames import PosedFrames
@@ -109,7 +109,7 @@ def test_steps_across_two_traversals_are_refused() -> None:
         make_pairs(frames, frames, RuleOptions(pair_rule="step"), same_traversal=False, source="test")
 
 
-def brute_force(reference: NDArray[np.float64], query: NDArray[np.float64], distance: float, angle: float) -> list[int]:
+def brute_force(reference: Array, query: Array, distance: float, angle: float) -> list[int]:
     """For each query the nearest admissible reference, or -1, by looking at all."""
     found = []
     for T_world_query in query:

@@ -7,18 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import invert, is_rotation, make_transform, rotation_angle, se3_exp
 
-Array = NDArray[np.float64]
 TENTH = 100_000_000
 START = 1_700_000_000_000_000_000
 
 
-def swaying(times_ns: NDArray[np.int64]) -> Array:
+def swaying(times_ns: Times) -> Array:
     """A bend at 10 m/s, whose radius is 30 m, with a roll of 0.4 degrees at 1.5 Hz and heave of 2 cm."""
     t = (times_ns - START) / 1e9
     yaw = t / 3.0

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 from refusals import ErrorData, Notes, refused
 from scipy.spatial import cKDTree
 
+from relocbench.arrays import Array, Image, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.groundtruth.odometry.local_map import plane_normals
@@ -36,7 +36,6 @@ from relocbench.geometry import (
     transform_from_tq,
 )
 
-Array = NDArray[np.float64]
 FRAMES = 64
 RANGE_NOISE_M = 0.012
 
@@ -45,7 +44,7 @@ RANGE_NOISE_M = 0.012
 class Truth:
     """What no importer reads. The importers' rig stands elsewhere on the car than the town's."""
 
-    times_ns: NDArray[np.int64]
+    times_ns: Times
     T_world_town_rig: Array
     T_town_rig: Array
 
@@ -56,7 +55,7 @@ class Truth:
         times = np.array([int(row[0]) for row in rows])
         return cls(times, transform_from_tq(values[:, :3], values[:, 3:]), T_town_rig)
 
-    def at(self, times_ns: NDArray[np.int64]) -> Array:
+    def at(self, times_ns: Times) -> Array:
         """(N, 4, 4) ``T_world_rig``"""
         return interpolate_trajectory(self.times_ns, self.T_world_town_rig, times_ns) @ self.T_town_rig
 
@@ -335,7 +334,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, robotcar_lay
     return recorded.folder, layout
 
 
-def picture(size: tuple[int, int]) -> NDArray[np.uint8]:
+def picture(size: tuple[int, int]) -> Image:
     """(H, W, 3) that changes by less than two grey levels a pixel, each colour otherwise."""
     v, u = np.mgrid[: size[1], : size[0]]
     return np.stack([60 + u, 200 - u, 40 + u // 2 + v], axis=-1).astype(np.uint8)

@@ -14,10 +14,10 @@ import yaml
 from command_line import relocbench
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from recording_reading import RobotCarReading, Truth, hashes
 from refusals import assert_names
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.synthetic.conditions.condition import Factors, condition_named
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M, DriveStyle, drive, route_length
@@ -32,8 +32,6 @@ from relocbench.datasets.synthetic.town.streets import periodic_street
 from relocbench.datasets.synthetic.town.town import compose, make_district
 from relocbench.errors import ConfigError
 from relocbench.geometry import interpolate_trajectory, invert
-
-Array = NDArray[np.float64]
 
 SMOKE = ("build-dataset", "synthetic", "--preset", "smoke", "--quiet")
 ROBOTCAR = (*SMOKE, "--recording", "robotcar", "--image-scale", 0.08, "--steps", 5)

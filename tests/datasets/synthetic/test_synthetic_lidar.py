@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from refusals import refused
 from small_street import box, quads
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.echo import extinction, signal
 from relocbench.datasets.synthetic.lidar.lidar import (
@@ -27,8 +27,6 @@ from relocbench.datasets.synthetic.lidar.lidar import (
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, make_transform, se3_exp, so3_exp
-
-Array = NDArray[np.float64]
 
 CLEAR = Factors()
 LOW, HIGH = np.array([-9.0, -7.0, 0.0]), np.array([11.0, 8.0, 6.0])
@@ -58,7 +56,7 @@ class Driving:
 
     twist = np.array([12.0, 0.0, 0.0, 0.0, np.radians(5), np.radians(40)])
 
-    def __call__(self, times_ns: NDArray[np.int64], /) -> Array:
+    def __call__(self, times_ns: Times, /) -> Array:
         start = make_transform(np.eye(3), [-1.0, 0.2, 1.8])
         return np.asarray(start @ se3_exp(times_ns[:, None] / 1e9 * self.twist))
 
@@ -161,7 +159,7 @@ def test_ranges_have_the_stated_noise() -> None:
 class Crossing:
     """Something that crosses the room at 15 m/s while it turns; it enters at time 0."""
 
-    def __call__(self, times_ns: NDArray[np.int64], /) -> Array:
+    def __call__(self, times_ns: Times, /) -> Array:
         seconds = times_ns / 1e9
         zero = np.zeros_like(seconds)
         rotation = so3_exp(np.stack([zero, zero, 2.0 * seconds], axis=-1))

@@ -16,11 +16,11 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from killing import Fault, run_until_killed
-from numpy.typing import NDArray
 from recording_reading import RobotCarReading, Truth, hashes, matrix_of, read_vo
 from refusals import refused
 from small_street import SolidTexture, StraightRoad, Street, street_mesh
 
+from relocbench.arrays import Array
 from relocbench.datasets.importers.kitti import dataset as kitti
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors
 from relocbench.datasets.synthetic.drives import odometry
@@ -36,8 +36,6 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import interpolate_trajectory, invert, rotation_angle, so3_exp
 from relocbench.progress import Silent
-
-Array = NDArray[np.float64]
 
 TRAFFIC = Factors(traffic=3.0)
 SCALE = 0.1

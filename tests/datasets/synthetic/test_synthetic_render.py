@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer.lamps import (
     NIGHT_LUX,
@@ -24,7 +25,6 @@ from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, me
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 
-Array = NDArray[np.float64]
 SIZE = 96
 CAMERA = Camera("pinhole", SIZE, SIZE, 60.0, 60.0, (SIZE - 1) / 2, (SIZE - 1) / 2)
 QUIET = {"read_noise": 0.0, "shot_noise": 0.0, "vignetting": 0.0}
@@ -119,7 +119,7 @@ def grey(frame: Frame) -> Array:
     return out
 
 
-def by_hand(mesh: Mesh, camera: Camera, T_world_cam: Array) -> tuple[Array, NDArray[np.int64]]:
+def by_hand(mesh: Mesh, camera: Camera, T_world_cam: Array) -> tuple[Array, Indices]:
     """Depth and triangle of each pixel by trying all triangles in double precision (Moeller-Trumbore)."""
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1).reshape(-1, 3)
@@ -308,7 +308,7 @@ def test_textures_hold_no_energy_that_eightfold_sampling_does_not_have() -> None
                 mask &= np.roll(frame.instance, step, axis) == surface
         assert mask.sum() > 500
 
-        def rough(picture: Array, where: NDArray[np.bool_] = mask) -> float:
+        def rough(picture: Array, where: Mask = mask) -> float:
             second = picture - 0.5 * (np.roll(picture, 1, 1) + np.roll(picture, -1, 1))
             return float((second[where] ** 2).mean())
 

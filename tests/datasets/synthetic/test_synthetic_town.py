@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from refusals import refused
 
+from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.town.buildings import DEPTH_M, draw_house, house_shape
 from relocbench.datasets.synthetic.town.cars import CAR_TYPES, car_shape
@@ -50,7 +51,7 @@ class Rays:
             o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles)),
         )
 
-    def cast(self, origins: Any, directions: Any) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    def cast(self, origins: Any, directions: Any) -> tuple[Floats, Indices]:
         """Distance (inf where nothing is hit) and triangle of each ray."""
         both = np.concatenate(np.broadcast_arrays(origins, directions), axis=-1).astype(np.float32)
         answer = self.scene.cast_rays(o3d.core.Tensor.from_numpy(both))
@@ -62,7 +63,7 @@ def rays(crowded: Mesh) -> Rays:
     return Rays(crowded)
 
 
-def normals(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64]:
+def normals(vertices: NDArray[Any], triangles: NDArray[Any]) -> Array:
     corners = vertices[triangles].astype(np.float64)
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -84,7 +85,7 @@ def open_edges(shape: Shape) -> int:
     return sum(max(0, n - edges.get((b, a), 0)) for (a, b), n in edges.items())
 
 
-def poses_along(district: District, length: float, seed: int, step: float) -> NDArray[np.float64]:
+def poses_along(district: District, length: float, seed: int, step: float) -> Array:
     path = district.network.drive(length, seed)
     return np.stack([path.pose(float(s)) for s in np.arange(0, path.length, step)])
 
@@ -315,7 +316,7 @@ def test_a_drive_keeps_to_the_right(district: District) -> None:
     assert left > 10
 
 
-def outline_is_free(rays: Rays, poses: NDArray[np.float64], length: float, width: float) -> NDArray[np.bool_]:
+def outline_is_free(rays: Rays, poses: Array, length: float, width: float) -> Mask:
     """Whether rays round the outline of a vehicle and through it, at three heights, hit nothing."""
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1], [-1, -1]]) * [length / 2, width / 2]
     free = np.ones(len(poses), dtype=bool)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from command_line import relocbench
-from numpy.typing import NDArray
 from pixel_views import INTENSITY, levels, offsets, pixels, view
 from refusals import assert_names
 from small_dataset import ACROSS, WITHIN, make_small_dataset
@@ -20,6 +19,7 @@ from trackers_for_probe import Basin
 from baselines.alignment import MatchSettings, match_pixels, match_pixels_by_level
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.weights import save_weights
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.evaluation.common.handles import LocalTracker
@@ -84,7 +84,7 @@ def test_priors_follow_rays_that_depend_on_the_pair_and_the_seed_alone() -> None
 
 def test_a_tracker_with_a_known_basin_is_counted_right() -> None:
     class UpToOneMetre:
-        def track(self, reference: object, query: object, prior: NDArray[np.float64]) -> TrackResult:
+        def track(self, reference: object, query: object, prior: Array) -> TrackResult:
             far = np.linalg.norm(prior[:3, 3] - TRUTH[:3, 3]) > 1 + 1e-9
             turned = np.linalg.norm(prior[:3, :3] - TRUTH[:3, :3]) > 0.1
             if turned:
@@ -408,7 +408,7 @@ def test_starts_beside_the_keyframes_pose_are_as_far_from_the_truth() -> None:
 
 def test_a_method_that_knows_where_queries_lie_is_found_out() -> None:
     class Habit:
-        def track(self, reference: object, query: object, prior: NDArray[np.float64]) -> TrackResult:
+        def track(self, reference: object, query: object, prior: Array) -> TrackResult:
             return TrackResult(TRUTH @ prior)  # right from the keyframe's pose alone
 
     query = Query("q", 2, np.zeros((4, 4), np.uint8), None)  # type: ignore[arg-type]

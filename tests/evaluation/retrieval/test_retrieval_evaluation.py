@@ -11,11 +11,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from refusals import refused
 from retrievers_for_tests import Thumbnail
 from small_views import make_small_views
 
+from relocbench.arrays import Image
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import DatasetError, MethodError, PredictionError
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
@@ -76,7 +76,7 @@ def test_an_image_under_two_names_is_described_once() -> None:
     def view(key: str, content: str, side: str = "drone") -> ImageView:
         grey = np.full((2, 2, 3), ord(content[:1] or key[:1]), dtype=np.uint8)
 
-        def counted() -> NDArray[np.uint8]:
+        def counted() -> Image:
             read.append(key)
             return grey
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
 
+from relocbench.arrays import Array
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.evaluation.tracking.clock import clock_poses
@@ -20,7 +20,7 @@ from relocbench.progress import Silent
 NS = 10**9
 
 
-def drive(count: int, speed_noise: float, seed: int = 0) -> tuple[list[int], list[int], NDArray[np.float64]]:
+def drive(count: int, speed_noise: float, seed: int = 0) -> tuple[list[int], list[int], Array]:
     """Keyframes and queries of two drives of about 10 m/s, each query with the keyframe about 2 m behind it."""
     rng = np.random.default_rng(seed)
     keyframes = 10.0 * np.arange(count) + rng.normal(0, speed_noise, count)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from evo.tools import file_interface
-from numpy.typing import NDArray
 from refusals import refused
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, read_pose_lines, write_pose_lines
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
@@ -24,8 +24,6 @@ from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_me
 from relocbench.evaluation.tracking.exports import export_kitti, export_mlad, export_poses, export_tum, truth_lines
 from relocbench.geometry import Camera, invert, make_transform, rotation_angle, so3_exp
 from relocbench.progress import Silent
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

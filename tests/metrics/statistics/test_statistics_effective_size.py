@@ -7,7 +7,6 @@ import pytest
 from autoregression import autoregressive
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relocbench.metrics.statistics.effective_size import (
     PRIOR_CORRELATION,
@@ -15,8 +14,6 @@ from relocbench.metrics.statistics.effective_size import (
     inflation_of,
     series_inflation,
 )
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8, 0.95])

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from autoregression import autoregressive
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from relocbench.arrays import Array
 from relocbench.metrics import generator, rank_with_ties
 from relocbench.metrics.statistics.ranks import different_methods
-
-Array = NDArray[np.float64]
 
 
 def drive(rng: np.random.Generator, n: int, rho: float, share: float = 0.5) -> Array:

@@ -7,15 +7,13 @@ import pytest
 from autoregression import autoregressive
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from relocbench.arrays import Array
 from relocbench.metrics import Interval, by_place, mean_interval, paired_difference, rank_with_ties
 from relocbench.metrics.statistics.intervals import MANY_ROADS
 from relocbench.metrics.statistics.ranks import different_methods
 from relocbench.metrics.statistics.roads import aligned, by_road
-
-Array = NDArray[np.float64]
 
 lengths = st.lists(st.integers(1, 40), min_size=1, max_size=5)
 

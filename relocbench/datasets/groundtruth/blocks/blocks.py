@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Floats, Times
+from relocbench.arrays import Array, Bytes, Floats, Indices, Times
 
 
 class Surface(IntEnum):
@@ -35,7 +34,7 @@ class Nodes:
     """(K, 4, 4) pose of the rig at each node, by the odometry"""
     travelled_m: Array
     """(K,) arc length: metres driven up to each node"""
-    segment: NDArray[np.int64] | None = None
+    segment: Indices | None = None
     """(K,) number of the segment, a part of the odometry without a gap, that each node lies in; None: one segment"""
     begin_ns: Times | None = None
     """(K,) when each block begins; None: half-way between nodes"""
@@ -51,7 +50,7 @@ class Nodes:
         T[:, :3, 3] *= factor
         return replace(self, T_odom_node=T, travelled_m=self.travelled_m * factor)
 
-    def segments(self) -> NDArray[np.int64]:
+    def segments(self) -> Indices:
         """(K,) number of the segment that each node lies in."""
         return np.zeros(len(self), dtype=np.int64) if self.segment is None else self.segment
 
@@ -77,11 +76,11 @@ class Block:
     """(N, 3) unit vectors towards the sensor; 0 where no plane fits"""
     origins: Floats
     """(N, 3) position of the sensor when it measured each point"""
-    surface: NDArray[np.uint8]
+    surface: Bytes
     """(N,) :class:`Surface`"""
     steady: Floats
     """(N,) static score in [0, 1]: 1 for a static point, 0 for a dynamic one, through which other beams went"""
-    lidar: NDArray[np.uint8] | None = field(default=None, kw_only=True)
+    lidar: Bytes | None = field(default=None, kw_only=True)
     """(N,) number of the lidar that measured each point, in the order of the recording; None: there is one"""
 
     def __len__(self) -> int:

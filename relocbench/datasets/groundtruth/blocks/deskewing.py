@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Mask, Times
+from relocbench.arrays import Array, Bytes, Indices, Mask, Times
 from relocbench.datasets.groundtruth.blocks.nodes import ArcLength
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.geometry import invert, so3_log
@@ -27,10 +27,10 @@ class Beams(NamedTuple):
     """(N, 3) where the sensor was"""
     times_ns: Times
     """(N,) when each beam was fired"""
-    lidar: NDArray[np.uint8]
+    lidar: Bytes
     """(N,) number of the lidar that fired it, in the order of the recording"""
 
-    def rows(self, which: NDArray[np.int64]) -> Beams:
+    def rows(self, which: Indices) -> Beams:
         """Some of the beams."""
         return Beams(self.points[which], self.origins[which], self.times_ns[which], self.lidar[which])
 

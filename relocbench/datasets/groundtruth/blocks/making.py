@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Indices
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader, Beams
 from relocbench.datasets.groundtruth.blocks.dynamic_points import DynamicPointOptions, static_scores
@@ -121,7 +121,7 @@ def _finish(node: int, around: dict[int, Beams], nodes: Nodes, wheel_height_m: f
     return Block(own.points, normals, own.origins, surface, steady, lidar=own.lidar)
 
 
-def _voting(sizes: Sequence[int], options: BlockOptions) -> NDArray[np.int64]:
+def _voting(sizes: Sequence[int], options: BlockOptions) -> Indices:
     """Rows of the beams that vote, where blocks of these sizes are laid end to end."""
     starts = np.cumsum([0, *sizes[:-1]])
     steps = [-(-size // options.steady.most_beams) or 1 for size in sizes]

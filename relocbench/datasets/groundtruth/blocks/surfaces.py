@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Floats, Indices, Mask
+from relocbench.arrays import Array, Bytes, Floats, Indices, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack
 from relocbench.kernels import njit
@@ -162,7 +161,7 @@ def classify(
     T_node_path: Array,
     wheel_height_m: float,
     options: SurfaceOptions,
-) -> NDArray[np.uint8]:
+) -> Bytes:
     """:class:`Surface` (N,) of points (N, 3) with normals (N, 3), which are 0 where no plane fits.
 
     Args:

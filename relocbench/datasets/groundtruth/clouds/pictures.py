@@ -13,9 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Bytes, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.clouds.register import CloudRegistration
 from relocbench.datasets.groundtruth.report.figures import QUERY, REFERENCE, shortened, write_figure
@@ -38,7 +37,7 @@ def write_before_after(path: Path, registration: CloudRegistration, names: tuple
     write_figure(path, (12, 9.5), lambda figure: _draw(figure, a, (b, after), registration, names))
 
 
-def _structure(surface: NDArray[np.uint8]) -> Mask:
+def _structure(surface: Bytes) -> Mask:
     """Points that are not ground, which hides what stands on it from above."""
     chosen = surface != Surface.GROUND
     return np.asarray(chosen if np.count_nonzero(chosen) > 100 else np.ones(len(surface), dtype=bool))

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Floats
+from relocbench.arrays import Array, Bytes, Floats
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import Camera, invert
 from relocbench.kernels import njit
@@ -28,7 +27,7 @@ class TracedSpace:
     low: Floats
     """(3,) lowest corner"""
     cell_m: float
-    state: NDArray[np.uint8]
+    state: Bytes
     """(X, Y, Z) 0: unknown; 1: free, a beam went through; 2: shadow, none went through and one ended in front of it"""
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Image
 from relocbench.datasets.groundtruth.depth.depth import DepthImage
 from relocbench.datasets.groundtruth.depth.stereo_check import depth_by_stereo, rectified
 from relocbench.datasets.sensors.recording import CameraStream
@@ -49,5 +47,5 @@ def stereo_pair(cameras: Mapping[str, CameraStream], left: str) -> StereoPair | 
     return None
 
 
-def _image(stream: CameraStream, time_ns: int) -> NDArray[np.uint8]:
+def _image(stream: CameraStream, time_ns: int) -> Image:
     return stream.read(int(stream.times_ns.searchsorted(time_ns)))

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.geometry import invert, se3_log
 from relocbench.progress import Reporter
@@ -178,7 +178,7 @@ def _noise(sizes: Array) -> Array:
     return _median(_around(sizes, _AROUND, np.nan))
 
 
-def _come_back(rows: NDArray[np.intp], deviation: Array, twists: Array, seconds: Array, middle: Array) -> Mask:
+def _come_back(rows: Indices, deviation: Array, twists: Array, seconds: Array, middle: Array) -> Mask:
     """(M, 2) whether less than half of a deviation remains after the steps soon before and after.
 
     Args:

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Indices, Mask
 
 _LEAST_CHECKED = 0.02
 """redundancy number below which a direction counts as not confirmed by other edges"""
@@ -33,7 +32,7 @@ class OutlierTest:
         return self.redundancy_numbers > _LEAST_CHECKED
 
     @property
-    def freedom(self) -> NDArray[np.int64]:
+    def freedom(self) -> Indices:
         """(E,) number of directions that other edges confirm"""
         return np.asarray(self.checked.sum(axis=1))
 

@@ -15,9 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Bytes, Mask
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.report.figures import QUERY, REFERENCE, shortened, write_figure
@@ -47,7 +46,7 @@ class Cloud:
     """(N, 3)"""
     normals: Array
     """(N, 3)"""
-    surface: NDArray[np.uint8]
+    surface: Bytes
     """(N,)"""
 
     @classmethod

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
@@ -21,8 +21,6 @@ from relocbench.datasets.groundtruth.voxels.traversal import enter_grid, next_vo
 from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, cells_of, make_grid, pack
 from relocbench.geometry import apply
 from relocbench.kernels import njit
-
-Counts = NDArray[np.int64]
 
 _CELLS_M = (0.3, 0.5, 0.8)
 """sizes of surface patches; the first with which patches hold enough of the points is used"""
@@ -77,9 +75,9 @@ class Patches:
 class BeamVotes:
     """For each patch of one submap, the number of beams of the other that reached it or went through it."""
 
-    through: Counts
+    through: Indices
     """(V,) number of beams that went through each patch"""
-    reached: Counts
+    reached: Indices
     """(V,) number of beams that ended at each patch"""
     weights: Array
     """(V,) weights of the patches"""
@@ -192,7 +190,7 @@ def make_patches(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _follow(
     origins: Array, ends: Array, middle: Array, normals: Array, grid: Grid, rows: NDArray[np.int32]
-) -> tuple[Counts, Counts]:  # pragma: no cover - compiled
+) -> tuple[Indices, Indices]:  # pragma: no cover - compiled
     """(V,) beams through each patch, and (V,) beams that ended at it."""
     within = _WITHIN * grid.size_m
     through = np.zeros(len(middle), dtype=np.int64)

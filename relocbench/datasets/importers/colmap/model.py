@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Indices
 from relocbench.datasets.core.named_poses import pose_of_numbers
 from relocbench.datasets.importers.photos.cameras import PARAMETERS, camera_of
 from relocbench.datasets.importers.photos.model import ModelImage, SparseModel
@@ -55,7 +56,7 @@ def read_model(folder: Path) -> SparseModel:
 
 
 def _check_references(
-    path: Path, cameras: Mapping[int, Camera], images: Mapping[int, ModelImage], ids: NDArray[np.int64]
+    path: Path, cameras: Mapping[int, Camera], images: Mapping[int, ModelImage], ids: Indices
 ) -> None:
     names: set[str] = set()
     for image in images.values():
@@ -69,7 +70,7 @@ def _check_references(
         names.add(image.name)
 
 
-def _image(name: str, camera: int, numbers: list[float], points: NDArray[np.int64]) -> ModelImage:
+def _image(name: str, camera: int, numbers: list[float], points: Indices) -> ModelImage:
     """An image of its quaternion (w first), translation and points, -1 for keypoints without any. Raises ValueError."""
     return ModelImage(name, camera, pose_of_numbers(numbers), np.unique(points[points >= 0]))
 
@@ -124,7 +125,7 @@ def _text_images(path: Path) -> Iterator[tuple[int, ModelImage]]:
         yield _identifier(fields[0], path, number, "IMAGE_ID"), image
 
 
-def _text_observations(line: str) -> NDArray[np.int64]:
+def _text_observations(line: str) -> Indices:
     """The points of the keypoints on a line ``X Y POINT3D_ID ...``. Raises ValueError."""
     fields = line.split()
     if len(fields) % 3:

@@ -7,9 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.importers.kapture.tables import (
     CAMERAS,
     DEPTHS,
@@ -49,7 +48,7 @@ class KaptureFolder:
     """timestamp -> the depth maps of that time"""
     points: Array
     """(P, 3)"""
-    observed: dict[str, NDArray[np.int64]]
+    observed: dict[str, Indices]
     """image name -> the points that it observes"""
 
     def path(self, record: Record) -> Path:

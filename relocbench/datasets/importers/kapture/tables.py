@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.named_poses import POSE_NUMBERS, pose_of_numbers
 from relocbench.datasets.importers.photos.cameras import camera_of
 from relocbench.errors import DatasetError, quoted
@@ -213,7 +212,7 @@ def read_points(path: Path) -> Array:
     return np.array(points, dtype=np.float64).reshape(-1, 3)
 
 
-def read_observations(path: Path, version: str, points: int) -> dict[str, NDArray[np.int64]]:
+def read_observations(path: Path, version: str, points: int) -> dict[str, Indices]:
     """The points (K,), increasing, that each image observes, by the image's name.
 
     Lines are ``point3d_id, keypoints_type, [image_path, feature_id]*``, without the type in version 1.0. Observations

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Indices
 from relocbench.geometry import Camera
 
 
@@ -21,7 +18,7 @@ class ModelImage:
     camera: int
     T_cam_world: Array
     """(4, 4)"""
-    points: NDArray[np.int64]
+    points: Indices
     """(K,) the points that it observes, increasing"""
 
 
@@ -31,7 +28,7 @@ class SparseModel:
 
     cameras: Mapping[int, Camera]
     images: Mapping[int, ModelImage]
-    point_ids: NDArray[np.int64]
+    point_ids: Indices
     """(P,) increasing"""
     xyz: Array
     """(P, 3) in units of the model"""

@@ -6,25 +6,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.importers.photos.model import SparseModel
 from relocbench.geometry import Camera, apply, invert
 from relocbench.tracking import KeyframePoints
-
-Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
     """Which image of a model observes which point, sorted by the point."""
 
-    image: Rows
+    image: Indices
     """(K,) the image's number in the model"""
-    point: Rows
+    point: Indices
     """(K,) row of the point in the model's arrays"""
-    first: Rows
+    first: Indices
     """(P + 1,) where the observations of each point begin"""
 
     @classmethod
@@ -38,7 +35,7 @@ class Observations:
         return cls(image[order].astype(np.int64), point[order].astype(np.int64), first.astype(np.int64))
 
     @property
-    def counts(self) -> Rows:
+    def counts(self) -> Indices:
         """(P,) number of images that observe each point."""
         return np.diff(self.first)
 
@@ -83,7 +80,7 @@ def keyframe_points(
 
 
 def _information(
-    model: SparseModel, seen: Observations, pinholes: Mapping[int, Camera], image: int, rows: Rows, at: Array
+    model: SparseModel, seen: Observations, pinholes: Mapping[int, Camera], image: int, rows: Indices, at: Array
 ) -> Array:
     """``sum_j |d u_j / d rho|^2`` (N,) of the points ``rows`` at (N, 3) in the image, over the other observers j."""
     total = np.zeros(len(rows))

@@ -15,10 +15,10 @@ from typing import Literal
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M
 from relocbench.datasets.synthetic.town.network import RUN_IN_M, Path, StreetNetwork
 from relocbench.datasets.synthetic.town.polylines import arc_lengths, turns_of
-from relocbench.datasets.synthetic.town.shapes import Floats
 from relocbench.errors import ConfigError
 
 RouteName = Literal["common", "detour", "crossing", "return", "periodic"]
@@ -71,7 +71,7 @@ def _back(network: StreetNetwork, common: Sequence[int], length_m: float) -> Pat
     return network.path(chain[skipped:], start - at[skipped], length_m)
 
 
-def _along(network: StreetNetwork, chain: Sequence[int]) -> Floats:
+def _along(network: StreetNetwork, chain: Sequence[int]) -> Array:
     """Distances (N,) of the nodes along the middle of the road."""
     return arc_lengths(network.nodes[list(chain)])
 

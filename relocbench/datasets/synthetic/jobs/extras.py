@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Mask
 from relocbench.datasets.core import images
 from relocbench.files import write_bytes
 
@@ -22,7 +23,7 @@ def extra_path(root: Path, traversal: str, kind: str, camera: str, timestamp_ns:
     return root / "extras" / traversal / kind / camera / f"{timestamp_ns}.png"
 
 
-def write_normals(path: Path, normal: NDArray[np.float32]) -> None:
+def write_normals(path: Path, normal: Floats) -> None:
     """Write unit normals (H, W, 3) in world axes as 16-bit RGB ``(n + 1) 32767.5``; the sky, (0, 0, 0), is mid grey."""
     _write_png(path, np.rint((np.clip(normal, -1, 1) + 1) * 32767.5).astype(np.uint16)[..., ::-1])
 
@@ -33,7 +34,7 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
     images.write_image(path, np.stack(parts, axis=-1))
 
 
-def write_mask(path: Path, mask: NDArray[np.bool_]) -> None:
+def write_mask(path: Path, mask: Mask) -> None:
     """Write a mask (H, W) as 8-bit grey, 255 where it is true."""
     images.write_image(path, np.where(mask, 255, 0).astype(np.uint8))
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Bytes
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.town.mesh import Material
 
@@ -57,7 +56,7 @@ def extinction(factors: Factors) -> float:
     return float(factors.fog_density + decibels_per_km / 1000 * np.log(10) / 10)
 
 
-def surface_reflectance(material: NDArray[np.uint8], upward: Array, cosine: Array, factors: Factors) -> Array:
+def surface_reflectance(material: Bytes, upward: Array, cosine: Array, factors: Factors) -> Array:
     """Diffuse reflectance (N,) near 905 nm of the surfaces that were hit, in the given weather.
 
     A film of water darkens a surface and reflects grazing beams specularly, by Schlick's approximation of Fresnel's

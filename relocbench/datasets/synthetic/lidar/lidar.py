@@ -14,7 +14,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Mask, Times
+from relocbench.arrays import Array, Bytes, Mask, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.echo import clutter, extinction, signal, surface_reflectance
 from relocbench.datasets.synthetic.town.mesh import Mesh
@@ -40,7 +40,7 @@ class RayHits:
 
     range: Array
     """(N,) in lengths of the direction; inf without a hit"""
-    material: NDArray[np.uint8]
+    material: Bytes
     """(N,) :class:`Material`; 0 without a hit"""
     instance: NDArray[np.uint32]
     """(N,) object; 0 without a hit"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Floats
+from relocbench.arrays import Floats, Indices
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, View, ray
 from relocbench.datasets.synthetic.renderer.surfaces import Geometry, Hits, corner
@@ -30,7 +30,7 @@ def surface_names(geometry: Geometry) -> NDArray[np.uint32]:
 @njit(cache=True, nogil=True, error_model="numpy")
 def edge_pixels(
     names: NDArray[np.uint32], triangle: NDArray[np.uint32], hits: Hits, light: Floats, width: int
-) -> NDArray[np.int64]:
+) -> Indices:
     """Pixels with a horizontal or vertical neighbour that shows another surface and differs in brightness.
 
     Two pixels show the same surface if they have the same name (see :func:`surface_names`), similar normals and no step
@@ -69,8 +69,8 @@ def edge_pixels(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def neighbours_seen(
-    view: View, geometry: Geometry, edges: NDArray[np.int64], triangle: NDArray[np.uint32], width: int
-) -> NDArray[np.int64]:
+    view: View, geometry: Geometry, edges: Indices, triangle: NDArray[np.uint32], width: int
+) -> Indices:
     """For each sample of the edge pixels (4 E,) the nearby pixel whose triangle it hits first, or -1 if it hits none.
 
     Only the triangles shown by the surrounding 3 x 3 pixels are tested, which nearly always include the right one and
@@ -135,12 +135,12 @@ def neighbours_seen(
 def known_colours(
     geometry: Geometry,
     names: NDArray[np.uint32],
-    pixels: NDArray[np.int64],
+    pixels: Indices,
     found: NDArray[np.uint32],
     triangle: NDArray[np.uint32],
     hits: Hits,
     width: int,
-) -> NDArray[np.int64]:
+) -> Indices:
     """For each sample (S,) the nearby pixel that shows the same surface, or -1.
 
     ``pixels`` and ``found`` (S,) hold the samples' pixels and triangles; ``triangle`` and ``hits`` are those of all
@@ -179,9 +179,7 @@ def _cosine(vertices: Floats, triangles: NDArray[np.uint32], t: int, normal: Flo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blend_edges(
-    image: Floats, edges: NDArray[np.int64], known: NDArray[np.int64], own: Floats, index: NDArray[np.int64]
-) -> Floats:
+def blend_edges(image: Floats, edges: Indices, known: Indices, own: Floats, index: Indices) -> Floats:
     """The image (N, 3) in which each edge pixel is the mean of its centre and its four samples.
 
     A sample has the colour of pixel ``known`` (4 E,) or, if that is -1, of ``own`` (M, 3) at ``index`` (4 E,).

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Floats
+from relocbench.arrays import Array, Bytes, Floats, Image, Mask
 from relocbench.datasets.synthetic.camera.drops import add_lens_drops
 from relocbench.datasets.synthetic.camera.motion_blur import motion_blur
 from relocbench.datasets.synthetic.camera.photograph import exposure_ev, grey_levels, through_lens
@@ -47,15 +47,15 @@ _LAMP_AT = 0.95
 class Frame:
     """One image with its ground truth, which is that of the ray through each pixel's centre."""
 
-    rgb: NDArray[np.uint8]
+    rgb: Image
     """(H, W, 3)"""
-    depth: NDArray[np.float32]
+    depth: Floats
     """(H, W) metres along z, 0 for the sky"""
-    normal: NDArray[np.float32]
+    normal: Floats
     """(H, W, 3) in the world, towards the camera; 0 for the sky"""
     instance: NDArray[np.uint32]
     """(H, W), 0 for the ground and the sky"""
-    semantic: NDArray[np.uint8]
+    semantic: Bytes
     """(H, W) :class:`Semantic`"""
 
 
@@ -120,9 +120,9 @@ class Renderer:
     def render(
         self,
         camera: Camera,
-        T_world_cam: NDArray[np.float64],
+        T_world_cam: Array,
         frame_seed: int,
-        T_world_vehicle: NDArray[np.float64] | None = None,
+        T_world_vehicle: Array | None = None,
         shot: Shot | None = None,
     ) -> Frame:
         """Render the image of a pinhole camera; the same arguments give the same bytes.
@@ -198,7 +198,7 @@ class Renderer:
             lit[rims] = 1.0 - self._scene.occluded(rays).reshape(-1, 4).mean(axis=1, dtype=np.float32)
         return lit
 
-    def _cast_shadows(self, hits: Hits, asked: NDArray[np.bool_], lit: Floats) -> None:
+    def _cast_shadows(self, hits: Hits, asked: Mask, lit: Floats) -> None:
         index, rays = shadows.shadow_rays(hits, asked, self._sky.to_sun, self._by_lamp, self._lamps)
         lit[index] = 1.0 - self._scene.occluded(rays, _LAMP_AT if self._by_lamp else np.inf)
 
@@ -248,10 +248,10 @@ class Renderer:
         image: Floats,
         depth: Floats,
         camera: Camera,
-        pose: NDArray[np.float64],
+        pose: Array,
         frame_seed: int,
         shot: Shot | None,
-    ) -> NDArray[np.uint8]:
+    ) -> Image:
         """Apply the weather between scene and lens, then the camera, each with its own random stream.
 
         The weather is drawn into light that is blurred already, since its streaks are those of an exposure.
@@ -284,7 +284,7 @@ class Renderer:
         return grey_levels(image * np.float32(gain), shot, noise)
 
 
-def _headlights(pose: NDArray[np.float64], of_camera: bool) -> Beam:
+def _headlights(pose: Array, of_camera: bool) -> Beam:
     """Headlights at the front of the vehicle or, for a camera's pose, below the camera in its viewing direction."""
     forward = pose[:3, 2] if of_camera else pose[:3, 0]
     flat = np.array([forward[0], forward[1], 0.0])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from relocbench.arrays import Floats
+from relocbench.arrays import Floats, Image
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.kernels import njit
 
@@ -36,7 +36,7 @@ def exposure_gain(image: Floats, factors: Factors) -> float:
     return out
 
 
-def apply_response(image: Floats, factors: Factors, rng: np.random.Generator) -> NDArray[np.uint8]:
+def apply_response(image: Floats, factors: Factors, rng: np.random.Generator) -> Image:
     """8-bit RGB image (H, W, 3) of linear light (H, W, 3)."""
     gain = exposure_gain(image, factors)
     curve = tone_curve(factors.gamma)
@@ -88,7 +88,7 @@ def _develop(
     curve: Floats,
     deviation: Floats,
     deviates: Floats,
-) -> NDArray[np.uint8]:
+) -> Image:
     height, width, _ = image.shape
     rows, columns, _ = glow.shape
     out = np.empty((height, width, 3), dtype=np.uint8)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Floats, Mask
+from relocbench.arrays import Array, Bytes, Floats, Mask
 from relocbench.datasets.synthetic.renderer.materials import CHOICES, Looks, scramble
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
@@ -34,8 +34,8 @@ class Geometry(NamedTuple):
     vertices: Floats
     triangles: NDArray[np.uint32]
     uv: Floats
-    material: NDArray[np.uint8]
-    semantic: NDArray[np.uint8]
+    material: Bytes
+    semantic: Bytes
     instance: NDArray[np.uint32]
     variant: NDArray[np.uint32]
 
@@ -283,7 +283,7 @@ def casts_reflection(geometry: Geometry, samples: Samples, hits: Hits, least: fl
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def objects(geometry: Geometry, triangle: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
+def objects(geometry: Geometry, triangle: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], Bytes]:
     """Instance number and semantic class (N,) of the triangles that rays hit."""
     n = len(triangle)
     instance = np.zeros(n, dtype=np.uint32)

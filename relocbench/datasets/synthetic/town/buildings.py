@@ -11,9 +11,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.facades import FrontStyle, balcony, door, openings, shop, trims
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, join, moved, quads, triangle_shape, tube
+from relocbench.datasets.synthetic.town.shapes import Shape, boxes, join, moved, quads, triangle_shape, tube
 
 DEPTH_M = 10.0
 
@@ -171,7 +172,7 @@ def _names(house: House, count: int, first: int) -> np.ndarray:
     return ((np.arange(count) + first + 1) * 2654435761 % 2**32).astype(np.uint32)
 
 
-def _ground_floor(house: House, edge: Floats) -> list[Shape]:
+def _ground_floor(house: House, edge: Array) -> list[Shape]:
     """The ground floor: a door in one column, and windows or shop fronts in the others."""
     style, columns = house.front, len(edge) - 1
     entry = _door_column(house, columns)
@@ -192,7 +193,7 @@ def _ground_floor(house: House, edge: Floats) -> list[Shape]:
     return parts
 
 
-def _ground_windows(house: House, edge: Floats, columns: list[int]) -> list[Shape]:
+def _ground_windows(house: House, edge: Array, columns: list[int]) -> list[Shape]:
     style = house.front
     k = np.array(columns)
     cells = np.stack([edge[k], edge[k + 1], 0 * k, 0 * k + house.ground_m], axis=1).astype(float)
@@ -238,7 +239,7 @@ def _ends(house: House, width: float, left: float, right: float, depth: float) -
     return [quads(walls, house.front.wall)]
 
 
-def _along(house: House, width: float, left: float, right: float, depth: float, y: float, z: float) -> Floats:
+def _along(house: House, width: float, left: float, right: float, depth: float, y: float, z: float) -> Array:
     """The two ends (2, 3) of a line along the house at depth y and height z."""
     return np.array([(left * y / depth, y, z), (width + right * y / depth, y, z)])
 
@@ -282,7 +283,7 @@ def _gable(house: House, width: float, left: float, right: float, depth: float) 
     return parts
 
 
-def _chimneys(house: House, ridge: Floats) -> list[Shape]:
+def _chimneys(house: House, ridge: Array) -> list[Shape]:
     """Brick chimneys with pots on the ridge, at one or both ends."""
     parts = []
     for k in range(house.chimneys):

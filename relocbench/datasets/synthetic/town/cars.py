@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.shapes import (
-    Floats,
     Shape,
     boxes,
     instances,
@@ -81,12 +81,12 @@ _TYPES = (
 CAR_TYPES = len(_TYPES)
 
 
-def _columns(car: _Type) -> Floats:
+def _columns(car: _Type) -> Array:
     """Positions (C,) of the cross-sections along the car: kinks of the profile, wheel arches, edges of windows."""
     arch = np.cos(np.linspace(0, np.pi, 9)) * (car.wheel + 0.07)
     marks = [[x for x, _ in car.profile], *(a + arch for a in car.axles), np.ravel(car.glass), np.ravel(car.screens)]
     places = np.unique(np.round(np.concatenate([np.asarray(m, float) for m in marks]), 3))
-    out: Floats = places[np.concatenate([[True], np.diff(places) > 0.015])]
+    out: Array = places[np.concatenate([[True], np.diff(places) > 0.015])]
     return out
 
 
@@ -134,7 +134,7 @@ def _skin(car: _Type) -> Shape:
     )
 
 
-def _skin_materials(car: _Type, x: Floats, size: int) -> NDArray[np.int64]:
+def _skin_materials(car: _Type, x: Array, size: int) -> Indices:
     """Materials (C - 1, 12) of the faces between cross-sections, in ring order: right side, top, left side."""
     middle = (x[1:] + x[:-1]) / 2
     result = np.full((len(middle), size), int(Material.CAR_PAINT))
@@ -203,7 +203,7 @@ def car_shape(kind: int) -> Shape:
     return join([_skin(car), *_wheels(car), *_details(car)])
 
 
-def cars(transforms: Floats, variant: ArrayLike, instance: ArrayLike, semantic: Semantic) -> Mesh:
+def cars(transforms: Array, variant: ArrayLike, instance: ArrayLike, semantic: Semantic) -> Mesh:
     """Cars with poses (N, 4, 4); the variant (N,) chooses the type (modulo CAR_TYPES) and the look."""
     looks, names = np.asarray(variant, dtype=np.uint32), np.asarray(instance, dtype=np.uint32)
     kind = looks % CAR_TYPES

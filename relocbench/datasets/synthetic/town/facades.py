@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, boxes_of, join, quads
+from relocbench.datasets.synthetic.town.shapes import Shape, boxes, boxes_of, join, quads
 
-NDInts = NDArray[np.uint32]
 _FRAME_M = 0.06
 _NEXT = [1, 2, 3, 0]
 
@@ -42,13 +42,13 @@ class FrontStyle:
     """share of the windows above the ground floor that have a balcony"""
 
 
-def ring_quads(outer: Floats, inner: Floats, y_outer: Floats, y_inner: Floats) -> Floats:
+def ring_quads(outer: Array, inner: Array, y_outer: Array, y_inner: Array) -> Array:
     """Four quads (N, 4, 4, 3) between rectangles (N, 4) = (x0, x1, z0, z1) at depths (N,), facing -y or inwards."""
     a, b = _corners(outer, y_outer), _corners(inner, y_inner)
     return np.stack([a, a[:, _NEXT], b[:, _NEXT], b], axis=2)
 
 
-def _corners(rect: Floats, y: Floats) -> Floats:
+def _corners(rect: Array, y: Array) -> Array:
     """Corners (N, 4, 3) of rectangles, counter-clockwise seen from -y."""
     corners = np.empty((len(rect), 4, 3))
     corners[..., 0] = rect[:, [0, 1, 1, 0]]
@@ -57,7 +57,7 @@ def _corners(rect: Floats, y: Floats) -> Floats:
     return corners
 
 
-def pane(rect: Floats, y: float, material: Material, variant: NDInts | int = 0) -> Shape:
+def pane(rect: Array, y: float, material: Material, variant: NDArray[np.uint32] | int = 0) -> Shape:
     """Rectangles (N, 4) at a depth, each with surface coordinates relative to its lower left corner."""
     depth = np.full(len(rect), y)
     corners = _corners(rect, depth)
@@ -66,7 +66,7 @@ def pane(rect: Floats, y: float, material: Material, variant: NDInts | int = 0) 
 
 
 def openings(
-    cells: Floats, holes: Floats, style: FrontStyle, glass: Material, variant: NDInts, plain: bool = False
+    cells: Array, holes: Array, style: FrontStyle, glass: Material, variant: NDArray[np.uint32], plain: bool = False
 ) -> list[Shape]:
     """Wall cells (N, 4), each with a window in a hole (N, 4): wall, reveal, frame, bars and glass.
 
@@ -99,7 +99,7 @@ def openings(
     return parts
 
 
-def trims(holes: Floats, style: FrontStyle, cell_m: float) -> list[Shape]:
+def trims(holes: Array, style: FrontStyle, cell_m: float) -> list[Shape]:
     """Sills, lintels or surrounds, and shutters of windows (N, 4) in cells ``cell_m`` wide."""
     x0, x1, z0, z1 = holes.T
     zero = np.zeros(len(holes))
@@ -140,7 +140,7 @@ def balcony(x0: float, x1: float, z: float) -> Shape:
     return join([boxes_of(posts, Material.METAL, without="bottom top"), rail_box, slab])
 
 
-def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int) -> list[Shape]:
+def door(cell: Array, width: float, top: float, style: FrontStyle, variant: int) -> list[Shape]:
     """A wall cell (4,) with a door in a deep reveal, with transom light, panels, knob and step."""
     middle = (cell[0] + cell[1]) / 2
     hole = np.array([[middle - width / 2, middle + width / 2, 0.05, top]])
@@ -178,7 +178,7 @@ def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int
     return parts
 
 
-def shop(cell: Floats, style: FrontStyle, variant: int, awning: bool, door_right: bool) -> list[Shape]:
+def shop(cell: Array, style: FrontStyle, variant: int, awning: bool, door_right: bool) -> list[Shape]:
     """A shop front in a wall cell (4,): large panes on a riser, a door, a sign, and possibly an awning."""
     x0, x1, _, z1 = cell
     hole = np.array([[x0 + 0.3, x1 - 0.3, 0.05, z1 - 0.95]])

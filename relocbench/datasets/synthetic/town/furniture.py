@@ -6,8 +6,9 @@ from functools import cache
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, boxes_of, join, moved, quads, tube
+from relocbench.datasets.synthetic.town.shapes import Shape, boxes, boxes_of, join, moved, quads, tube
 
 LAMP_HEAD = np.array([1.25, 0.0, 5.62])
 """position of the light source in the frame of a lamp post"""
@@ -29,7 +30,7 @@ def _post(height: float) -> Shape:
     return tube(np.outer([0, height], _UP), 0.03, 8, Material.METAL)
 
 
-def _plate(outline: Floats, z: float) -> Shape:
+def _plate(outline: Array, z: float) -> Shape:
     """A plate with an outline (P, 2) of (y, z) in front of the post, its face towards +x, its back bare metal."""
     count = len(outline)
     ring = np.column_stack([np.full(count, 0.045), outline[:, 0], outline[:, 1] + z])

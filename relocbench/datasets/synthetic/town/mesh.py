@@ -9,6 +9,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Bytes, Floats, Mask
+
 
 class Material(IntEnum):
     """Material of a triangle, which determines its appearance in every weather."""
@@ -68,21 +70,21 @@ class Semantic(IntEnum):
 class Mesh:
     """T triangles over V vertices."""
 
-    vertices: NDArray[np.float32]
+    vertices: Floats
     """(V, 3) metres, world frame"""
     triangles: NDArray[np.uint32]
     """(T, 3) rows of :attr:`vertices`, counter-clockwise seen from outside"""
-    uv: NDArray[np.float32]
+    uv: Floats
     """(T, 3, 2) surface coordinates of the corners in metres, so that textures have the same density everywhere"""
-    material: NDArray[np.uint8]
+    material: Bytes
     """(T,) :class:`Material`"""
-    semantic: NDArray[np.uint8]
+    semantic: Bytes
     """(T,) :class:`Semantic`"""
     instance: NDArray[np.uint32]
     """(T,) number of the object, such as one building, car or tree; unique in a district, 0 is the ground"""
     variant: NDArray[np.uint32]
     """(T,) seed of the object's look (colour, pattern)"""
-    rank: NDArray[np.float32]
+    rank: Floats
     """(T,) in [0, 1]: a leaf is present if the foliage exceeds its rank; 0 for everything else"""
 
     def __post_init__(self) -> None:
@@ -100,7 +102,7 @@ class Mesh:
     def __len__(self) -> int:
         return len(self.triangles)
 
-    def select(self, keep: NDArray[np.bool_]) -> Mesh:
+    def select(self, keep: Mask) -> Mesh:
         """The mesh with the marked triangles (T,) only; all vertices remain."""
         return Mesh(
             self.vertices,

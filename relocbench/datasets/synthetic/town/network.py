@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.polylines import (
     arc_lengths,
     area,
@@ -19,7 +20,6 @@ from relocbench.datasets.synthetic.town.polylines import (
     rounded,
     turns_of,
 )
-from relocbench.datasets.synthetic.town.shapes import Floats
 from relocbench.errors import ConfigError
 
 LANE_M = 3.2
@@ -41,9 +41,9 @@ HalfEdge = tuple[int, int]
 class Path:
     """A smooth, evenly sampled path on the road."""
 
-    points: Floats
+    points: Array
     """(P, 2) metres"""
-    heading: Floats
+    heading: Array
     """(P,) radians from east, unwrapped"""
     step: float
     """metres between samples"""
@@ -55,7 +55,7 @@ class Path:
         """Length in metres."""
         return self.step * (len(self.points) - 1)
 
-    def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Floats:
+    def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
         """T_world_vehicle (4, 4) at ``s`` metres: x forward, y left, z up, origin on the road.
 
         The vehicle is ``lateral_m`` left of the path and turned by ``yaw_rad`` to the left. Raises ConfigError if ``s``
@@ -80,7 +80,7 @@ class Path:
 class StreetNetwork:
     """A planar graph of streets. Nodes are crossings and bends; edges are straight pieces with a lane each way."""
 
-    nodes: Floats
+    nodes: Array
     """(N, 2) metres"""
     street: dict[HalfEdge, int]
     """street id of each directed edge, the same for both directions"""
@@ -120,7 +120,7 @@ class StreetNetwork:
             )
         return chain
 
-    def centre_line(self, street: int) -> Floats:
+    def centre_line(self, street: int) -> Array:
         """The centre line (P, 2) of a street between the crossings at its ends, with rounded bends."""
         chain = self.nodes_of(street)
         points = self.nodes[chain]
@@ -178,9 +178,7 @@ class StreetNetwork:
             return 40.0
         return KERB_RADIUS_M + LANE_M / 2 if turn < 0 else 9.0
 
-    def _streets_along(
-        self, chain: Sequence[int], lane: Floats, points: Floats
-    ) -> tuple[tuple[float, float, int], ...]:
+    def _streets_along(self, chain: Sequence[int], lane: Array, points: Array) -> tuple[tuple[float, float, int], ...]:
         """The sections of the path on each street of the walk."""
         last = len(points) - 1
         cuts, start = [0], 0
@@ -202,7 +200,7 @@ class StreetNetwork:
         return tuple(result)
 
 
-def _first_minimum(distance: Floats) -> Floats:
+def _first_minimum(distance: Array) -> Array:
     """The distances up to the first approach to zero; later ones are set to infinity."""
     near = np.flatnonzero(distance < 12.0)
     if len(near) == 0:
@@ -212,7 +210,7 @@ def _first_minimum(distance: Floats) -> Floats:
     return np.where(np.arange(len(distance)) <= end, distance, np.inf)
 
 
-def _smooth(line: Floats, start_m: float, length_m: float) -> tuple[Floats, Floats]:
+def _smooth(line: Array, start_m: float, length_m: float) -> tuple[Array, Array]:
     """Samples and headings of a line of arcs, smoothed by averaging over 4 m twice for a continuous curvature."""
     fine = resampled(line, 0.1)
     kernel = np.convolve(np.full(41, 1 / 41), np.full(41, 1 / 41))
@@ -239,7 +237,7 @@ def make_network(rng: np.random.Generator, extent_m: float) -> StreetNetwork:
     raise ConfigError(f"no street network found for an extent of {extent_m} m")
 
 
-def _graph(rng: np.random.Generator, extent_m: float) -> tuple[Floats, dict[HalfEdge, int]]:
+def _graph(rng: np.random.Generator, extent_m: float) -> tuple[Array, dict[HalfEdge, int]]:
     """A randomly perturbed grid without some of its inner streets and with bends in some of the others."""
     count = max(3, int((extent_m - 56) / 60) + 1)
     spacing = (extent_m - 56) / (count - 1)
@@ -266,7 +264,7 @@ def _graph(rng: np.random.Generator, extent_m: float) -> tuple[Floats, dict[Half
     return np.array(nodes), street
 
 
-def _faces(nodes: Floats, street: dict[HalfEdge, int]) -> tuple[tuple[int, ...], ...]:
+def _faces(nodes: Array, street: dict[HalfEdge, int]) -> tuple[tuple[int, ...], ...]:
     """The faces of the graph as loops with the face on the left; the outside (negative area) is last."""
     around: dict[int, list[int]] = {}
     for u in range(len(nodes)):
@@ -287,7 +285,7 @@ def _faces(nodes: Floats, street: dict[HalfEdge, int]) -> tuple[tuple[int, ...],
     return tuple(sorted(faces, key=lambda f: (area(nodes[list(f)]) < 0, f)))
 
 
-def _is_roomy(nodes: Floats, face: tuple[int, ...]) -> bool:
+def _is_roomy(nodes: Array, face: tuple[int, ...]) -> bool:
     """Whether a block has room for pavements and houses: its polygon must keep its shape when shrunk by 22 m."""
     polygon = nodes[list(face)]
     moved = offset_loop(polygon, [22.0] * len(face))
@@ -297,12 +295,12 @@ def _is_roomy(nodes: Floats, face: tuple[int, ...]) -> bool:
     return bool(fits.all() and (np.abs(turn) < np.radians(115)).all() and (np.abs(_not_between(turn)) > 0).all())
 
 
-def _not_between(turn: Floats) -> Floats:
+def _not_between(turn: Array) -> Array:
     """Zero for turns of 35 to 50 deg, for which neither the kerb of a bend nor that of a corner fits, else one."""
     return np.where((np.abs(turn) > _STRAIGHT) & (np.abs(turn) < np.radians(50)), 0.0, 1.0)
 
 
-def frontages(nodes: Floats, face: tuple[int, ...]) -> list[list[HalfEdge]]:
+def frontages(nodes: Array, face: tuple[int, ...]) -> list[list[HalfEdge]]:
     """The edges of a face, grouped into the sides of the block, which are separated by corners."""
     turn = loop_turns(nodes[list(face)])
     count = len(face)
@@ -315,7 +313,7 @@ def frontages(nodes: Floats, face: tuple[int, ...]) -> list[list[HalfEdge]]:
     return groups
 
 
-def _kerbs(rng: np.random.Generator, nodes: Floats, faces: tuple[tuple[int, ...], ...]) -> dict[HalfEdge, float]:
+def _kerbs(rng: np.random.Generator, nodes: Array, faces: tuple[tuple[int, ...], ...]) -> dict[HalfEdge, float]:
     """Kerb distances of all directed edges; two in three block sides have a parking lane."""
     kerb = {}
     for face in faces:

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town import furniture
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.datasets.synthetic.town.polylines import edge_frame, inside, offset_loop
 from relocbench.datasets.synthetic.town.rows import PERIOD_M, Plot
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, instances, poses, quads, single
+from relocbench.datasets.synthetic.town.shapes import Shape, instances, poses, quads, single
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
 from relocbench.datasets.synthetic.town.vegetation import TREE_TYPES, hedge_shapes, tree_shapes
 
@@ -25,29 +26,27 @@ class Planting:
     names: Iterator[int]
     static: list[Mesh] = field(default_factory=list)
     foliage: list[Mesh] = field(default_factory=list)
-    lamps: list[Floats] = field(default_factory=list)
+    lamps: list[Array] = field(default_factory=list)
     trees: list[tuple[float, float, float, float, int, bool]] = field(default_factory=list)
     """x, y, yaw, scale, kind, coarse"""
-    things: dict[Semantic, list[tuple[Shape, Floats, int]]] = field(default_factory=dict)
+    things: dict[Semantic, list[tuple[Shape, Array, int]]] = field(default_factory=dict)
 
-    def add(
-        self, shape: Shape, place: Floats, facing: Floats, semantic: Semantic, variant: int | None = None
-    ) -> Floats:
+    def add(self, shape: Shape, place: Array, facing: Array, semantic: Semantic, variant: int | None = None) -> Array:
         """Add an object at (2,) on the pavement that faces a direction (2,); returns its transform (4, 4)."""
-        transform: Floats = poses(place[0], place[1], KERB_M, np.arctan2(facing[1], facing[0]))[0]
+        transform: Array = poses(place[0], place[1], KERB_M, np.arctan2(facing[1], facing[0]))[0]
         look = int(self.rng.integers(1, 2**31)) if variant is None else variant
         self.things.setdefault(semantic, []).append((shape, transform, look))
         return transform
 
-    def lamp(self, place: Floats, facing: Floats, variant: int | None = None) -> None:
+    def lamp(self, place: Array, facing: Array, variant: int | None = None) -> None:
         transform = self.add(furniture.lamp_post(), place, facing, Semantic.POLE, variant)
         self.lamps.append((transform @ np.append(furniture.LAMP_HEAD, 1))[:3])
 
-    def tree(self, place: Floats, kind: int, scale: float, coarse: bool = False) -> None:
+    def tree(self, place: Array, kind: int, scale: float, coarse: bool = False) -> None:
         yaw = float(self.rng.uniform(0, 2 * np.pi))
         self.trees.append((float(place[0]), float(place[1]), yaw, scale, kind, coarse))
 
-    def hedge(self, start: Floats, end: Floats, height: float) -> None:
+    def hedge(self, start: Array, end: Array, height: float) -> None:
         length = float(np.linalg.norm(end - start))
         if length < 0.8:
             return
@@ -60,7 +59,7 @@ class Planting:
     def finish(self) -> tuple[list[Mesh], list[Mesh]]:
         """The meshes of all collected objects: static ones and foliage."""
         for semantic, entries in self.things.items():
-            by_shape: dict[int, list[tuple[Shape, Floats, int]]] = {}
+            by_shape: dict[int, list[tuple[Shape, Array, int]]] = {}
             for entry in entries:
                 by_shape.setdefault(id(entry[0]), []).append(entry)
             for group in by_shape.values():
@@ -78,7 +77,7 @@ class Planting:
         return self.static, self.foliage
 
 
-def _kerb_section(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floats, Floats, float, float]:
+def _kerb_section(network: StreetNetwork, block: Block, i: int) -> tuple[Array, Array, Array, float, float]:
     """The kerb along a block's edge: a point on the kerb line at the edge's start, the directions along it and into the
     block, and the section (from, to) in metres that is clear of crossings."""
     u, v = block.edge(i)
@@ -89,7 +88,7 @@ def _kerb_section(network: StreetNetwork, block: Block, i: int) -> tuple[Floats,
     return network.nodes[u] + network.kerb[(u, v)] * inward, d, inward, start, end
 
 
-def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase: Floats | None) -> None:
+def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase: Array | None) -> None:
     """Add trees, lamps, signs, benches, bins and bollards along the kerb.
 
     A periodic side has only lamps, a whole number of periods apart, starting from ``phase`` (2,).
@@ -122,7 +121,7 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
         _signs(planting, network, block, i)
 
 
-def _tree_pit(place: Floats, d: Floats) -> Mesh:
+def _tree_pit(place: Array, d: Array) -> Mesh:
     """A square of bare soil around a trunk."""
     n = np.array([-d[1], d[0]])
     corners = [place + 0.65 * (a * d + b * n) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.buildings import (
     DEPTH_M,
     House,
@@ -17,7 +18,7 @@ from relocbench.datasets.synthetic.town.buildings import (
 )
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.polylines import edge_frame
-from relocbench.datasets.synthetic.town.shapes import Floats, instances
+from relocbench.datasets.synthetic.town.shapes import instances
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
 
 PERIOD_M = 4.8
@@ -29,9 +30,9 @@ _WIDTHS = {"terrace": (5.0, 7.5), "town": (8.0, 14.0), "villa": (8.0, 11.0), "mo
 class PeriodicFront:
     """A row of identical facades."""
 
-    start: Floats
+    start: Array
     """(2,) metres, ground point of the first facade's left edge, seen from the street"""
-    end: Floats
+    end: Array
     """(2,) ground point of the last facade's right edge"""
     period_m: float
     houses: int
@@ -45,16 +46,16 @@ class Plot:
     width: float
     left: float
     right: float
-    T_world_house: Floats
+    T_world_house: Array
     edge: int
     """index of the block's edge"""
     corner: int
     """index of the block's corner if it is a corner house, else -1"""
 
     @property
-    def door(self) -> Floats:
+    def door(self) -> Array:
         """(2,) ground point of the door."""
-        out: Floats = (self.T_world_house @ np.array([door_x(self.house, self.width), 0, 0, 1]))[:2]
+        out: Array = (self.T_world_house @ np.array([door_x(self.house, self.width), 0, 0, 1]))[:2]
         return out
 
 

@@ -8,40 +8,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from relocbench.arrays import Array, Bytes, Floats, Indices
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
     """T triangles over V vertices in metres, counter-clockwise seen from outside."""
 
-    vertices: Floats
+    vertices: Array
     """(V, 3)"""
-    triangles: NDArray[np.int64]
+    triangles: Indices
     """(T, 3) rows of vertices"""
-    uv: Floats
+    uv: Array
     """(T, 3, 2) surface coordinates in metres"""
-    material: NDArray[np.uint8]
+    material: Bytes
     """(T,)"""
     variant: NDArray[np.uint32]
     """(T,) combined with the object's variant by XOR, so that for example the windows of a house differ"""
-    rank: NDArray[np.float32]
+    rank: Floats
     """(T,) as in :class:`Mesh`"""
 
     def __len__(self) -> int:
         return len(self.triangles)
 
 
-def cross(a: Floats, b: Floats) -> Floats:
+def cross(a: Array, b: Array) -> Array:
     """Cross products (N, 3); faster than numpy's for the many small arrays here."""
     x, y, z = a.T
     u, v, w = b.T
     return _columns(y * w - z * v, z * u - x * w, x * v - y * u)
 
 
-def _columns(*columns: Floats) -> Floats:
+def _columns(*columns: Array) -> Array:
     """Arrays (N,) side by side (N, C)."""
     result = np.empty((len(columns[0]), len(columns)))
     for k, column in enumerate(columns):
@@ -49,12 +48,12 @@ def _columns(*columns: Floats) -> Floats:
     return result
 
 
-def _lengths(vectors: Floats) -> Floats:
+def _lengths(vectors: Array) -> Array:
     """Lengths (N, 1) of vectors (N, 3)."""
     return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, axis=1, keepdims=True)))
 
 
-def planar_uv(corners: Floats) -> Floats:
+def planar_uv(corners: Array) -> Array:
     """Surface coordinates (T, 3, 2) in metres of triangles (T, 3, 3): u horizontal, v up the slope.
 
     Triangles in the same plane have the same coordinate system, so that a texture continues across them.
@@ -75,7 +74,7 @@ def triangle_shape(
     vertices: ArrayLike,
     triangles: ArrayLike,
     material: ArrayLike,
-    uv: Floats | None = None,
+    uv: Array | None = None,
     variant: ArrayLike = 0,
     rank: ArrayLike = 0.0,
 ) -> Shape:
@@ -96,7 +95,7 @@ def triangle_shape(
 def quads(
     points: ArrayLike,
     material: ArrayLike,
-    uv: Floats | None = None,
+    uv: Array | None = None,
     variant: ArrayLike = 0,
     rank: ArrayLike = 0.0,
 ) -> Shape:
@@ -185,7 +184,7 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bo
     return join([wall, triangle_shape(vertices, ends, material)])
 
 
-def ear_clip(polygon: Floats) -> NDArray[np.int64]:
+def ear_clip(polygon: Array) -> Indices:
     """Triangulation (P - 2, 3) of a simple counter-clockwise polygon (P, 2) by ear clipping, as rows of the polygon."""
     left = list(range(len(polygon)))
     triangles: list[tuple[int, int, int]] = []
@@ -198,7 +197,7 @@ def ear_clip(polygon: Floats) -> NDArray[np.int64]:
     return np.array(triangles, dtype=np.int64)
 
 
-def _ear_score(polygon: Floats, left: list[int], k: int) -> float:
+def _ear_score(polygon: Array, left: list[int], k: int) -> float:
     """Quality of the ear at ``k``, twice its area over its squared longest side, or -1 if there is no ear."""
     corners = polygon[[left[k - 1], left[k], left[(k + 1) % len(left)]]]
     edges = np.roll(corners, -1, axis=0) - corners
@@ -211,7 +210,7 @@ def _ear_score(polygon: Floats, left: list[int], k: int) -> float:
     return -1.0 if inside.any() else float(area / (edges**2).sum(axis=1).max())
 
 
-def instances(shape: Shape, transforms: Floats, instance: ArrayLike, variant: ArrayLike, semantic: Semantic) -> Mesh:
+def instances(shape: Shape, transforms: Array, instance: ArrayLike, variant: ArrayLike, semantic: Semantic) -> Mesh:
     """N copies of a shape under transforms (N, 4, 4) with uniform scale; ``instance`` and ``variant`` are (N,)."""
     count, faces = len(transforms), len(shape)
     vertices = np.einsum("nij,vj->nvi", transforms[:, :3, :3], shape.vertices) + transforms[:, None, :3, 3]
@@ -235,7 +234,7 @@ def single(shape: Shape, instance: int, variant: int, semantic: Semantic) -> Mes
     return instances(shape, np.eye(4)[None], np.array([instance]), np.array([variant]), semantic)
 
 
-def poses(x: ArrayLike, y: ArrayLike, z: ArrayLike, yaw: ArrayLike, scale: ArrayLike = 1.0) -> Floats:
+def poses(x: ArrayLike, y: ArrayLike, z: ArrayLike, yaw: ArrayLike, scale: ArrayLike = 1.0) -> Array:
     """Transforms (N, 4, 4) that scale, turn by ``yaw`` about z and move to (x, y, z); all arguments broadcast."""
     px, py, pz, angle, size = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (x, y, z, yaw, scale)))
     result = np.zeros((len(px), 4, 4))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.network import (
     LANE_M,
@@ -23,7 +24,7 @@ from relocbench.datasets.synthetic.town.polylines import (
     offset_loop,
     points_at,
 )
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, ear_clip, join, quads, single, triangle_shape
+from relocbench.datasets.synthetic.town.shapes import Shape, ear_clip, join, quads, single, triangle_shape
 
 KERB_M = 0.12
 """height of pavements above the road"""
@@ -56,21 +57,21 @@ class Block:
     """houses, square or outside"""
     sides: tuple[Side, ...]
     """(P,) side of the edge from node i to the next"""
-    kerb: Floats
+    kerb: Array
     """(P, 2) corners of the kerb line before rounding"""
-    kerb_arcs: tuple[Floats, ...]
+    kerb_arcs: tuple[Array, ...]
     """(K_i, 2) arc of each rounded corner"""
-    pavement: Floats
+    pavement: Array
     """(P, 2) inner edge of the pavement"""
-    building: Floats
+    building: Array
     """(P, 2) building line, where the houses begin"""
-    turns: Floats
+    turns: Array
     """(P,) turn at each corner in radians, left positive"""
 
     def edge(self, i: int) -> HalfEdge:
         return self.face[i], self.face[(i + 1) % len(self.face)]
 
-    def straight(self, i: int, origin: Floats, d: Floats) -> tuple[float, float]:
+    def straight(self, i: int, origin: Array, d: Array) -> tuple[float, float]:
         """Section of edge ``i`` with a straight kerb, in metres from ``origin`` (2,) in direction ``d`` (2,)."""
         before, after = self.kerb_arcs[i], self.kerb_arcs[(i + 1) % len(self.face)]
         return float((before[-1] - origin) @ d), float((after[0] - origin) @ d)
@@ -162,7 +163,7 @@ def ground(network: StreetNetwork, blocks: tuple[Block, ...]) -> Mesh:
     )
 
 
-def _flat(points: Floats, z: float) -> Floats:
+def _flat(points: Array, z: float) -> Array:
     """Points (..., 2) at height z: (..., 3)."""
     return np.concatenate([points, np.full((*points.shape[:-1], 1), z)], axis=-1)
 
@@ -202,7 +203,7 @@ def _pavement(block: Block) -> Shape:
     )
 
 
-def _inset(outline: Floats, distance: float) -> Floats:
+def _inset(outline: Array, distance: float) -> Array:
     """A closed, finely rounded outline with each point moved left by the distance along its own normal."""
     ahead, behind = np.roll(outline, -1, axis=0) - outline, outline - np.roll(outline, 1, axis=0)
     unit = ahead / np.linalg.norm(ahead, axis=1, keepdims=True) + behind / np.linalg.norm(behind, axis=1, keepdims=True)
@@ -222,7 +223,7 @@ def _inside(block: Block) -> Shape:
     return quads(np.stack([near_3d, near_3d[after], far_3d[after], far_3d], axis=1), material)
 
 
-def _strip(points: Floats, forward: Floats, length: float, width: float) -> Floats:
+def _strip(points: Array, forward: Array, length: float, width: float) -> Array:
     """Painted rectangles (N, 4, 3) centred on points (N, 2), with ``length`` along unit directions (N, 2)."""
     ahead = forward * (length / 2)
     left = np.stack([-forward[:, 1], forward[:, 0]], axis=1) * (width / 2)
@@ -277,7 +278,7 @@ def _kept_free(network: StreetNetwork, arriving: HalfEdge) -> float:
     return 16.5 if arriving in network.zebras else 12.5
 
 
-def bays_of(network: StreetNetwork, block: Block) -> list[tuple[int, Floats, Floats]]:
+def bays_of(network: StreetNetwork, block: Block) -> list[tuple[int, Array, Array]]:
     """Parking bays along a block: (index of the edge, centre (2,), driving direction (2,))."""
     found = []
     for i in range(len(block.face)):

@@ -8,6 +8,7 @@ from itertools import count
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
@@ -20,7 +21,7 @@ from relocbench.datasets.synthetic.town.planting import (
     plant_square,
 )
 from relocbench.datasets.synthetic.town.rows import PeriodicFront, build, plots_of
-from relocbench.datasets.synthetic.town.shapes import Floats, poses
+from relocbench.datasets.synthetic.town.shapes import poses
 from relocbench.datasets.synthetic.town.streets import Block, bays_of, ground, make_blocks, periodic_street
 from relocbench.errors import ConfigError, available
 
@@ -49,9 +50,9 @@ class District:
     """ground, roads, markings, houses, street furniture, and the wood of trees and hedges"""
     foliage: Mesh
     """leaves with their ranks"""
-    bays: Floats
+    bays: Array
     """(N, 4, 4) T_world_bay: x along a parked car, z up, origin on the road in the middle of the bay"""
-    lamps: Floats
+    lamps: Array
     """(L, 3) positions of lamp heads"""
     network: StreetNetwork
     periodic: Periodic
@@ -103,7 +104,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
     )
 
 
-def _bays(network: StreetNetwork, blocks: Sequence[Block]) -> Floats:
+def _bays(network: StreetNetwork, blocks: Sequence[Block]) -> Array:
     """Poses (N, 4, 4) of the parking bays of all blocks."""
     found = [(p, d) for block in blocks for _, p, d in bays_of(network, block)]
     place = np.array([p for p, _ in found]).reshape(-1, 2)
@@ -111,7 +112,7 @@ def _bays(network: StreetNetwork, blocks: Sequence[Block]) -> Floats:
     return poses(place[:, 0], place[:, 1], 0.0, np.arctan2(direction[:, 1], direction[:, 0]))
 
 
-def compose(district: District, factors: Factors, moving: Sequence[tuple[Floats, int]] = ()) -> Mesh:
+def compose(district: District, factors: Factors, moving: Sequence[tuple[Array, int]] = ()) -> Mesh:
     """The mesh of a district under the factors: static objects first, then leaves, parked and moving cars.
 
     Leaves are present if their rank is below ``factors.foliage``. ``moving`` holds (T_world_car, variant) of each

@@ -7,8 +7,9 @@ from functools import cache
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, join, quads, triangle_shape, tube
+from relocbench.datasets.synthetic.town.shapes import Shape, join, quads, triangle_shape, tube
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def tree_shapes(kind: int, coarse: bool = False) -> tuple[Shape, Shape]:
     return wood, _leaves(habit, tips, rng)
 
 
-def _wood(habit: _Habit, rng: np.random.Generator, coarse: bool) -> tuple[Shape, Floats]:
+def _wood(habit: _Habit, rng: np.random.Generator, coarse: bool) -> tuple[Shape, Array]:
     """Trunk, branches and twigs, and the points (P, 3) around which leaves grow."""
     levels = np.linspace(0, habit.height * 0.88, 8)
     sway = np.cumsum(rng.normal(0, 0.07, (8, 2)), axis=0) * np.minimum(levels / habit.trunk, 1)[:, None]
@@ -85,7 +86,7 @@ def _wood(habit: _Habit, rng: np.random.Generator, coarse: bool) -> tuple[Shape,
     return join(parts), np.array(tips)
 
 
-def _leaves(habit: _Habit, tips: Floats, rng: np.random.Generator) -> Shape:
+def _leaves(habit: _Habit, tips: Array, rng: np.random.Generator) -> Shape:
     """Sprays of leaves scattered around the twigs."""
     centre = tips[rng.integers(len(tips), size=habit.leaves)]
     centre = centre + rng.normal(0, 0.17 * habit.spread, centre.shape)
@@ -93,7 +94,7 @@ def _leaves(habit: _Habit, tips: Floats, rng: np.random.Generator) -> Shape:
     return leaf_quads(centre, habit.leaf, Material.LEAF, rng)
 
 
-def leaf_quads(centre: Floats, length: float, material: Material, rng: np.random.Generator) -> Shape:
+def leaf_quads(centre: Array, length: float, material: Material, rng: np.random.Generator) -> Shape:
     """A kite of ``length`` at each centre (N, 3), with random orientation and ranks spread evenly over (0, 1)."""
     count = len(centre)
     along = rng.normal(0, 1, (count, 3))
