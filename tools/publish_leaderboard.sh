@@ -49,7 +49,7 @@ for dataset in kitti_06 kitti_00 kitti_00_stereo fr1_xyz fr1_desk fr1_xyz_to_des
   relocbench evaluate -d "$scratch/$dataset" --out "$scratch/results" --workers 1 --overwrite always --matching -q \
     -m identity -m orb-pnp -m sift-pnp -m dso -m dso-full-cutoff=dso --set dso-full-cutoff.cutoff_levels=16 \
     -m dso-multistart -m gn-net -m gn-net-from-prior -m gn-net-pnp -m clock \
-    -m gn-net-contrastive -m lm-net -m lm-net-from-prior -m pose-net -m lm-reloc "${learned[@]}"
+    -m gn-net-contrastive -m lm-net -m lm-net-from-prior "${learned[@]}"
 done
 relocbench probe -d "$scratch/webcams" -m gn-net-from-prior -m gn-net-contrastive -m dso --no-poses --structured 0.25 \
   --out "$scratch/webcams_probe" --workers 1 -q

@@ -1,9 +1,9 @@
 """The initial pose of an alignment from matches of the features that are aligned, by PnP.
 
 Direct alignment converges only from within a few pixels of its coarsest level. LM-Reloc (von Stumberg et al., 3DV 2020)
-trains a second network on the correlation of coarse features for the initial pose (``baselines.lm_reloc``). Here the
-features that are aligned are matched and the pose is found by robust PnP, which needs no training of its own, with
-PoseLib (Larsson et al., https://github.com/PoseLib/PoseLib): P3P in LO-RANSAC, then refinement.
+trains a second network on the correlation of coarse features for the initial pose. Here the features that are aligned
+are matched and the pose is found by robust PnP, which needs no training of its own, with PoseLib (Larsson et al.,
+https://github.com/PoseLib/PoseLib): P3P in LO-RANSAC, then refinement.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def test_a_citation_in_the_readme_is_that_of_the_file() -> None:
 
 def test_version_authors_and_addresses_are_those_of_the_package() -> None:
     cff, project = _cff(), _project()
-    newest = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)[0]
+    newest = re.findall(r"^## (\d\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)[0]
     assert str(cff["version"]) == __version__ == newest
     assert [author["name"] for author in cff["authors"]] == [author["name"] for author in project["authors"]]
     assert cff["url"] == cff["repository-code"] == project["urls"]["Source"]

@@ -341,7 +341,7 @@ def test_variants_share_everything_but_weights_and_defaults(weights: Path) -> No
 
 def test_the_defaults_of_each_method_are_told_and_can_be_set(weights: Path) -> None:
     """What a run is said to have been made with must be what it was made with."""
-    told = {name: parse_method(name, [f"weights={weights}"]).parameters for name in ("gn-net", "lm-net", "lm-reloc")}
+    told = {name: parse_method(name, [f"weights={weights}"]).parameters for name in ("gn-net", "lm-net")}
     assert told["gn-net"]["along"] == ALONG
     assert {name: told["lm-net"][name] for name in ONE_START} == ONE_START
     assert (told["lm-net"]["damping"], told["lm-net"]["matched_start"]) == ("lm-reloc", True)

@@ -22,7 +22,6 @@ from torch import nn
 from baselines.gn_net import weights as gn_net
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
-from baselines.lm_reloc import weights as pose_net
 from baselines.lpn import weights as lpn
 from baselines.lpn.backbone import make_backbone
 from baselines.lpn.backbone_weights import load_backbone
@@ -59,10 +58,6 @@ def gn_net_of(**options: Any) -> bytes:
     return describing("gn-net", {**GN_NET, "options": options})
 
 
-def pose_net_of(**options: Any) -> bytes:
-    return describing("pose-net", {**GN_NET, "options": options})
-
-
 def lpn_of(network: dict[str, Any] | None = None, **about: Any) -> bytes:
     return describing("lpn", {**LPN, **about, "network": {**LPN["network"], **(network or {})}})  # type: ignore[dict-item]
 
@@ -85,12 +80,6 @@ WEIGHTS: dict[str, tuple[Callable[[Path], Any], bytes, str]] = {
     "dim of 10^9": (gn_net.load_weights, gn_net_of(dim=10**9), "dim is 1000000000"),
     "a network of 5 GB": (gn_net.load_weights, gn_net_of(widths=[8192, 8192], levels=1), "numbers or more; it holds 1"),
     "options of another type": (gn_net.load_weights, gn_net_of(widths="many"), "options are not understood"),
-    "an image of 10^9 pixels": (pose_net.load_weights, pose_net_of(side=10**9), "side is 1000000000, expected"),
-    "10^9 descriptors": (pose_net.load_weights, pose_net_of(descriptor=10**9), "descriptor is 1000000000"),
-    "a kernel of 10^9": (pose_net.load_weights, pose_net_of(kernels=[10**9 + 1] * 4), "odd and up to 15"),
-    "10^5 convolutions": (pose_net.load_weights, pose_net_of(channels=[1] * 10**5), "expected 1 to 12"),
-    "an encoder of 10^9": (pose_net.load_weights, pose_net_of(encoder={"dim": 10**9}), "encoder.dim is 1000000000"),
-    "a pose network of too few": (pose_net.load_weights, pose_net_of(), "numbers or more; it holds 1"),
     "10^12 classes": (lpn.load_weights, lpn_of(classes=10**12), "numbers or more; it holds 1"),
     "a word for classes": (lpn.load_weights, lpn_of(classes="many"), "is not understood"),
     "a list for the network": (lpn.load_weights, describing("lpn", {**LPN, "network": [1, 2]}), "is not understood"),
@@ -116,7 +105,6 @@ def no_network(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("a network was made")
 
     monkeypatch.setattr(gn_net, "FeatureNet", refuse)
-    monkeypatch.setattr(pose_net, "PoseNetwork", refuse)
     monkeypatch.setattr(lpn, "LpnNetwork", refuse)
 
 
