@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Generic, TypeVar
+from typing import Annotated, ClassVar, Generic, TypeVar
 
 import numpy as np
+from pydantic import Field
 
 from baselines.calibration import Calibration
 from baselines.correlation import GreyImage, correlations, strong_pixels
@@ -52,13 +53,9 @@ class PreparedKeyframe:
 Prepared = TypeVar("Prepared", bound=PreparedKeyframe)
 
 
-class Pnp(ABC, Generic[Prepared]):
-    """MAGSAC perspective-n-point from correspondences, robust refinement.
-
-    Subclasses find the correspondences. The confidence is the probability that the answer is within 0.25 m and 2
-    degrees, from a calibration of the answer's lead, the logarithm of its inliers over those of the best other pose, of
-    its precision, the negative logarithm of the translation's standard deviation in metres, and of the correlation of
-    keyframe and query around pixels of large gradient.
+@dataclass(kw_only=True, eq=False)
+class PnpOptions:
+    """The parameters of every tracker that finds a pose from correspondences; each adds its own.
 
     Args:
         depth_radius_px: largest distance, in pixels, from a pixel to points of a sparse map that give its depth; by
@@ -70,25 +67,25 @@ class Pnp(ABC, Generic[Prepared]):
         seed: of the sampling.
     """
 
-    calibration: ClassVar[Calibration | None]
-    """None: answers have no confidence"""
+    depth_radius_px: Annotated[float, Field(ge=0)] | None = None
+    reprojection_threshold_px: Annotated[float, Field(gt=0)] = 2.0
+    min_inliers: Annotated[int, Field(ge=4)] = 10
+    max_iterations: Annotated[int, Field(ge=1)] = 10000
+    confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999
+    seed: Annotated[int, Field(ge=0)] = 0
 
-    def __init__(
-        self,
-        *,
-        depth_radius_px: float | None,
-        reprojection_threshold_px: float,
-        min_inliers: int,
-        max_iterations: int,
-        confidence: float,
-        seed: int,
-    ) -> None:
-        self.depth_radius_px = depth_radius_px
-        self.reprojection_threshold_px = reprojection_threshold_px
-        self.min_inliers = min_inliers
-        self.max_iterations = max_iterations
-        self.confidence = confidence
-        self.seed = seed
+
+class Pnp(PnpOptions, ABC, Generic[Prepared]):
+    """MAGSAC perspective-n-point from correspondences, robust refinement.
+
+    Subclasses find the correspondences. The confidence is the probability that the answer is within 0.25 m and 2
+    degrees, from a calibration of the answer's lead, the logarithm of its inliers over those of the best other pose, of
+    its precision, the negative logarithm of the translation's standard deviation in metres, and of the correlation of
+    keyframe and query around pixels of large gradient.
+    """
+
+    calibration: ClassVar[Calibration | None] = None
+    """None: answers have no confidence"""
 
     @abstractmethod
     def prepare(self, reference: Reference) -> Prepared:

@@ -29,6 +29,7 @@ class PreparedReference(PreparedKeyframe):
     """(N, 3) metres; the displacement of the point by one standard deviation of its depth"""
 
 
+@dataclass(kw_only=True, eq=False)
 class FeaturePnp(Pnp[PreparedReference]):
     """Keypoints, matching, and a pose from the matches; see :class:`Pnp` for that and for the confidence.
 
@@ -37,31 +38,10 @@ class FeaturePnp(Pnp[PreparedReference]):
     Args:
         features: largest number of keypoints in each image.
         grid_px: side, in pixels, of the grid cells over which keypoints are distributed evenly.
-        depth_radius_px, reprojection_threshold_px, min_inliers, max_iterations, confidence, seed: of :class:`Pnp`.
     """
 
-    def __init__(
-        self,
-        *,
-        features: int,
-        grid_px: int,
-        depth_radius_px: float | None,
-        reprojection_threshold_px: float,
-        min_inliers: int,
-        max_iterations: int,
-        confidence: float,
-        seed: int,
-    ) -> None:
-        super().__init__(
-            depth_radius_px=depth_radius_px,
-            reprojection_threshold_px=reprojection_threshold_px,
-            min_inliers=min_inliers,
-            max_iterations=max_iterations,
-            confidence=confidence,
-            seed=seed,
-        )
-        self.features = features
-        self.grid_px = grid_px
+    features: Annotated[int, Field(ge=4, le=20000)] = 3000
+    grid_px: Annotated[int, Field(ge=4)] = 32
 
     @abstractmethod
     def detect(self, image: Image) -> Features:
@@ -98,51 +78,19 @@ class FeaturePnp(Pnp[PreparedReference]):
         )
 
 
+@dataclass(kw_only=True, eq=False)
 class RatioTestPnp(FeaturePnp):
     """A :class:`FeaturePnp` that accepts matches by Lowe's ratio test.
 
     Args:
-        features: largest number of keypoints in each image.
         ratio: of Lowe's test; a match is accepted below this ratio of the nearest to the second nearest distance.
         mutual: accept only mutual nearest neighbours.
-        grid_px: side, in pixels, of the grid cells over which keypoints are distributed evenly.
-        depth_radius_px: largest distance, in pixels, from a keypoint to points of a sparse map that give its depth; by
-            default it follows the density of the map.
-        reprojection_threshold_px: largest error, in query pixels, of an inlier on the finest pyramid level.
-        min_inliers: with fewer inliers, tracking fails.
-        max_iterations: largest number of minimal samples.
-        confidence: the probability of success at which sampling stops early.
-        seed: of the sampling.
     """
 
     kind: ClassVar[FeatureKind]
 
-    def __init__(
-        self,
-        *,
-        features: Annotated[int, Field(ge=4, le=20000)] = 3000,
-        ratio: Annotated[float, Field(gt=0, le=1)] = 0.8,
-        mutual: bool = True,
-        grid_px: Annotated[int, Field(ge=4)] = 32,
-        depth_radius_px: Annotated[float, Field(ge=0)] | None = None,
-        reprojection_threshold_px: Annotated[float, Field(gt=0)] = 2.0,
-        min_inliers: Annotated[int, Field(ge=4)] = 10,
-        max_iterations: Annotated[int, Field(ge=1)] = 10000,
-        confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
-        seed: Annotated[int, Field(ge=0)] = 0,
-    ) -> None:
-        super().__init__(
-            features=features,
-            grid_px=grid_px,
-            depth_radius_px=depth_radius_px,
-            reprojection_threshold_px=reprojection_threshold_px,
-            min_inliers=min_inliers,
-            max_iterations=max_iterations,
-            confidence=confidence,
-            seed=seed,
-        )
-        self.ratio = ratio
-        self.mutual = mutual
+    ratio: Annotated[float, Field(gt=0, le=1)] = 0.8
+    mutual: bool = True
 
     def detect(self, image: Image) -> Features:
         return detect(image, self.kind, self.features)
@@ -152,14 +100,14 @@ class RatioTestPnp(FeaturePnp):
 
 
 class OrbPnp(RatioTestPnp):
-    """ORB (Rublee et al., ICCV 2011) with PnP; see :class:`RatioTestPnp` for the parameters."""
+    """ORB (Rublee et al., ICCV 2011) with PnP."""
 
     kind: ClassVar[FeatureKind] = "orb"
     calibration: ClassVar[Calibration | None] = ORB_PNP
 
 
 class SiftPnp(RatioTestPnp):
-    """SIFT (Lowe, IJCV 2004) with PnP; see :class:`RatioTestPnp` for the parameters."""
+    """SIFT (Lowe, IJCV 2004) with PnP."""
 
     kind: ClassVar[FeatureKind] = "sift"
     calibration: ClassVar[Calibration | None] = SIFT_PNP

@@ -9,7 +9,6 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from baselines.calibration import Calibration
 from baselines.feature_pnp.keyframe_depth import lift
 from baselines.feature_pnp.pnp import Pnp, PreparedKeyframe, StrongPixels
 from baselines.feature_pnp.solve import Matches2D3D
@@ -28,6 +27,7 @@ class PreparedImage(PreparedKeyframe):
     seen: LoftrImage
 
 
+@dataclass(kw_only=True, eq=False)
 class LoftrPnp(Pnp[PreparedImage]):
     """LoFTR (Sun et al., CVPR 2021), MAGSAC perspective-n-point, robust refinement.
 
@@ -41,46 +41,23 @@ class LoftrPnp(Pnp[PreparedImage]):
         threshold: least probability of a match of two cells.
         longest_px: images whose longer side has more pixels are shrunk to so many; the authors' is 840. Memory grows
             with its fourth power.
-        depth_radius_px: largest distance, in pixels, from a pixel to points of a sparse map that give its depth; by
-            default it follows the density of the map.
-        reprojection_threshold_px: largest error, in query pixels, of an inlier.
-        min_inliers: with fewer inliers, tracking fails.
-        max_iterations: largest number of minimal samples.
-        confidence: the probability of success at which sampling stops early.
         device: where the network runs; the pose is found on the CPU.
-        seed: of the sampling.
 
     Raises:
         MethodError: kornia is not installed, or the weights are missing or of another network.
     """
 
-    calibration: ClassVar[Calibration | None] = None
     name: ClassVar[str] = "loftr-pnp"
 
-    def __init__(
-        self,
-        *,
-        weights: Path | None = None,
-        model: LoftrModel = "outdoor",
-        threshold: Annotated[float, Field(ge=0, lt=1)] = 0.2,
-        longest_px: Annotated[int, Field(ge=64)] = 840,
-        depth_radius_px: Annotated[float, Field(ge=0)] | None = None,
-        reprojection_threshold_px: Annotated[float, Field(gt=0)] = 2.0,
-        min_inliers: Annotated[int, Field(ge=4)] = 10,
-        max_iterations: Annotated[int, Field(ge=1)] = 10000,
-        confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
-        device: str = "cpu",
-        seed: Annotated[int, Field(ge=0)] = 0,
-    ) -> None:
-        super().__init__(
-            depth_radius_px=depth_radius_px,
-            reprojection_threshold_px=reprojection_threshold_px,
-            min_inliers=min_inliers,
-            max_iterations=max_iterations,
-            confidence=confidence,
-            seed=seed,
-        )
-        self._network = Loftr(self.files(weights, model)["weights"], model, threshold, longest_px, device)
+    weights: Path | None = None
+    model: LoftrModel = "outdoor"
+    threshold: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    longest_px: Annotated[int, Field(ge=64)] = 840
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        weights = self.files(**vars(self))["weights"]
+        self._network = Loftr(weights, self.model, self.threshold, self.longest_px, self.device)
 
     @classmethod
     def files(cls, weights: Path | None = None, model: LoftrModel = "outdoor", **_: Any) -> dict[str, Path]:

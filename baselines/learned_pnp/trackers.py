@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -22,70 +23,38 @@ from relocbench.arrays import Image, Indices
 from relocbench.weights import PublishedFile
 
 
-class NearestPnp(FeaturePnp):
-    """Learned features, mutual nearest neighbours, MAGSAC perspective-n-point, robust refinement.
+@dataclass(kw_only=True, eq=False)
+class NetworkPnp(FeaturePnp):
+    """Learned features, MAGSAC perspective-n-point, robust refinement. Subclasses match.
 
-    Answers have no confidence: no calibration was fitted yet.
+    Answers have no confidence unless a subclass has a calibration.
 
     Args:
-        weights: file of the network's weights, as its authors publish it or as safetensors; by default the one of the
-            authors' name in torch's cache, ``$TORCH_HOME/hub/checkpoints``.
-        features: largest number of keypoints in each image.
-        ratio: a match is accepted below this ratio of the nearest to the second nearest distance; 1 accepts all.
+        weights: file of the weights that find features, as its authors publish it or as safetensors; by default the one
+            of the authors' name in torch's cache, ``$TORCH_HOME/hub/checkpoints``.
         longest_px: images whose longer side has more pixels are shrunk to so many.
-        grid_px: side, in pixels, of the grid cells over which keypoints are distributed evenly.
-        depth_radius_px: largest distance, in pixels, from a keypoint to points of a sparse map that give its depth; by
-            default it follows the density of the map.
-        reprojection_threshold_px: largest error, in query pixels, of an inlier.
-        min_inliers: with fewer inliers, tracking fails.
-        max_iterations: largest number of minimal samples.
-        confidence: the probability of success at which sampling stops early.
-        device: where the network runs; the pose is found on the CPU.
-        cache_size: number of images whose features are kept for the pairs that show them again. The answers stay the
-            same, and the seconds of a pair no longer include the network where an image came before.
-        seed: of the sampling.
+        device: where the networks run; the pose is found on the CPU.
 
     Raises:
-        MethodError: kornia is needed and not installed, or the weights are missing or of another network.
+        MethodError: kornia is needed and not installed, or weights are missing or of another network.
     """
 
-    calibration: ClassVar[Calibration | None] = None
     name: ClassVar[str]
     """that it is installed by"""
     network: ClassVar[type[NetworkDetector]]
     file: ClassVar[PublishedFile]
 
-    def __init__(
-        self,
-        *,
-        weights: Path | None = None,
-        features: Annotated[int, Field(ge=4, le=20000)] = 3000,
-        ratio: Annotated[float, Field(gt=0, le=1)] = 1.0,
-        longest_px: Annotated[int, Field(ge=64)] = 1280,
-        grid_px: Annotated[int, Field(ge=4)] = 32,
-        depth_radius_px: Annotated[float, Field(ge=0)] | None = None,
-        reprojection_threshold_px: Annotated[float, Field(gt=0)] = 2.0,
-        min_inliers: Annotated[int, Field(ge=4)] = 10,
-        max_iterations: Annotated[int, Field(ge=1)] = 10000,
-        confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
-        device: str = "cpu",
-        cache_size: Annotated[int, Field(ge=0)] = 0,
-        seed: Annotated[int, Field(ge=0)] = 0,
-    ) -> None:
-        super().__init__(
-            features=features,
-            grid_px=grid_px,
-            depth_radius_px=depth_radius_px,
-            reprojection_threshold_px=reprojection_threshold_px,
-            min_inliers=min_inliers,
-            max_iterations=max_iterations,
-            confidence=confidence,
-            seed=seed,
-        )
-        self.ratio = ratio
-        self._detector = self.network(
-            self.files(weights)["weights"], features, longest_px, device, cache_size=cache_size
-        )
+    weights: Path | None = None
+    longest_px: Annotated[int, Field(ge=64)] = 1280
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        self._detector = self.detector()
+
+    def detector(self, **more: Any) -> NetworkDetector:
+        """The network with its weights."""
+        weights = self.files(**vars(self))["weights"]
+        return self.network(weights, self.features, self.longest_px, self.device, **more)
 
     @classmethod
     def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:
@@ -94,95 +63,61 @@ class NearestPnp(FeaturePnp):
 
     @classmethod
     def published(cls, **_: Any) -> dict[Path, PublishedFile]:
-        """The file of the authors, by where it is looked for."""
+        """The files of the authors, by where they are looked for."""
         return by_place(cls.file)
 
     def detect(self, image: Image) -> Features:
         return self._detector(image)
 
+
+@dataclass(kw_only=True, eq=False)
+class NearestPnp(NetworkPnp):
+    """A :class:`NetworkPnp` that matches mutual nearest neighbours.
+
+    Args:
+        ratio: a match is accepted below this ratio of the nearest to the second nearest distance; 1 accepts all.
+        cache_size: number of images whose features are kept for the pairs that show them again. The answers stay the
+            same, and the seconds of a pair no longer include the network where an image came before.
+    """
+
+    ratio: Annotated[float, Field(gt=0, le=1)] = 1.0
+    cache_size: Annotated[int, Field(ge=0)] = 0
+
+    def detector(self, **more: Any) -> NetworkDetector:
+        return super().detector(cache_size=self.cache_size, **more)
+
     def match_features(self, reference: Features, query: Features) -> Indices:
         return mutual_nearest(reference.descriptors, query.descriptors, self.ratio)
 
 
-class AlikedPnp(FeaturePnp):
+@dataclass(kw_only=True, eq=False)
+class AlikedPnp(NearestPnp):
     """ALIKED (Zhao et al., IEEE TIM 2023), mutual nearest neighbours, MAGSAC perspective-n-point, robust refinement.
 
     Args:
-        weights: file of the network's weights, as its authors publish it or as safetensors; by default
-            ``aliked-MODEL.pth`` in torch's cache, ``$TORCH_HOME/hub/checkpoints``.
-        model: variant of the network.
-        features: largest number of keypoints in each image.
-        ratio: a match is accepted below this ratio of the nearest to the second nearest distance; 1 accepts all.
-        longest_px: images whose longer side has more pixels are shrunk to so many.
-        grid_px: side, in pixels, of the grid cells over which keypoints are distributed evenly.
-        depth_radius_px: largest distance, in pixels, from a keypoint to points of a sparse map that give its depth; by
-            default it follows the density of the map.
-        reprojection_threshold_px: largest error, in query pixels, of an inlier.
-        min_inliers: with fewer inliers, tracking fails.
-        max_iterations: largest number of minimal samples.
-        confidence: the probability of success at which sampling stops early.
-        device: where the network runs; the pose is found on the CPU.
-        cache_size: number of images whose features are kept for the pairs that show them again. The answers stay the
-            same, and the seconds of a pair no longer include the network where an image came before.
-        seed: of the sampling.
-
-    Raises:
-        MethodError: kornia is not installed, or the weights are missing or of another network.
+        model: variant of the network; the weights that are looked for by default are ``aliked-MODEL.pth``.
     """
 
     calibration: ClassVar[Calibration | None] = ALIKED_PNP
     name: ClassVar[str] = "aliked-pnp"
+    network: ClassVar[type[NetworkDetector]] = Aliked
 
-    def __init__(
-        self,
-        *,
-        weights: Path | None = None,
-        model: AlikedModel = "n16",
-        features: Annotated[int, Field(ge=4, le=20000)] = 3000,
-        ratio: Annotated[float, Field(gt=0, le=1)] = 1.0,
-        longest_px: Annotated[int, Field(ge=64)] = 1280,
-        grid_px: Annotated[int, Field(ge=4)] = 32,
-        depth_radius_px: Annotated[float, Field(ge=0)] | None = None,
-        reprojection_threshold_px: Annotated[float, Field(gt=0)] = 2.0,
-        min_inliers: Annotated[int, Field(ge=4)] = 10,
-        max_iterations: Annotated[int, Field(ge=1)] = 10000,
-        confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
-        device: str = "cpu",
-        cache_size: Annotated[int, Field(ge=0)] = 0,
-        seed: Annotated[int, Field(ge=0)] = 0,
-    ) -> None:
-        super().__init__(
-            features=features,
-            grid_px=grid_px,
-            depth_radius_px=depth_radius_px,
-            reprojection_threshold_px=reprojection_threshold_px,
-            min_inliers=min_inliers,
-            max_iterations=max_iterations,
-            confidence=confidence,
-            seed=seed,
-        )
-        self.ratio = ratio
-        self._detector = Aliked(self.files(weights, model)["weights"], features, longest_px, device, model, cache_size)
+    model: AlikedModel = "n16"
+
+    def detector(self, **more: Any) -> NetworkDetector:
+        return super().detector(model=self.model, **more)
 
     @classmethod
     def files(cls, weights: Path | None = None, model: AlikedModel = "n16", **_: Any) -> dict[str, Path]:
-        """The files that decide the answers besides parameters; with other weights, results are not continued."""
         return {"weights": find_weights(published.ALIKED[model], weights, cls.name)}
 
     @classmethod
     def published(cls, model: AlikedModel = "n16", **_: Any) -> dict[Path, PublishedFile]:
-        """The file of the authors, by where it is looked for."""
         return by_place(published.ALIKED[model])
-
-    def detect(self, image: Image) -> Features:
-        return self._detector(image)
-
-    def match_features(self, reference: Features, query: Features) -> Indices:
-        return mutual_nearest(reference.descriptors, query.descriptors, self.ratio)
 
 
 class DiskPnp(NearestPnp):
-    """DISK (Tyszkiewicz et al., NeurIPS 2020) with PnP; see :class:`NearestPnp` for the parameters."""
+    """DISK (Tyszkiewicz et al., NeurIPS 2020) with PnP."""
 
     name: ClassVar[str] = "disk-pnp"
     network: ClassVar[type[NetworkDetector]] = Disk
@@ -190,7 +125,7 @@ class DiskPnp(NearestPnp):
 
 
 class XFeatPnp(NearestPnp):
-    """XFeat (Potje et al., CVPR 2024) with PnP; see :class:`NearestPnp` for the parameters."""
+    """XFeat (Potje et al., CVPR 2024) with PnP."""
 
     name: ClassVar[str] = "xfeat-pnp"
     network: ClassVar[type[NetworkDetector]] = XFeat
@@ -198,7 +133,7 @@ class XFeatPnp(NearestPnp):
 
 
 class SuperPointPnp(NearestPnp):
-    """SuperPoint (DeTone et al., CVPR Workshops 2018) with PnP; see :class:`NearestPnp` for the parameters."""
+    """SuperPoint (DeTone et al., CVPR Workshops 2018) with PnP."""
 
     name: ClassVar[str] = "superpoint-pnp"
     network: ClassVar[type[NetworkDetector]] = SuperPoint

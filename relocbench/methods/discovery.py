@@ -15,7 +15,8 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, is_dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -340,10 +341,11 @@ def parameters_of(target: str, kind: MethodKind = TRACKERS) -> list[Parameter]:
     factory = method_class(target, kind)
     signature = inspect.signature(factory)
     function = factory.__init__ if inspect.isclass(factory) else factory
-    try:
-        hints = get_type_hints(function, include_extras=True)
-    except (NameError, TypeError):
-        hints = {}
+    hints: dict[str, Any] = {}
+    # The constructor that a dataclass has names types as the modules of its bases know them, each its own.
+    for source in (factory, function) if is_dataclass(factory) else (function,):
+        with suppress(NameError, TypeError):
+            hints |= get_type_hints(source, include_extras=True)
     words = _argument_words(factory)
     out = []
     for p in signature.parameters.values():
