@@ -345,7 +345,7 @@ def test_products_of_rounded_descriptors_are_exact(size: int) -> None:
     unit[1], unit[2] = 1 / np.sqrt(size), -1 / np.sqrt(size)  # the largest sums that there are
     for norm in (1.0, 1.3333, 1.3334, 1e-3, 1e6):
         rows = norm * unit
-        grid = _on_grid(rows, _scales(np.linalg.norm(rows, axis=1))[:, None])
+        grid = _on_grid(rows, np.arange(6), _scales(np.linalg.norm(rows, axis=1))[:, None])
         exact = [[sum(int(x) * int(y) for x, y in zip(a, b, strict=True)) for b in grid] for a in grid]
         assert max(abs(value) for row in exact for value in row) < 2**53
         assert (grid @ grid.T).astype(np.int64).tolist() == exact
@@ -356,7 +356,7 @@ def test_the_grid_is_finer_than_float32_products_are() -> None:
     rng = np.random.default_rng(5)
     unit = rng.normal(size=(40, 512))
     unit = (unit / np.linalg.norm(unit, axis=1, keepdims=True)).astype(np.float32)
-    grid = _on_grid(unit, 2.0**26)
+    grid = _on_grid(unit, np.arange(40), 2.0**26).astype(np.float64)
     exact = [
         [float(sum(Fraction(float(x)) * Fraction(float(y)) for x, y in zip(unit[0], b, strict=True))) for b in unit]
     ]

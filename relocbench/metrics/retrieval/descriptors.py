@@ -7,28 +7,36 @@ float64 adds up dot products without rounding. With ``|a_q| <= 4/3 2^26`` and ``
 every partial sum is at most ``|a_q| |b_g| <= 16/9 2^52 < 2^53`` (Cauchy-Schwarz). For vectors of norm 1 a step of the
 grid is 2^-26 = 1.5e-8, and a dot product is off by some 1e-8: a tenth of what a float32 product of 2048 numbers is.
 
-Ranks need few of these exact products: a float32 product decides most comparisons, and the exact one is computed only
-where it does not.
+Ranks need few of these exact products: a float32 product of n numbers is off by at most ``n u / (1 - n u)`` times the
+product of the norms, with u = 2^-24, whatever the order of its additions (Higham, "Accuracy and Stability of Numerical
+Algorithms", 2002, section 3.1), and decides every comparison with a score that is farther away than that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relocbench.arrays import Array, Indices, Mask
-from relocbench.metrics.retrieval.counting import Scaled, Thresholds, exact_products
-from relocbench.metrics.retrieval.ranking import NEVER, Ranking, ranks_of_positives, sorted_finite
+from relocbench.arrays import Array, Floats, Indices
+from relocbench.metrics.retrieval.ranking import NEVER, Ranking
 from relocbench.metrics.retrieval.relevance import Relevance
+
+Grid = Floats | Array
+"""integers, as float32 where that holds them exactly"""
 
 QUERY_BLOCK = 1024
 GALLERY_BLOCK = 2048
 _BITS = 26
 _LARGEST_EXPONENT = 1000
 _SINGLE_EXPONENT = 100
+_UNIT = 2.0**-24
+_ROUNDINGS = 4
+"""roundings beyond the additions: of the factors to float32, and two to spare for the arithmetic of the bound itself"""
+_PIECE = 256
+"""numbers of two vectors that float32 multiplies and adds up at a time"""
 _UNDECIDED = 0.1
 """share of all products; where float32 leaves more undecided, float64 matrix products beat single exact ones"""
 _CACHED = 128
@@ -79,13 +87,17 @@ def rank_descriptors(
     answered = np.isfinite(query_norms) & (live.size > 0)
     for rows in _blocks(np.flatnonzero(answered & (relevance.positives > 0)), query_block):
         scales = _scales(query_norms[rows])
-        grid, norms = _on_grid(of_queries[rows], scales[:, None]), query_norms[rows] * scales
-        scores = _scores_of_positives(grid, [relevance.of(q) for q in rows], of_gallery, known, scale, gallery_block)
-        at_least = Thresholds([sorted_finite(s) for s in scores])
+        grid, norms = _on_grid(of_queries, rows, scales[:, None]), query_norms[rows] * scales
+        image = np.concatenate([relevance.of(q) for q in rows])
+        owner = np.repeat(np.arange(len(rows)), relevance.positives[rows])
+        owner, image = owner[known[image]], image[known[image]]
+        scores = _exact_products(grid, owner, of_gallery, image, scale, gallery_block)
+        order = np.lexsort((-scores, owner))
+        others = _Others(scores[order], owner[order], len(rows))
         for columns in _blocks(live, gallery_block):
-            _compare(grid, norms, _scaled(of_gallery[columns], scale), gallery_norms[columns] * scale, at_least)
-        for k, q in enumerate(rows):
-            position[relevance.starts[q] : relevance.starts[q + 1]] = ranks_of_positives(scores[k], at_least.counts(k))
+            others.count(grid, norms, _on_grid(of_gallery, columns, scale), gallery_norms[columns] * scale)
+        number = np.arange(len(owner)) - np.searchsorted(owner, owner)
+        position[relevance.starts[rows][owner] + number] = number + others.before()
     return Ranking(relevance.starts, position, answered, relevance.gallery)
 
 
@@ -120,57 +132,97 @@ def exact_scores(
         rows = slice(start, min(start + block, len(of_queries)))
         scores = np.full((rows.stop - start, len(of_gallery)), np.nan)
         known = np.flatnonzero(np.isfinite(query_norms[rows]))
-        a = _on_grid(of_queries[rows][known], _scales(query_norms[rows][known])[:, None])
+        a = _on_grid(of_queries[rows], known, _scales(query_norms[rows][known])[:, None]).astype(np.float64)
         for columns in _blocks(live, gallery_block):
-            scores[np.ix_(known, columns)] = a @ _on_grid(of_gallery[columns], scale).T
+            scores[np.ix_(known, columns)] = a @ _on_grid(of_gallery, columns, scale).astype(np.float64).T
         yield rows, scores
 
 
-def _compare(grid: Array, norms: Array, gallery: Scaled, gallery_norms: Array, at_least: Thresholds) -> None:
-    """Count images of the gallery (G, D), scaled to the grid, that reach the thresholds of queries (Q, D) on the grid.
-
-    Where float32 leaves too many products undecided, as where all descriptors are alike, all are computed exactly.
-    """
-    products = grid.astype(np.float32) @ gallery.astype(np.float32, copy=False).T
-    most = int(_UNDECIDED * products.size) + 1
-    pairs = at_least.count_decided(products, norms, gallery_norms, grid.shape[1], most)
-    if pairs is not None:
-        at_least.count_pairs(pairs, grid, gallery)
-    else:
-        at_least.count_exact(grid @ np.rint(gallery, dtype=np.float64).T)
-
-
-def _scaled(rows: NDArray[Any], scale: float) -> Scaled:
-    """Rows (n, D) times a power of two: in float32 where that is exact or the loss is far below 1, else in float64."""
-    exact = rows.dtype in (np.float16, np.float32) and 2.0**-_SINGLE_EXPONENT < scale < 2.0**_SINGLE_EXPONENT
-    kind = np.float32 if exact else np.float64
-    scaled: Scaled = np.multiply(rows, kind(scale), dtype=kind, order="C")
-    return scaled
-
-
-def _scores_of_positives(
-    grid: Array, positives: Sequence[Indices], gallery: NDArray[Any], known: Mask, scale: float, block: int
-) -> list[Array]:
-    """The exact scores of each query's positives, NaN where the descriptor is not finite.
+class _Others:
+    """The number of images other than a query's positives that score at least as much as each of these.
 
     Args:
-        grid: (Q, D) queries on the grid.
-        positives: the gallery indices of each query's positives.
-        block: rows of the gallery that are in memory at a time.
+        scores: (M,) exact scores of the positives, best first for each query.
+        owner: (M,) the query of each, ascending.
+        queries: Q.
     """
-    images, of = np.concatenate(positives), np.repeat(np.arange(len(grid)), [len(mine) for mine in positives])
-    scores = np.full(len(images), np.nan)
-    for chunk in _blocks(np.flatnonzero(known[images]), block):
-        needed, row = np.unique(images[chunk], return_inverse=True)  # many queries may share a positive
-        scores[chunk] = exact_products(np.column_stack([of[chunk], row]), grid, _scaled(gallery[needed], scale))
-    return np.split(scores, np.cumsum([len(mine) for mine in positives])[:-1])
+
+    def __init__(self, scores: Array, owner: Indices, queries: int) -> None:
+        self._scores, self._owner = scores, owner
+        self._starts = np.searchsorted(owner, np.arange(queries + 1))
+        # An image is counted at the first score that it reaches; positives are counted too, hence taken off here.
+        first = np.flatnonzero((np.diff(scores, prepend=np.inf) != 0) | (np.diff(owner, prepend=-1) != 0))
+        self._reached = np.zeros(len(scores), dtype=np.int64)
+        self._reached[first] = -np.diff(first, append=len(scores))
+
+    def count(self, queries: Grid, query_norms: Array, gallery: Grid, gallery_norms: Array) -> None:
+        """Count images of the gallery (G, D) with norms (G,) for queries (Q, D) with norms (Q,), all on the grid.
+
+        Where float32 leaves too many products undecided, as where all descriptors are alike, all are computed exactly.
+        """
+        from relocbench.metrics.retrieval import kernels as retrieval_kernels
+
+        products, error = _float32_products(queries, gallery)
+        half = 0.5 * np.sqrt(queries.shape[1])  # the most that rounding to the grid adds to a norm
+        off = error * (query_norms + half), gallery_norms + half
+        reached, most = self._reached.copy(), int(_UNDECIDED * products.size) + 1
+        if retrieval_kernels.count(products, *off, queries, gallery, self._scores, self._starts, reached, most):
+            self._reached = reached
+            return
+        exact = queries.astype(np.float64) @ gallery.astype(np.float64).T
+        off = np.zeros(len(query_norms)), np.zeros(len(gallery_norms))
+        retrieval_kernels.count(exact, *off, queries, gallery, self._scores, self._starts, self._reached, 0)
+
+    def before(self) -> Indices:
+        """(M,) the number for each positive."""
+        total = np.cumsum(self._reached)
+        first = self._starts[self._owner]
+        return np.asarray(total - (total[first] - self._reached[first]))
 
 
-def _on_grid(rows: NDArray[Any], scale: float | Array) -> Array:
-    """Rows (n, D) times ``scale``, rounded to integers, as float64."""
-    grid = np.array(rows, dtype=np.float64, order="C")
-    grid *= scale
-    return np.rint(grid, out=grid)
+def _float32_products(queries: Grid, gallery: Grid) -> tuple[Floats, float]:
+    """Products (Q, G) of (Q, D) and (G, D), and the most that they are off by, relative to the products of the norms.
+
+    The error grows with the number of additions in a row, so that the sums of pieces are added up.
+    """
+    products, of_piece = np.zeros((2, len(queries), len(gallery)), dtype=np.float32)
+    starts = range(0, queries.shape[1], _PIECE)
+    for start in starts:
+        a, b = (rows[:, start : start + _PIECE].astype(np.float32, copy=False) for rows in (queries, gallery))
+        products += np.matmul(a, b.T, out=of_piece)
+    roundings = (_PIECE + len(starts) + _ROUNDINGS) * _UNIT
+    return products, roundings / (1.0 - roundings)
+
+
+def _exact_products(
+    queries: Grid, row: Indices, gallery: NDArray[Any], image: Indices, scale: float, block: int
+) -> Array:
+    """The exact products (M,) of queries on the grid and images of a gallery that is not.
+
+    Args:
+        row, image: (M,) each.
+        block: products whose images are in memory at a time.
+    """
+    from relocbench.metrics.retrieval import kernels as retrieval_kernels
+
+    products = np.empty(len(image))
+    for part in _blocks(np.arange(len(image)), block):
+        needed, place = np.unique(image[part], return_inverse=True)  # many queries may share a positive
+        products[part] = retrieval_kernels.exact_products(row[part], place, queries, _on_grid(gallery, needed, scale))
+    return products
+
+
+def _on_grid(descriptors: NDArray[Any], rows: Indices, scale: float | Array) -> Grid:
+    """Rows (n, D) of descriptors times powers of two, rounded to integers.
+
+    Args:
+        scale: one for all, or one for each row, (n, 1).
+    """
+    single = descriptors.dtype in (np.float16, np.float32) and bool(np.all(np.abs(np.log2(scale)) < _SINGLE_EXPONENT))
+    kind = np.float32 if single else np.float64
+    grid: Any = np.asarray(descriptors[rows], dtype=kind, order="C")
+    grid *= np.asarray(scale, dtype=kind)
+    return np.rint(grid, out=grid)  # type: ignore[no-any-return]
 
 
 def _scales(norms: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The compiled loops of :mod:`relocbench.metrics.retrieval.counting`, imported only when something is ranked."""
+"""The compiled loops of :mod:`relocbench.metrics.retrieval.descriptors`, imported only when something is ranked."""
 
 from __future__ import annotations
 
@@ -7,75 +7,75 @@ import numpy as np
 from relocbench.arrays import Array, Floats, Indices
 from relocbench.kernels import njit
 
-Scaled = Floats | Array
+Grid = Floats | Array
 
 
 @njit(cache=True)
-def count_decided(
-    products: Scaled,
-    query_norms: Array,
-    gallery_norms: Array,
-    relative: float,
-    absolute: float,
-    root: float,
-    thresholds: Array,
+def count(
+    products: Grid,
+    query_off: Array,
+    gallery_off: Array,
+    queries: Grid,
+    gallery: Grid,
+    scores: Array,
     starts: Indices,
     reached: Indices,
-    undecided: Indices,
-) -> int:
-    """Add 1 to ``reached`` (M,) at the highest threshold that each product certainly reaches.
+    most: int,
+) -> bool:
+    """Add 1 to ``reached`` (M,) at the first of a query's descending scores that each product reaches.
 
-    Returns the number of products too close to a threshold, listed in ``undecided``; -1 if that has too few rows.
+    A product (q, g) is off by at most ``query_off[q] gallery_off[g]``; where that decides nothing it is computed
+    exactly. False if that were more than ``most`` products.
     """
-    found, longest = 0, np.max(gallery_norms)
-    for q in range(products.shape[0]):
+    undecided, farthest, near = 0, np.max(gallery_off), np.empty(len(gallery), dtype=np.int64)
+    for q in range(len(products)):
         begin, end = starts[q], starts[q + 1]
         if begin == end:
             continue
-        mine = thresholds[begin:end]
-        slope, rest = relative * query_norms[q] + absolute, absolute * (query_norms[q] + root)
-        far_below = mine[0] - slope * longest - rest
-        for g in range(products.shape[1]):
+        far_below = scores[end - 1] - query_off[q] * farthest
+        found = 0
+        for g in range(len(gallery)):  # without a branch, which would be guessed wrong too often
+            near[found] = g
+            found += products[q, g] >= far_below
+        for g in near[:found]:
             product = np.float64(products[q, g])
-            if product < far_below:
-                continue
-            off = slope * gallery_norms[g] + rest
-            surely = np.searchsorted(mine, product - off, side="right")
-            if surely < np.searchsorted(mine, product + off, side="right"):
-                if found == len(undecided):
-                    return -1
-                undecided[found, 0], undecided[found, 1] = q, g
-                found += 1
-            elif surely:
-                reached[begin + surely - 1] += 1
-    return found
+            off = query_off[q] * gallery_off[g]
+            k = _first_reached(scores, begin, end, product - off)
+            if k > begin and scores[k - 1] <= product + off:
+                undecided += 1
+                if undecided > most:
+                    return False
+                k = _first_reached(scores, begin, end, _exact_product(queries[q], gallery[g]))
+            if k < end:
+                reached[k] += 1
+    return True
+
+
+@njit(cache=True)
+def exact_products(row: Indices, image: Indices, queries: Grid, gallery: Grid) -> Array:
+    """(M,) exact products of rows of ``queries`` (Q, D) and images of ``gallery`` (G, D), integers all."""
+    products = np.empty(len(row))
+    for n in range(len(row)):
+        products[n] = _exact_product(queries[row[n]], gallery[image[n]])
+    return products
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
-def _exact_product(query: Array, row: Scaled) -> float:
+def _exact_product(a: Grid, b: Grid) -> float:
     """The product of integer vectors whose partial sums are exact in float64: the order of additions is irrelevant."""
     total = 0.0
-    for i in range(len(query)):
-        total += query[i] * np.rint(np.float64(row[i]))
+    for i in range(len(a)):
+        total += np.float64(a[i]) * np.float64(b[i])
     return total
 
 
 @njit(cache=True)
-def exact_products(pairs: Indices, query: Array, gallery: Scaled) -> Array:
-    """(N,) exact products of pairs (N, 2): integer rows of ``query`` (Q, D), and rows of ``gallery`` (G, D) rounded."""
-    products = np.empty(len(pairs))
-    for n in range(len(pairs)):
-        products[n] = _exact_product(query[pairs[n, 0]], gallery[pairs[n, 1]])
-    return products
-
-
-@njit(cache=True)
-def count_pairs(
-    pairs: Indices, query: Array, gallery: Scaled, thresholds: Array, starts: Indices, reached: Indices
-) -> None:
-    for n in range(len(pairs)):
-        q, g = pairs[n, 0], pairs[n, 1]
-        begin, end = starts[q], starts[q + 1]
-        count = np.searchsorted(thresholds[begin:end], _exact_product(query[q], gallery[g]), side="right")
-        if count:
-            reached[begin + count - 1] += 1
+def _first_reached(scores: Array, begin: int, end: int, product: float) -> int:
+    """The first of ``scores[begin:end]``, descending, that is not above the product; ``end`` if all are."""
+    while begin < end:
+        middle = (begin + end) // 2
+        if scores[middle] > product:
+            begin = middle + 1
+        else:
+            end = middle
+    return begin
