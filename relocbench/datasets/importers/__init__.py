@@ -51,31 +51,16 @@ KINDS: dict[str, str] = {
 """kinds of ``relocbench build-dataset`` with one line of help each"""
 
 _MODULES = {
-    "kitti": "kitti.dataset",
-    "tum-rgbd": "tum_rgbd.dataset",
-    "four-seasons": "four_seasons.dataset",
-    "robotcar": "robotcar.dataset",
     "kitti-lidar": "kitti.lidar_dataset",
     "generic-lidar": "generic.lidar_dataset",
-    "rosbag": "rosbag.dataset",
-    "boreas": "boreas.dataset",
-    "mulran": "mulran.dataset",
-    "helipr": "helipr.dataset",
-    "clouds": "clouds.dataset",
-    "nclt": "nclt.dataset",
     "kitti-360": "kitti360.dataset",
-    "complex-urban": "complex_urban.dataset",
-    "ford-av": "ford_av.dataset",
-    "generic": "generic.dataset",
-    "colmap": "colmap.dataset",
-    "kapture": "kapture.dataset",
     "poses": "poses.trajectories",
     "pair-files": "poses.pair_files",
     "photographs": "single_photographs.dataset",
     "synthetic": "rendered.dataset",
     "cross-view": "rendered.cross_view",
 }
-"""kind -> importer module"""
+"""kind -> importer module, where it is not ``dataset`` in the folder of the kind's name"""
 
 
 class Importer(Protocol):
@@ -127,5 +112,6 @@ def recorder(kind: str) -> Recorder | None:
 
 def importer(kind: str) -> Importer:
     """Import the importer module of one of :data:`KINDS`."""
-    module: Importer = import_module(f"{__name__}.{_MODULES[kind]}")
+    path = _MODULES.get(kind, f"{kind.replace('-', '_')}.dataset")
+    module: Importer = import_module(f"{__name__}.{path}")
     return module

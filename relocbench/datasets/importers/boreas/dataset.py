@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
-from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.execution import Run
+from relocbench.datasets.core.build_options import LinkingOptions
+from relocbench.datasets.importers.lidar_drives.options import DriveOptions, build
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
-    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
+
+__all__ = ["Options", "build"]
 
 
-class Options(FieldOptions, LinkingOptions):
+class Options(DriveOptions, LinkingOptions):
     """Options of ``relocbench build-dataset boreas``."""
+
+    kind: ClassVar[str] = "boreas"
 
     odometry: Literal["auto", "applanix", "lidar-poses", "lidar"] = Field(
         "auto",
@@ -25,18 +28,7 @@ class Options(FieldOptions, LinkingOptions):
         "scans; default: the first of these that there is",
     )
 
+    def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
+        from relocbench.datasets.importers.boreas.recording import read_boreas
 
-def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference drive (the first source) and one or more query drives.
-
-    Raises:
-        DatasetError, ConfigError: like :func:`build_drives`.
-    """
-    from relocbench.datasets.importers.boreas.recording import read_boreas
-    from relocbench.datasets.importers.lidar_drives.building import build_drives
-
-    assert isinstance(options, Options)
-    odometry = options.odometry
-    return build_drives(
-        "boreas", sources, options, out, reporter, run, lambda folder, name: read_boreas(folder, name, odometry)
-    )
+        return read_boreas(folder, name, self.odometry)

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
-from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.execution import Run
+from relocbench.datasets.core.build_options import LinkingOptions
+from relocbench.datasets.importers.lidar_drives.options import DriveOptions, build
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
-    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
+
+__all__ = ["Options", "build"]
 
 
-class Options(FieldOptions, LinkingOptions):
+class Options(DriveOptions, LinkingOptions):
     """Options of ``relocbench build-dataset clouds``."""
+
+    kind: ClassVar[str] = "clouds"
 
     odometry: Literal["auto", "poses", "lidar"] = Field(
         "auto", description="motion of the lidar: from poses.txt, or by registering the clouds; default: poses if there"
@@ -37,31 +40,17 @@ class Options(FieldOptions, LinkingOptions):
             raise ValueError("must contain x, y and z, and each once")
         return columns
 
+    def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
+        from relocbench.datasets.importers.clouds.recording import read_clouds
 
-def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference drive (the first source) and one or more query drives.
-
-    Raises:
-        DatasetError, ConfigError: like :func:`build_drives`.
-    """
-    from relocbench.datasets.importers.clouds.recording import read_clouds
-    from relocbench.datasets.importers.lidar_drives.building import build_drives
-    from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
-
-    assert isinstance(options, Options)
-    chosen = options
-
-    def read(folder: Path, name: str) -> DriveFiles:
         return read_clouds(
             folder,
             name,
             reporter,
-            odometry=chosen.odometry,
-            motion=chosen.motion,
-            columns=chosen.columns,
-            rate_hz=chosen.rate_hz,
-            pattern=chosen.pattern,
-            max_range=chosen.max_range,
+            odometry=self.odometry,
+            motion=self.motion,
+            columns=self.columns,
+            rate_hz=self.rate_hz,
+            pattern=self.pattern,
+            max_range=self.max_range,
         )
-
-    return build_drives("clouds", sources, options, out, reporter, run, read)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.execution import Run
+from relocbench.datasets.importers.lidar_drives.options import DriveOptions, build
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
-    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
+
+__all__ = ["Options", "build"]
 
 
-class Options(FieldOptions):
+class Options(DriveOptions):
     """Options of ``relocbench build-dataset complex-urban``."""
+
+    kind: ClassVar[str] = "complex-urban"
 
     lidars: tuple[str, ...] = Field(
         (), description="lidars to use: VLP_left, VLP_right, SICK_back, SICK_middle; default: both VLP"
@@ -26,21 +28,7 @@ class Options(FieldOptions):
         "lidar", description="motion of the car: computed from the scans, or from global_pose.csv"
     )
 
+    def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
+        from relocbench.datasets.importers.complex_urban.recording import read_complex_urban
 
-def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference drive (the first source) and one or more query drives.
-
-    Raises:
-        DatasetError, ConfigError: like :func:`build_drives`.
-    """
-    from relocbench.datasets.importers.complex_urban.recording import read_complex_urban
-    from relocbench.datasets.importers.lidar_drives.building import build_drives
-    from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
-
-    assert isinstance(options, Options)
-    lidars, odometry = options.lidars, options.odometry
-
-    def read(folder: Path, name: str) -> DriveFiles:
-        return read_complex_urban(folder, name, lidars, odometry)
-
-    return build_drives("complex-urban", sources, options, out, reporter, run, read)
+        return read_complex_urban(folder, name, self.lidars, self.odometry)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.execution import Run
+from relocbench.datasets.importers.lidar_drives.options import DriveOptions, build
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
-    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
+
+__all__ = ["Options", "build"]
 
 
-class Options(FieldOptions):
+class Options(DriveOptions):
     """Options of ``relocbench build-dataset mulran``."""
+
+    kind: ClassVar[str] = "mulran"
 
     odometry: Literal["lidar", "poses"] = Field(
         "lidar", description="motion of the car: computed from the scans, or from global_pose.csv"
@@ -27,21 +29,7 @@ class Options(FieldOptions):
         description="moment of a turn of the lidar that the names of scans state; not documented by the dataset",
     )
 
+    def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
+        from relocbench.datasets.importers.mulran.recording import read_mulran
 
-def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference drive (the first source) and one or more query drives.
-
-    Raises:
-        DatasetError, ConfigError: like :func:`build_drives`.
-    """
-    from relocbench.datasets.importers.lidar_drives.building import build_drives
-    from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
-    from relocbench.datasets.importers.mulran.recording import read_mulran
-
-    assert isinstance(options, Options)
-    odometry, scan_time = options.odometry, options.scan_time
-
-    def read(folder: Path, name: str) -> DriveFiles:
-        return read_mulran(folder, name, odometry, scan_time)
-
-    return build_drives("mulran", sources, options, out, reporter, run, read)
+        return read_mulran(folder, name, self.odometry, self.scan_time)
