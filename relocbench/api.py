@@ -21,7 +21,7 @@ from relocbench.tracking import Query, Reference
 if TYPE_CHECKING:
     import pandas as pd
 
-    from relocbench.leaderboard.tracking.load import DatasetEntry
+    from relocbench.leaderboard.tracking.model import DatasetEntry
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,8 @@ def read_leaderboard(
     import pandas as pd
 
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
-    from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
+    from relocbench.leaderboard.tracking.model import RANKING
+    from relocbench.leaderboard.tracking.tables import make_board, ranking_metric
 
     ranked_by = metric or RANKING
     ranking_metric(ranked_by)  # an unknown metric is reported before anything is read

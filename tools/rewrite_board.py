@@ -25,9 +25,9 @@ from relocbench.evaluation.common.matching_table import ALL, MatchingRow, Offset
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
 from relocbench.leaderboard.common.text import cell
 from relocbench.leaderboard.tracking.doubt import TruthCheck
-from relocbench.leaderboard.tracking.load import DatasetEntry, Method
 from relocbench.leaderboard.tracking.long_form import leaderboard_rows
-from relocbench.leaderboard.tracking.model import TOTALS, Board
+from relocbench.leaderboard.tracking.method import Method
+from relocbench.leaderboard.tracking.model import TOTALS, Board, DatasetEntry
 from relocbench.leaderboard.tracking.tables import make_board
 from relocbench.leaderboard.tracking.write import write_pages
 

@@ -30,7 +30,7 @@ import numpy as np
 
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.score import FAILURES, RANKING, per_query
-from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION, Pipeline, PipelineBoard
 from relocbench.metrics import Difference, paired_difference
 

@@ -6,10 +6,10 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from relocbench.leaderboard.tracking.tables import RANKING
+from relocbench.leaderboard.tracking.model import RANKING
 
 if TYPE_CHECKING:
-    from relocbench.leaderboard.common.model import Board as TaskBoard
+    from relocbench.leaderboard.common.by_query import Board as TaskBoard
     from relocbench.leaderboard.displays import Display
     from relocbench.leaderboard.tracking.by_condition import ByCondition, Column
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table

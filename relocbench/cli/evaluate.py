@@ -80,6 +80,7 @@ ELSEWHERE_COLUMNS = ("answered_share", "confident_share", "confident_high")
 def _print_report(report: Report, progress: Reporter, *, matching: bool) -> None:
     """The matrix of what was scored, then a table for each pair set, in the order of the dataset's splits."""
     from relocbench.cli.boards import print_matrix
+    from relocbench.evaluation.common.dataset_lookup import Truth
     from relocbench.evaluation.common.results import DatasetResults
     from relocbench.leaderboard.tracking.by_condition import by_condition
     from relocbench.leaderboard.tracking.doubt import check_truth
@@ -90,7 +91,8 @@ def _print_report(report: Report, progress: Reporter, *, matching: bool) -> None
     scored = [one.name for one in report.pair_sets if any(one.name in f.score_record().pair_sets for f in folders)]
     if scored:
         entry = load_methods(DatasetResults(folders[0].root.parent), [f.label for f in folders], scored)
-        entry = replace(entry, dataset=dataset, truth_checks=check_truth(dataset, scored, progress))
+        truth = Truth(dataset, copy=False)
+        entry = replace(entry, truth=truth, truth_checks=check_truth(dataset, scored, progress))
         print_matrix(by_condition([DatasetBoard(entry, ())]))
     for pair_set in report.pair_sets:
         name = f"{dataset.name}: {pair_set.name}"

@@ -117,7 +117,7 @@ def leaderboard(
     from relocbench.evaluation.common.dataset_lookup import DatasetLookup
     from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.files import locked_output
-    from relocbench.leaderboard.common.loading import note_missing
+    from relocbench.leaderboard.common.by_query import note_missing
     from relocbench.leaderboard.formats import How, check_formats, write_formats
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
@@ -222,9 +222,9 @@ def _load(
     progress: Reporter,
 ) -> Boards:
     """The boards of all tasks that the folder holds something of."""
-    from relocbench.evaluation.common.results import folders_with
+    from relocbench.evaluation.common.folders import folders_with
     from relocbench.leaderboard.boards import Boards
-    from relocbench.leaderboard.common.loading import load_board
+    from relocbench.leaderboard.common.by_query import load_board
     from relocbench.leaderboard.relocalization.board import RELOCALIZATION
     from relocbench.leaderboard.retrieval.board import RETRIEVAL
     from relocbench.leaderboard.tracking.load import load_results
@@ -258,7 +258,7 @@ def _ranked_by(
 def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None:
     """Raise ConfigError if a metric is given for a task of which the folder holds no results, but some of others."""
     from relocbench.errors import ConfigError
-    from relocbench.evaluation.common.results import folders_with
+    from relocbench.evaluation.common.folders import folders_with
 
     files = ("dataset.yaml", "retrieval.yaml", "relocalization.yaml")
     held = {option: bool(folders_with(file, results)) for option, file in zip(given, files, strict=True)}

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from relocbench.files import remove_parts, write_text
+from relocbench.leaderboard.common.by_query import Board, SetBoard, Table
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.columns import Column, records
-from relocbench.leaderboard.common.model import Board, SetBoard, Table
 from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.relocalization import columns as of_pipelines
 from relocbench.leaderboard.relocalization import latex as latex_of_pipelines

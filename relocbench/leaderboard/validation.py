@@ -13,11 +13,14 @@ from pathlib import Path
 from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.common.results import DatasetResults, MethodResults, folders_with
-from relocbench.evaluation.common.set_folder import sets_in
+from relocbench.evaluation.common.folders import folders_with, sets_in
+from relocbench.evaluation.common.results import (
+    DatasetResults,
+    MethodResults,
+)
 from relocbench.evaluation.submission.kept import kept_card
 from relocbench.evaluation.tracking.validation import is_tracking_folder, validate_results
-from relocbench.leaderboard.common.loading import BoardTask, F, M, S, T, U
+from relocbench.leaderboard.common.by_query import F, M, QueryTask, S, T, U
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION
 from relocbench.leaderboard.retrieval.board import RETRIEVAL
 from relocbench.progress import Reporter
@@ -75,12 +78,13 @@ def _other_rows(top: Path, dataset: Dataset | None, found: Findings) -> list[tup
 
 
 def _rows_of(
-    task: BoardTask[F, S, U, M, T], top: Path, lookup: DatasetLookup | None, found: Findings
+    task: QueryTask[F, S, U, M, T], top: Path, lookup: DatasetLookup | None, found: Findings
 ) -> list[tuple[Callable[[], object], Path]]:
     rows: list[tuple[Callable[[], object], Path]] = []
     for folder in sets_in(top, task.kind):
         with found.catching():
-            record, truth = folder.record, None if lookup is None else task.truth(folder, lookup)
+            record = folder.record
+            truth = None if lookup is None else task.truth(folder, record, lookup)
             read = [partial(task.read, row, record, task.units(record), truth) for row in folder.methods()]
             rows += [(check, row.root) for check, row in zip(read, folder.methods(), strict=True)]
     return rows

@@ -22,7 +22,7 @@ from relocbench.datasets.importers import KINDS
 from relocbench.errors import ConfigError
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION
 from relocbench.leaderboard.retrieval.board import RETRIEVAL
-from relocbench.leaderboard.tracking import tables
+from relocbench.leaderboard.tracking import model
 
 OF_TWO_MEANINGS = {"--poses"}
 """files of poses (register), or whether poses are started (probe)"""
@@ -94,7 +94,7 @@ def test_a_file_of_options_takes_singular_and_plural(tmp_path: Path) -> None:
 
 def test_help_names_the_metrics_that_rank() -> None:
     assert {
-        "--metric": tables.RANKING,
+        "--metric": model.RANKING,
         "--retrieval-metric": RETRIEVAL.ranking,
         "--relocalization-metric": RELOCALIZATION.ranking,
     } == _USUAL

@@ -22,7 +22,7 @@ from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.boards import Boards
-from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, pipelines_payload
 from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds

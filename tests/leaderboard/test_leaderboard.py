@@ -32,7 +32,6 @@ from relocbench.evaluation.tracking.score import (
 )
 from relocbench.files import dump_yaml, write_text
 from relocbench.leaderboard import Board, Row, Table, load_results, make_board, write_leaderboard
-from relocbench.leaderboard.tracking.load import merge_copies
 
 FINGERPRINT = hashlib.sha256(b"a dataset").hexdigest()
 TITLE = f"town@{FINGERPRINT[:12]}"
@@ -191,16 +190,6 @@ def cells(page: str, heading: str, method: str) -> list[str]:
     after = page[page.index(heading) :].splitlines()
     line = next(line for line in after if line.startswith("|") and f" {method} " in line)
     return [cell.strip() for cell in line.strip("|").split("|")]
-
-
-def test_results_of_one_dataset_with_other_pairs_are_refused(tmp_path: Path) -> None:
-    for name, pairs in (("a", 12), ("b", 11)):
-        results = MadeResults(tmp_path / name, {WINTER: pairs})
-        results.write_dataset()
-        results.add("m", {WINTER: made(0, pairs, 0.2)})
-    entries = [*load_results(tmp_path / "a"), *load_results(tmp_path / "b")]
-    with pytest.raises(PredictionError, match=f"'m' answered other pairs of '{WINTER}' than methods on town.*evaluate"):
-        merge_copies(entries)
 
 
 def test_the_csv_holds_the_formulas_of_the_metrics_in_full(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import write_leaderboard
 from relocbench.leaderboard.tracking.cells import level_with_identity
 from relocbench.leaderboard.tracking.front_page import front_page
-from relocbench.leaderboard.tracking.load import evaluate_command
+from relocbench.leaderboard.tracking.method import evaluate_command
 from relocbench.metrics import Difference, Interval
 
 

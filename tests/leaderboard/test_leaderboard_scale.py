@@ -13,13 +13,14 @@ import pytest
 from forgery import reseal
 from test_leaderboard import TITLE, WINTER, MadeResults, made
 
+import relocbench.evaluation.common.folders as folders_module
 import relocbench.evaluation.common.results as results_module
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.error_table import ErrorTable, PairErrors, read_errors, write_errors
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.files import load_yaml, write_text
 from relocbench.leaderboard import load_results, make_board, write_leaderboard
-from relocbench.leaderboard.tracking import tables as tables_module
+from relocbench.leaderboard.common import loading as loading_module
 from relocbench.metrics import mean_interval, rank_descriptors, relevance_from_labels
 
 
@@ -39,7 +40,8 @@ def test_each_record_of_a_results_folder_is_parsed_once(tmp_path: Path, monkeypa
         return load_yaml(path, *rest)
 
     made_results(tmp_path, sets=7)
-    monkeypatch.setattr(results_module, "load_yaml", counted)
+    for module in (folders_module, results_module):
+        monkeypatch.setattr(module, "load_yaml", counted)
     write_leaderboard(tmp_path, tmp_path / "board")
     records = [f"{TITLE}/{method}/{name}.yaml" for method in ("m0", "m1") for name in ("run", "scores")]
     assert parsed == Counter([f"{TITLE}/dataset.yaml", *records])
@@ -57,7 +59,7 @@ def test_tables_are_computed_as_often_as_there_are_results(tmp_path: Path, monke
 
         made_results(tmp_path / str(sets), sets)
         with monkeypatch.context() as patch:
-            patch.setattr(tables_module, "mean_interval", counted)
+            patch.setattr(loading_module, "mean_interval", counted)
             make_board(load_results(tmp_path / str(sets)))
         return computed
 
@@ -188,7 +190,7 @@ ATTACKS: dict[str, tuple[Attack, str]] = {
     "an error below 0": (_sealed(_replaced(ERRORS, ",ok,", ",ok,-")), "at least 0"),
     "an unknown status": (_sealed(_replaced(ERRORS, ",ok,", ",fine,")), "status is 'fine'"),
     "an endless field": (_sealed(_replaced(ERRORS, ",ok,", f",{'o' * 200_000},")), "a field has more than"),
-    "one dataset twice": (_twice, "is the same dataset as"),
+    "one dataset twice": (_twice, "is the same set as"),
 }
 
 

@@ -17,10 +17,10 @@ from small_dataset import make_small_dataset
 from small_views import make_small_views
 
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.set_folder import sets_in
+from relocbench.evaluation.common.folders import sets_in
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import METRICS, SET_FILE, SetResults, TaskRecord
-from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.retrieval.board import (
     RETRIEVAL,
     RetrievalBoard,

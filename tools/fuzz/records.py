@@ -89,7 +89,7 @@ def _lists(place: Place) -> None:
 
 def _retrieval_board(place: Place) -> Iterable[str]:
     from relocbench.leaderboard import displays
-    from relocbench.leaderboard.common.loading import load_board
+    from relocbench.leaderboard.common.by_query import load_board
     from relocbench.leaderboard.retrieval.board import RETRIEVAL
     from relocbench.leaderboard.retrieval.page import retrieval_page
 
@@ -102,7 +102,7 @@ def _retrieval_board(place: Place) -> Iterable[str]:
 
 def _pipeline_board(place: Place) -> None:
     from relocbench.leaderboard import displays
-    from relocbench.leaderboard.common.loading import load_board
+    from relocbench.leaderboard.common.by_query import load_board
     from relocbench.leaderboard.relocalization.board import RELOCALIZATION
     from relocbench.leaderboard.relocalization.page import relocalization_page
 

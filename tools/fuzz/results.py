@@ -58,7 +58,7 @@ def _folder(root: Path) -> Path:
 
 def _run_record(place: Place) -> None:
     from relocbench.evaluation.common.results import MethodResults
-    from relocbench.leaderboard.tracking.load import evaluate_command
+    from relocbench.leaderboard.tracking.method import evaluate_command
 
     evaluate_command(MethodResults(place.target.parent).run_record())
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -24,8 +23,8 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import distances_and_angles
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Label, Name, Strict
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.folders import AnswerFolder, SetFolder, checked_unit, folders_with
 from relocbench.files import (
-    check_joined_name,
     check_label,
     did_you_mean,
     dump_yaml,
@@ -78,6 +77,11 @@ class DatasetRecord(Strict):
     licence: str
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     pair_sets: dict[JoinedName, PairSetRecord]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the pair sets."""
+        return tuple(self.pair_sets)
 
     @property
     def compared_by(self) -> str:
@@ -151,48 +155,23 @@ class ScoreRecord(Strict):
 
 
 @dataclass(frozen=True)
-class AnswerFolder:
-    """A folder with a file of predictions and a table of answers for each pair set or task."""
-
-    root: Path
-
-    @property
-    def label(self) -> str:
-        return self.root.name
-
-    @property
-    def run_yaml(self) -> Path:
-        return self.root / "run.yaml"
-
-    @property
-    def scores_yaml(self) -> Path:
-        return self.root / "scores.yaml"
-
-    def predictions(self, asked: str) -> Path:
-        return self.root / f"{_named(asked)}.txt"
-
-    def answers(self, asked: str) -> Path:
-        return self.root / f"{_named(asked)}.csv"
-
-
-@dataclass(frozen=True)
 class MethodResults(AnswerFolder):
     """The folder of one method."""
 
     def errors(self, pair_set: str) -> Path:
-        return self.root / f"{_named(pair_set)}.errors.csv"
+        return self.root / f"{checked_unit(pair_set)}.errors.csv"
 
     def matching(self, pair_set: str) -> Path:
         """The table of matching quality, which exists only where that was requested."""
-        return self.root / f"{_named(pair_set)}.matching.csv"
+        return self.root / f"{checked_unit(pair_set)}.matching.csv"
 
     def matching_journal(self, pair_set: str) -> Path:
         """The journal of matching quality, as :meth:`journal`."""
-        return self.root / ".journal-matching" / _named(pair_set)
+        return self.root / ".journal-matching" / checked_unit(pair_set)
 
     def journal(self, pair_set: str) -> Path:
         """The folder that workers append to while they run; it is removed when the pair set is complete."""
-        return self.root / ".journal" / _named(pair_set)
+        return self.root / ".journal" / checked_unit(pair_set)
 
     def complete(self, pair_set: str) -> bool:
         """Whether the run of a pair set is complete."""
@@ -208,36 +187,25 @@ class MethodResults(AnswerFolder):
 
 
 @dataclass(frozen=True)
-class DatasetResults:
+class DatasetResults(SetFolder[DatasetRecord, MethodResults]):
     """The folder of one dataset: ``NAME@FINGERPRINT``."""
 
-    root: Path
+    FILE = "dataset.yaml"
+    WHAT = "the record of a dataset"
+    UNIT = "pair set"
+    RECORD = DatasetRecord
+    METHOD = MethodResults
 
-    @cached_property
+    @property
     def record(self) -> DatasetRecord:
         """The content of ``dataset.yaml``. Raises PredictionError with file and line."""
-        path = self.root / "dataset.yaml"
         if (self.root / "manifest.csv").exists():
             raise PredictionError("is a dataset; expected a results folder of the evaluate commands", self.root)
-        return load_yaml(path, DatasetRecord, "the record of a dataset", PredictionError)
-
-    def method(self, label: str) -> MethodResults:
-        return MethodResults(self.root / label)
-
-    def methods(self) -> list[MethodResults]:
-        """Every method that has a run record, sorted by name."""
-        return [MethodResults(p.parent) for p in method_folders(self.root)]
-
-
-def method_folders(root: Path) -> list[Path]:
-    """The ``run.yaml`` of every method below a folder, sorted by name. Raises PredictionError for an invalid label."""
-    records = sorted(root.glob("*/run.yaml"))
-    for path in records:
-        try:
-            check_label(path.parent.name, "method label")
-        except ValueError as bad:
-            raise PredictionError(f"the folder's name is not a valid label: {bad}", path.parent) from None
-    return records
+        record = super().record
+        unknown = [name for names in record.splits.values() for name in names if name not in record.pair_sets]
+        if unknown:
+            raise PredictionError(f"a split names the pair set '{unknown[0]}', which is not there", self.record_file)
+        return record
 
 
 def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
@@ -322,13 +290,6 @@ def check_made_for(run: RunRecord, dataset: str, fingerprint: str, path: Path) -
         )
 
 
-def folders_with(record: str, results: Path) -> list[Path]:
-    """The results folder itself if it holds that record, else every ``NAME@FINGERPRINT`` folder in it that does."""
-    if (results / record).exists():
-        return [results]
-    return [path.parent for path in sorted(results.glob(f"*@*/{record}"))]
-
-
 def all_results(results: Path) -> list[DatasetResults]:
     """Every dataset's folder below a results folder. Raises PredictionError where there is none."""
     if not results.is_dir():
@@ -338,14 +299,6 @@ def all_results(results: Path) -> list[DatasetResults]:
         other = did_you_mean(results, lambda folder: any(folder.glob("*@*/dataset.yaml")))
         raise PredictionError(f"holds no results (expected DATASET@FINGERPRINT folders){other}", results)
     return folders
-
-
-def _named(asked: str) -> str:
-    """The checked name of a pair set or task. Raises PredictionError for one that would leave the folder."""
-    try:
-        return check_joined_name(asked, "name of a pair set or task")
-    except ValueError as bad:
-        raise PredictionError(str(bad)) from None
 
 
 def dataset_record(dataset: Dataset) -> DatasetRecord:

@@ -17,8 +17,12 @@ from pydantic import Field
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import AnswerFolder, DatasetResults, RunRecord, write_record
-from relocbench.evaluation.common.set_folder import SetFolder
+from relocbench.evaluation.common.folders import AnswerFolder, SetFolder
+from relocbench.evaluation.common.results import (
+    DatasetResults,
+    RunRecord,
+    write_record,
+)
 from relocbench.evaluation.relocalization.basin import Source
 from relocbench.evaluation.retrieval.records import RetrievalRun
 from relocbench.files import load_yaml
@@ -65,6 +69,11 @@ class PipelineSet(Strict):
     fingerprint: Fingerprint
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     tasks: dict[JoinedName, PipelineTask]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the tasks."""
+        return tuple(self.tasks)
 
     @property
     def compared_by(self) -> str:

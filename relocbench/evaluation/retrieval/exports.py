@@ -10,8 +10,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.street_places import StreetPlaces, image_key
 from relocbench.errors import PredictionError, available, quoted
+from relocbench.evaluation.common.folders import sets_in
 from relocbench.evaluation.common.image_names import listed_name
-from relocbench.evaluation.common.set_folder import sets_in
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
 from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, SetResults
 from relocbench.files import write_text

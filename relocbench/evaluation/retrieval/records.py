@@ -17,13 +17,13 @@ from pydantic import Field
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.folders import SetFolder
 from relocbench.evaluation.common.results import (
     Count,
     MethodResults,
     RunRecord,
     write_record,
 )
-from relocbench.evaluation.common.set_folder import SetFolder
 from relocbench.evaluation.retrieval.blind_set import WITHHELD
 from relocbench.files import MAX_FOLDER_BYTES, check_joined_name, load_yaml
 from relocbench.metrics import chance_level
@@ -90,6 +90,11 @@ class SetRecord(Strict):
     def is_withheld(self) -> bool:
         """Whether the set is a blind export, so that answers to it are not scored here."""
         return self.positives == WITHHELD
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the tasks."""
+        return tuple(self.tasks)
 
     @property
     def compared_by(self) -> str:

@@ -8,7 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import DatasetResults, MethodResults, RunRecord, folders_with
+from relocbench.evaluation.common.folders import folders_with
+from relocbench.evaluation.common.results import (
+    DatasetResults,
+    MethodResults,
+    RunRecord,
+)
 from relocbench.evaluation.retrieval.records import SET_FILE, RetrieverResults, SetResults
 from relocbench.evaluation.submission.card import CARD, Card, card_bytes, load_card
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 from relocbench.errors import PredictionError
 
@@ -42,18 +41,18 @@ def check_folder(results: Path) -> None:
             raise PredictionError("is neither a file nor a folder; expected results of the evaluate commands", path)
 
 
-def check_same_queries(tables: Iterable[tuple[str, str, Sequence[Any], Path]], what: str) -> None:
-    """Raise PredictionError unless all methods answered the same queries of a task.
+def check_same_questions(tables: Iterable[tuple[str, str, object, Path]]) -> None:
+    """Raise PredictionError unless all methods answered the same questions.
 
     Args:
-        tables: task, label of the method, what it answered, and the path of its table.
-        what: a description of what it answered, for the message.
+        tables: pair set or task, label of the method, what it was asked, and the path of its table.
     """
-    first: dict[str, tuple[str, Sequence[Any]]] = {}
-    for task, label, answered, path in tables:
-        other, expected = first.setdefault(task, (label, answered))
-        if answered != expected:
-            raise PredictionError(f"holds other {what} than the table of '{other}'", path)
+    first: dict[str, tuple[str, object]] = {}
+    for unit, label, asked, path in tables:
+        other, expected = first.setdefault(unit, (label, asked))
+        if asked != expected:
+            told = f"answers other questions of '{unit}' than the table of '{other}', or has other facts of them"
+            raise PredictionError(f"{told}; score both again", path)
 
 
 def check_file_names(names: Iterable[str], what: str, path: Path) -> None:

@@ -15,7 +15,7 @@ from relocbench.leaderboard.html.rows import pipeline_line, retriever_line
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineSetBoard
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard, Retriever
 from relocbench.leaderboard.retrieval.page import evaluate_command
-from relocbench.leaderboard.tracking.load import machine_words
+from relocbench.leaderboard.tracking.method import machine_words
 
 
 def with_other_tasks(payload: Mapping[str, Any], boards: Boards) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.looks import looks
 from relocbench.leaderboard.tracking.by_condition import UNKNOWN, by_condition
 from relocbench.leaderboard.tracking.cells import level_with_identity, plain_heading, shown_metrics, why_no_ranks
-from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.marks import MARKS
+from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import MEDIANS, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
 from relocbench.metrics import CORRECT, Interval, metric_named
 from relocbench.metrics.pose.registry import SIGMA_FACTOR

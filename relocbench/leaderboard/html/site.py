@@ -33,8 +33,8 @@ from relocbench.leaderboard.html.retrieval_pages.write import write_retrieval_pa
 from relocbench.leaderboard.html.rows import line, sections
 from relocbench.leaderboard.html.set_page.write import write_charts
 from relocbench.leaderboard.tracking.cells import why_no_ranks
-from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS
+from relocbench.leaderboard.tracking.method import Method, evaluate_command
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.leaderboard.tracking.reservations import reservations
 from relocbench.metrics import CORRECT, LEVEL

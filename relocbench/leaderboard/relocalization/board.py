@@ -13,7 +13,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.common.set_folder import SetFolder
+from relocbench.evaluation.common.folders import SetFolder
 from relocbench.evaluation.relocalization.answers import PipelineAnswer, errors_of, read_pipeline
 from relocbench.evaluation.relocalization.records import (
     ORACLE,
@@ -35,8 +35,9 @@ from relocbench.evaluation.relocalization.score import (
     pose_errors_of,
 )
 from relocbench.files import sha256_file
-from relocbench.leaderboard.common.loading import BoardTask
-from relocbench.leaderboard.common.model import Board, Row, SetBoard, Table
+from relocbench.leaderboard.common.by_query import Board, QueryTask, SetBoard, Table
+from relocbench.leaderboard.common.loading import Plan
+from relocbench.leaderboard.common.model import Row
 
 SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
 
@@ -77,23 +78,24 @@ PipelineSetBoard = SetBoard[PipelineSet, PipelineTask, Pipeline, PipelineTruth]
 PipelineBoard = Board[PipelineSet, PipelineTask, Pipeline, PipelineTruth]
 
 
-class RelocalizationBoards(BoardTask[PipelineResults, PipelineSet, PipelineTask, Pipeline, PipelineTruth]):
+class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask, Pipeline, PipelineTruth]):
     """The task of pipelines. One that knows the truth or sees times is not ranked."""
 
     what = "pipelines"
     kind = PipelineSetResults
-    metrics = (*POSE_METRICS, *SHARES)
+    rankable = (*POSE_METRICS, *SHARES)
     with_interval = (RANKING, "recall@(1m,5deg)", HIT)
     ranking = RANKING
 
-    def units(self, record: PipelineSet) -> Mapping[str, PipelineTask]:
-        return record.tasks
+    def units(self, record: PipelineSet, split: str | None = None) -> Mapping[str, PipelineTask]:
+        return {name: of for name, of in record.tasks.items() if split is None or name in record.splits[split]}
 
     def is_of(self, dataset: Dataset | CrossViewSet, record: PipelineSet) -> bool:
         return (dataset.name, dataset.fingerprint) == (record.dataset, record.dataset_fingerprint)
 
-    def truth(self, folder: SetFolder[PipelineSet, PipelineResults], lookup: DatasetLookup) -> PipelineTruth | None:
-        record = folder.record
+    def truth(
+        self, folder: SetFolder[PipelineSet, PipelineResults], record: PipelineSet, lookup: DatasetLookup
+    ) -> PipelineTruth | None:
         dataset = lookup.find(lambda one: self.is_of(one, record))
         return None if dataset is None else PipelineTruth(dataset, PipelineSetResults(folder.root))
 
@@ -144,18 +146,14 @@ class RelocalizationBoards(BoardTask[PipelineResults, PipelineSet, PipelineTask,
     def tables(self, tasks: Mapping[str, PipelineTask]) -> dict[str, tuple[str, ...]]:
         return {**_means(tasks), **{name: (name,) for name in tasks}}
 
-    def values(self, method: Pipeline, tasks: Mapping[str, PipelineTask], metric: str) -> list[Array]:
-        return [per_query(method.answers[task], metric) for task in tasks]
+    def values(self, method: Pipeline, plan: Plan, metric: str) -> list[Array]:
+        return [per_query(method.answers[task], metric) for task in plan.units]
 
-    def alike(
-        self, method: Pipeline, tasks: Mapping[str, PipelineTask], values: Mapping[str, list[Array]]
-    ) -> list[Array]:
-        return [pose_errors_of(method.answers[task]) for task in tasks]
+    def alike(self, method: Pipeline, plan: Plan) -> list[Array]:
+        return [pose_errors_of(method.answers[task]) for task in plan.units]
 
-    def further(
-        self, method: Pipeline, tasks: Mapping[str, PipelineTask], means: Mapping[str, float]
-    ) -> Mapping[str, float | None]:
-        errors = errors_of([answer for task in tasks for answer in method.answers[task]])
+    def further(self, method: Pipeline, plan: Plan, means: Mapping[str, float]) -> Mapping[str, float | None]:
+        errors = errors_of([answer for task in plan.units for answer in method.answers[task]])
         return {
             "right_given_hit": means["right_and_hit"] / means[HIT] if means[HIT] else None,
             "median_translation_error_m": float(np.median(errors.translation_error_m)),

@@ -23,8 +23,8 @@ from relocbench.leaderboard.relocalization.board import (
     is_rescored,
 )
 from relocbench.leaderboard.relocalization.columns import lines_of, pipeline_columns, pose_columns, stage_columns
-from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere, not_isolated
+from relocbench.leaderboard.tracking.method import machine_words
 from relocbench.metrics import LEVEL
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 from relocbench.pages import render

@@ -15,7 +15,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.common.set_folder import SetFolder
+from relocbench.evaluation.common.folders import SetFolder
 from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.evaluation.retrieval.records import (
     METRICS,
@@ -30,8 +30,9 @@ from relocbench.evaluation.retrieval.rescoring import Confirmed, RetrievalTruth,
 from relocbench.evaluation.retrieval.score import checked_answers, resampled, scores_of
 from relocbench.evaluation.submission.kept import KeptCard, kept_card
 from relocbench.files import sha256_file
-from relocbench.leaderboard.common.loading import BoardTask
-from relocbench.leaderboard.common.model import Board, Row, SetBoard, Table
+from relocbench.leaderboard.common.by_query import Board, QueryTask, SetBoard, Table
+from relocbench.leaderboard.common.loading import Plan
+from relocbench.leaderboard.common.model import Row
 from relocbench.metrics import by_place, single_positive_fault
 from relocbench.metrics.retrieval.measures import RetrievalScores
 
@@ -54,6 +55,8 @@ class Retriever:
     """of lists that were submitted"""
     folder: RetrieverResults | None = None
     """where its lists are kept"""
+    records: Mapping[str, TaskRecord] = field(default_factory=dict)
+    """of the tasks"""
     _scores: dict[str, RetrievalScores] = field(default_factory=dict, repr=False)
 
     @property
@@ -61,10 +64,10 @@ class Retriever:
         """Whether the folder is not named as its run."""
         return self.ran_as not in ("", self.label, self.label.rpartition("@")[0])
 
-    def per_query(self, task: str, record: TaskRecord, metric: str) -> Array:
+    def per_query(self, task: str, metric: str) -> Array:
         """(Q,) the values of a metric on a task."""
         if task not in self._scores:
-            self._scores[task] = scores_of(self.answers[task], record)
+            self._scores[task] = scores_of(self.answers[task], self.records[task])
         return self._scores[task].per_query(metric)
 
 
@@ -74,12 +77,12 @@ RetrievalSetBoard = SetBoard[SetRecord, TaskRecord, Retriever, RetrievalTruth]
 RetrievalBoard = Board[SetRecord, TaskRecord, Retriever, RetrievalTruth]
 
 
-class RetrievalBoards(BoardTask[RetrieverResults, SetRecord, TaskRecord, Retriever, RetrievalTruth]):
+class RetrievalBoards(QueryTask[RetrieverResults, SetRecord, TaskRecord, Retriever, RetrievalTruth]):
     """The task of retrievers. Queries of places are drawn by place, those along a drive in blocks."""
 
     what = "retrievers"
     kind = SetResults
-    metrics = METRICS
+    rankable = METRICS
     with_interval = ("R@1", "AP")
     ranking = "R@1"
     shows_unanswered = True
@@ -87,13 +90,15 @@ class RetrievalBoards(BoardTask[RetrieverResults, SetRecord, TaskRecord, Retriev
     def is_scored(self, record: SetRecord) -> bool:
         return not record.is_withheld
 
-    def units(self, record: SetRecord) -> Mapping[str, TaskRecord]:
-        return record.tasks
+    def units(self, record: SetRecord, split: str | None = None) -> Mapping[str, TaskRecord]:
+        return {name: of for name, of in record.tasks.items() if split is None or name in record.splits[split]}
 
     def is_of(self, dataset: Dataset | CrossViewSet, record: SetRecord) -> bool:
         return belongs(dataset, record)
 
-    def truth(self, folder: SetFolder[SetRecord, RetrieverResults], lookup: DatasetLookup) -> RetrievalTruth | None:
+    def truth(
+        self, folder: SetFolder[SetRecord, RetrieverResults], record: SetRecord, lookup: DatasetLookup
+    ) -> RetrievalTruth | None:
         return truth_of(SetResults(folder.root), lookup)
 
     def read(
@@ -120,7 +125,7 @@ class RetrievalBoards(BoardTask[RetrieverResults, SetRecord, TaskRecord, Retriev
             for name, rows in answers.items():
                 _check_summary(folder, name, done[name], rows, scores)
         kept = {} if truth is None else {n: truth.confirmed(folder, n, run.keep, rows) for n, rows in answers.items()}
-        return Retriever(folder.label, run, answers, kept, run.method, kept_card(folder.root, run), folder)
+        return Retriever(folder.label, run, answers, kept, run.method, kept_card(folder.root, run), folder, tasks)
 
     def renamed(self, method: Retriever, label: str) -> Retriever:
         return replace(method, label=label, run=method.run.model_copy(update={"method": label}))
@@ -145,19 +150,18 @@ class RetrievalBoards(BoardTask[RetrieverResults, SetRecord, TaskRecord, Retriev
     def tables(self, tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
         return {**{name: (name,) for name in tasks}, **mean_tables(tasks)}
 
-    def values(self, method: Retriever, tasks: Mapping[str, TaskRecord], metric: str) -> list[Array]:
-        values = [resampled(method.per_query(t, of, metric), method.answers[t]) for t, of in tasks.items()]
-        if not self.independent(tasks):
+    def values(self, method: Retriever, plan: Plan, metric: str) -> list[Array]:
+        values = [resampled(method.per_query(task, metric), method.answers[task]) for task in plan.units]
+        if not self.independent(method, plan):
             return values
-        return [by_place(values, [sorted({answer.group for answer in method.answers[task]}) for task in tasks])]
+        return [by_place(values, [sorted({answer.group for answer in method.answers[task]}) for task in plan.units])]
 
-    def alike(
-        self, method: Retriever, tasks: Mapping[str, TaskRecord], values: Mapping[str, list[Array]]
-    ) -> list[Array]:
-        return [np.stack(of_task) for of_task in zip(*values.values(), strict=True)]
+    def alike(self, method: Retriever, plan: Plan) -> list[Array]:
+        values = [self.values(method, plan, metric) for metric in METRICS]
+        return [np.stack(of_task) for of_task in zip(*values, strict=True)]
 
-    def independent(self, tasks: Mapping[str, TaskRecord]) -> bool:
-        return all(record.grouped for record in tasks.values())  # one value for each place
+    def independent(self, method: Retriever, plan: Plan) -> bool:
+        return all(method.records[task].grouped for task in plan.units)  # one value for each place
 
     def check(self, table: RetrievalTable) -> None:
         check_plausible(table)

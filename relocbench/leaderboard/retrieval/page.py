@@ -23,7 +23,7 @@ from relocbench.leaderboard.retrieval.board import (
     has_single_positives,
 )
 from relocbench.leaderboard.retrieval.columns import PAGE, lines_of, retrieval_columns
-from relocbench.leaderboard.tracking.load import machine_words
+from relocbench.leaderboard.tracking.method import machine_words
 from relocbench.metrics import LEVEL
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.tracking.cells import DAGGER
 from relocbench.leaderboard.tracking.doubt import doubts_of
-from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.marks import is_ranked
+from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import DatasetBoard
 from relocbench.leaderboard.tracking.thresholds import finer_thresholds
 from relocbench.metrics import CORRECT, within

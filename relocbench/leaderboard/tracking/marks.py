@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
-from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.method import Method
 
 
 def is_ranked(method: Method) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from relocbench.evaluation.common.matching_table import ALL, OFFSETS_PX, Summary, summarize_matching
 from relocbench.evaluation.tracking.score import groups_of
 from relocbench.leaderboard.common.text import Value, number
-from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.pages.markdown import escaped, table_text
 

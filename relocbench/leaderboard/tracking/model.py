@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.evaluation.common.dataset_lookup import Truth
+from relocbench.evaluation.common.error_table import ErrorTable
 from relocbench.evaluation.common.matching_table import ALL
-from relocbench.leaderboard.tracking.load import DatasetEntry, Method
-from relocbench.metrics import METRICS, Difference, DifferentPlaces, Interval, Metric, Spread
+from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord
+from relocbench.leaderboard.common import model as common
+from relocbench.leaderboard.common.loading import Loaded
+from relocbench.leaderboard.tracking.method import Method, natural
+from relocbench.metrics import METRICS, Difference, DifferentPlaces, Metric, Spread
 
+if TYPE_CHECKING:
+    from relocbench.leaderboard.tracking.doubt import TruthCheck
+
+RANKING = "recall@(0.25m,2deg)"
+"""the default ranking metric: the share of pairs whose pose is right, in position and in rotation"""
 TOTAL = "total"
 """the total over pair sets of two drives"""
 SAME_DRIVE_TOTAL = "total_same_drive"
@@ -21,25 +35,63 @@ INTERVALS = ("pose_auc@(0.5m,4deg)", "t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class DatasetEntry(Loaded[DatasetRecord, PairSetRecord, Method, Truth]):
+    """One dataset with all results on it."""
+
+    splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """split -> pair sets of its total; one split called '' with all pair sets where the dataset has none"""
+    withheld: tuple[str, ...] = ()
+    """chosen pair sets that cannot be scored: the ground truth is withheld or no pair was accepted"""
+    truth_checks: Mapping[str, TruthCheck] = field(default_factory=dict)
+    """by pair set whose truth was compared with its images"""
+
+    @property
+    def pair_sets(self) -> Mapping[str, PairSetRecord]:
+        """The pair sets that are compared: chosen, with ground truth, and with at least one pair."""
+        return self.units
+
+    @property
+    def dataset(self) -> Dataset | None:
+        """The dataset itself, or a copy of it, where it is available."""
+        return None if self.truth is None else self.truth.dataset
+
+    @property
+    def title(self) -> str:
+        """The name and short fingerprint, as in the name of the results folder."""
+        return f"{self.record.name}@{self.record.fingerprint[:SHORT]}"
+
+    @cached_property
+    def identity(self) -> Method | None:
+        """The identity pose, if it was run."""
+        return next((m for m in self.methods if m.is_identity), None)
+
+    @cached_property
+    def clock(self) -> Method | None:
+        """The timestamp-only baseline, if it was run."""
+        return next((m for m in self.methods if m.is_clock), None)
+
+    @cached_property
+    def used(self) -> tuple[str, ...]:
+        """The pair sets on which at least one method was run, completely or not."""
+        return tuple(n for n in self.pair_sets if any(n in m.errors or n in m.stopped for m in self.methods))
+
+    def errors_of(self, pair_set: str) -> ErrorTable | None:
+        """The errors of the first method that has a result on a pair set: all have the same pairs."""
+        return next((m.errors[pair_set] for m in self.methods if pair_set in m.errors), None)
+
+    def groups(self, pair_set: str) -> list[str]:
+        """The named groups of a pair set in natural order; none where all pairs are in one group."""
+        return sorted(self.pair_sets[pair_set].groups, key=natural) if len(self.pair_sets[pair_set].groups) > 1 else []
+
+
+@dataclass(frozen=True, eq=False)
+class Row(common.Row[Method]):
     """The row of one method in a table."""
 
-    method: Method
-    pairs: int
-    answered: int | None
-    failed: int | None
-    """number of pairs on which the method reported a failure"""
-    broke: int | None
-    """number of pairs on which it raised, crashed or broke the contract"""
-    values: Mapping[str, float | None]
-    """by metric; all None where a pair set is missing"""
-    intervals: Mapping[str, Interval | None]
-    rank: int | None
-    """None for a trivial baseline, and where a pair set is missing"""
-    above_identity: Difference | None
+    pairs: int = 0
+    answered: int | None = None
+    above_identity: Difference | None = None
     """difference of the ranking metric to the identity pose on the same pairs; positive is better"""
-    missing: tuple[str, ...] = ()
-    """the pair sets that are missing"""
     elsewhere: DifferentPlaces | None = None
     """what became of the pairs of different places; None where there are none, in tables of groups, and where a pair
     set is missing"""

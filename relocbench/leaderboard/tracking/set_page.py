@@ -25,13 +25,12 @@ from relocbench.leaderboard.tracking.cells import (
     total_name,
     why_no_ranks,
 )
-from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere
 from relocbench.leaderboard.tracking.matching import matching_lines, matching_numbers
 from relocbench.leaderboard.tracking.matrix_text import matrix_text
-from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
+from relocbench.leaderboard.tracking.method import Method, evaluate_command
+from relocbench.leaderboard.tracking.model import RANKING, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.leaderboard.tracking.reservations import reservations
-from relocbench.leaderboard.tracking.tables import RANKING
 from relocbench.metrics import CONFIDENT, CORRECT, LEVEL, Metric, Spread, metric_named
 from relocbench.pages import render
 from relocbench.pages.markdown import code, escaped, table_text

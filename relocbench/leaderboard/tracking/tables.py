@@ -5,51 +5,29 @@ A pair set is a total over one set, and a group is a set of fewer pairs: one fun
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.error_table import ErrorTable
 from relocbench.evaluation.common.matching_table import ALL
-from relocbench.evaluation.common.tables import STATUSES
-from relocbench.leaderboard.tracking.load import DatasetEntry, Method
-from relocbench.leaderboard.tracking.marks import is_ranked
+from relocbench.leaderboard.common.loading import Plan, compared
+from relocbench.leaderboard.tracking.load import Trackers
 from relocbench.leaderboard.tracking.model import (
-    INTERVALS,
-    MEDIANS,
+    RANKING,
     SAME_DRIVE_TOTAL,
     TOTAL,
     Board,
     DatasetBoard,
+    DatasetEntry,
     Row,
     SeedRow,
     Table,
 )
-from relocbench.metrics import (
-    METRICS,
-    DifferentPlaces,
-    Interval,
-    Metric,
-    PairScores,
-    PoseErrors,
-    Spread,
-    generator,
-    mean_interval,
-    median_interval,
-    metric_named,
-    paired_difference,
-    rank_with_ties,
-    spread_over_seeds,
-    totals,
-)
+from relocbench.leaderboard.tracking.rows import tables_of
+from relocbench.metrics import METRICS, Metric, Spread, metric_named, spread_over_seeds
 from relocbench.progress import Reporter, Silent
-
-Array = NDArray[np.float64]
-RANKING = "recall@(0.25m,2deg)"
-"""The default ranking metric: the share of pairs whose pose is right, in position and in rotation."""
 
 
 def ranking_metric(name: str) -> Metric:
@@ -84,7 +62,7 @@ def make_board(
         ConfigError: an unknown metric, or one that is not a mean over pairs.
     """
     ranking = ranking_metric(metric)
-    plans = [_plan(entry) for entry in entries]
+    plans = [_plans(entry) for entry in entries]
     boards = []
     with (reporter or Silent()).stage("comparing", sum(map(len, plans))) as advance:
         for entry, plan in zip(entries, plans, strict=True):
@@ -96,24 +74,15 @@ def make_board(
     return Board(tuple(boards), ranking, seed, split)
 
 
-@dataclass(frozen=True)
-class _Planned:
-    """A table that is to be computed."""
-
-    names: tuple[str, ...]
-    group: str = ALL
-    split: str | None = None
-    """None for the table of one pair set"""
-    total: str = ""
-    """which of the totals, empty for the table of one pair set"""
-
-
-def _plan(entry: DatasetEntry) -> list[_Planned]:
+def _plans(entry: DatasetEntry) -> list[Plan]:
     """The tables of each used pair set and its groups, and of each split's totals and the groups that all sets share.
 
     Pair sets of one drive, whose keyframes and queries saw the same light and weather, have totals of their own.
     """
-    plan = [_Planned((name,), group) for name in entry.used for group in (ALL, *entry.groups(name))]
+    plans = []
+    for name in entry.used:
+        split = " ".join(s for s in entry.splits if s and name in entry.splits[s])
+        plans += [Plan(name, (name,), group, split, f"{name}  {group}") for group in (ALL, *entry.groups(name))]
     for split, of_split in entry.splits.items():
         same = {name for name in of_split if entry.pair_sets[name].reference == entry.pair_sets[name].query}
         for total, names in (
@@ -122,137 +91,32 @@ def _plan(entry: DatasetEntry) -> list[_Planned]:
         ):
             if any(name in entry.used for name in names):
                 shared = [g for g in entry.groups(names[0]) if all(g in entry.groups(n) for n in names)]
-                plan += [_Planned(names, group, split, total) for group in (ALL, *shared)]
-    return plan
+                plans += [Plan(total, names, group, split, f"{total} {split} {group}") for group in (ALL, *shared)]
+    return plans
 
 
-def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) -> Table:
-    names, group, split = planned.names, planned.group, planned.split
-    shown = planned.total or names[0]
-    place = f"{entry.record.compared_by} {shown} {split or ''} {group}"
-    sets = {m.label: [_of_group(m, name, group) for name in names] for m in entry.methods}
-    ranks: dict[str, int | None] = dict.fromkeys(sets)
-    if group == ALL:
-        ranks |= rank_with_ties(
-            {
-                m.label: [None if rows is None else _per_pair(metric, rows) for rows in sets[m.label]]
-                for m in entry.methods
-                if is_ranked(m)
-            },
-            generator(seed, place, metric.name),
-            {label: [None if rows is None else _errors(rows) for rows in own] for label, own in sets.items()},
-            higher_is_better=metric.higher_is_better,
-        )
-    identity = sets[entry.identity.label] if entry.identity else None
-    rows = [_row(m, sets[m.label], names, ranks[m.label], identity, metric) for m in entry.methods]
-    if group == ALL:
-        rows = [row if row.missing else replace(row, elsewhere=_elsewhere(row.method, names)) for row in rows]
-    asked = _pairs_asked(sets)
+def _table(entry: DatasetEntry, plan: Plan, metric: Metric, seed: int) -> Table:
+    trackers = Trackers(metric.name, entry.identity)
+    rows = compared(trackers, entry.methods, plan, metric.name, seed=seed, question=entry.record.compared_by)
+    asked = _pairs_asked(entry, plan)
+    records, whole = [entry.pair_sets[name] for name in plan.units], plan.group == ALL
     return Table(
-        pair_set=shown,
-        pair_sets=names,
-        split=" ".join(s for s in entry.splits if s and names[0] in entry.splits[s]) if split is None else split,
-        group=group,
-        pairs=sum(entry.pair_sets[n].pairs for n in names) if group == ALL else sum(map(len, asked)),
-        rejected=sum(entry.pair_sets[n].rejected for n in names) if group == ALL else None,
+        pair_set=plan.name,
+        pair_sets=plan.units,
+        split=plan.split,
+        group=plan.group,
+        pairs=sum(record.pairs for record in records) if whole else sum(map(len, asked)),
+        rejected=sum(record.rejected for record in records) if whole else None,
         medians=_medians(asked),
-        finer=_finer(entry, names),
-        rows=tuple(sorted(rows, key=lambda row: _order(row, metric))),
+        finer=_finer(entry, plan.units),
+        rows=tuple(rows),
         seeds=tuple(_seed_rows(rows)),
     )
 
 
-def _row(
-    method: Method,
-    sets: Sequence[ErrorTable | None],
-    names: Sequence[str],
-    rank: int | None,
-    identity: Sequence[ErrorTable | None] | None,
-    metric: Metric,
-) -> Row:
-    missing = tuple(name for name, rows in zip(names, sets, strict=True) if rows is None)
-    there = [rows for rows in sets if rows is not None]
-    values = totals([None if rows is None else rows.summary for rows in sets])
-    if len(sets) > 1 and not missing:
-        values |= _pooled(there)
-    if missing:
-        return Row(method, sum(map(len, there)), None, None, None, values, {}, rank, None, missing)
-    counts = {status: sum(rows.with_status(status) for rows in there) for status in STATUSES}
-    intervals = {m.name: _interval(m, there) for m in METRICS if m.name in {*INTERVALS, *MEDIANS, metric.name}}
-    above = None
-    if identity is not None and identity is not sets and not any(rows is None for rows in identity):
-        above = paired_difference(
-            [_sign(metric) * _per_pair(metric, rows) for rows in there],
-            [_sign(metric) * _per_pair(metric, rows) for rows in identity if rows is not None],
-        )
-    return Row(
-        method=method,
-        pairs=sum(map(len, there)),
-        answered=counts["ok"],
-        failed=counts["failed"],
-        broke=counts["error"],
-        values=values,
-        intervals=intervals,
-        rank=rank,
-        above_identity=above,
-    )
-
-
-def _elsewhere(method: Method, names: Sequence[str]) -> DifferentPlaces | None:
-    """The pairs of different places of the pair sets together; None where there are none."""
-    tables = [method.elsewhere[name] for name in names if name in method.elsewhere]
-    return DifferentPlaces.total(table.different_places for table in tables) if tables else None
-
-
-def _interval(metric: Metric, sets: Sequence[ErrorTable]) -> Interval | None:
-    """The interval of a share or area, or of the median of one pair set."""
-    if metric.name not in MEDIANS:
-        return mean_interval([_per_pair(metric, rows) for rows in sets], [_errors(rows) for rows in sets])
-    return median_interval(_errors(sets[0])[MEDIANS.index(metric.name)]) if len(sets) == 1 else None
-
-
-def _errors(rows: ErrorTable) -> Array:
-    """(2, N) the translation and rotation errors: by them, statistics know how alike neighbouring pairs are."""
-    return np.stack([rows.errors.translation_error_m, rows.errors.rotation_error_deg])
-
-
-def _pooled(sets: Sequence[ErrorTable]) -> dict[str, float | None]:
-    """Medians, percentiles and what confidences are worth, over the pairs of all sets together.
-
-    A mean of medians would be infinite as soon as a method fails on half of the pairs of one set. In a mean over sets,
-    the only answer to one of them would weigh as much as all the answers to another.
-    """
-    names = ("rotation_error_deg", "translation_error_m", "mlad_translation_error_m")
-    errors = PoseErrors(*(np.concatenate([rows.column(name) for rows in sets]) for name in names))
-    seconds, confidence = (np.concatenate([rows.column(name) for rows in sets]) for name in ("seconds", "confidence"))
-    scores = PairScores(errors, seconds, None if np.isnan(confidence).all() else confidence)
-    return {m.name: m.compute(scores) for m in METRICS if m.per_pair is None}
-
-
-def _of_group(method: Method, pair_set: str, group: str) -> ErrorTable | None:
-    rows = method.errors.get(pair_set)
-    return None if rows is None else rows.of_group(group)
-
-
-def _per_pair(metric: Metric, rows: ErrorTable) -> Array:
-    if metric.per_pair is None:
-        raise ValueError(f"{metric.name} is not a mean over pairs")
-    return metric.per_pair(rows.errors)
-
-
-def _sign(metric: Metric) -> float:
-    return 1.0 if metric.higher_is_better else -1.0
-
-
-def _order(row: Row, metric: Metric) -> tuple[bool, bool, bool, float, str]:
-    value, method = row.values[metric.name], row.method
-    place = 0.0 if value is None else -_sign(metric) * value
-    return method.is_baseline, not is_ranked(method), value is None, place, method.label
-
-
-def _pairs_asked(sets: Mapping[str, Sequence[ErrorTable | None]]) -> list[ErrorTable]:
+def _pairs_asked(entry: DatasetEntry, plan: Plan) -> list[ErrorTable]:
     """The rows of each pair set, from any method that has it: all have the same pairs."""
-    columns = zip(*sets.values(), strict=True)
+    columns = zip(*(tables_of(method, plan) for method in entry.methods), strict=True)
     return [rows for column in columns if (rows := next((r for r in column if r is not None), None)) is not None]
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.leaderboard.tracking.load import DatasetEntry
+from relocbench.leaderboard.tracking.model import DatasetEntry
 from relocbench.metrics import CORRECT
 
 FINER = ((0.1, 1.0), (0.05, 0.5), (0.025, 0.25))

@@ -14,13 +14,13 @@ from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.text import write_records
 from relocbench.leaderboard.tracking.doubt import check_truth, truth_rows
 from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
-from relocbench.leaderboard.tracking.load import DatasetEntry, load_results
+from relocbench.leaderboard.tracking.load import load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.tracking.marks import not_rescored
 from relocbench.leaderboard.tracking.matching import matching_rows
-from relocbench.leaderboard.tracking.model import Board
+from relocbench.leaderboard.tracking.model import RANKING, Board, DatasetEntry
 from relocbench.leaderboard.tracking.set_page import set_file, set_page
-from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
+from relocbench.leaderboard.tracking.tables import make_board, ranking_metric
 from relocbench.progress import Reporter, Silent
 
 _OF_A_DATASET = re.compile(r"@[0-9a-f]{12}\.md$")

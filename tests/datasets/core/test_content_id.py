@@ -20,8 +20,8 @@ from relocbench.datasets.core.schema import DatasetFile
 from relocbench.datasets.cross_view import content
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
+from relocbench.evaluation.common.folders import sets_in
 from relocbench.evaluation.common.results import dataset_results
-from relocbench.evaluation.common.set_folder import sets_in
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import SetResults
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
@@ -30,7 +30,7 @@ from relocbench.evaluation.tracking.run import run_method
 from relocbench.execution import Run
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import displays
-from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.retrieval.board import RETRIEVAL
 from relocbench.leaderboard.retrieval.page import retrieval_page
 from relocbench.leaderboard.tracking.load import load_results

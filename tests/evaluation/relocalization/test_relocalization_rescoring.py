@@ -25,7 +25,7 @@ from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions,
 from relocbench.evaluation.relocalization.records import PipelineResults
 from relocbench.files import sha256_file
 from relocbench.leaderboard import displays
-from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION
 from relocbench.progress import Silent
 

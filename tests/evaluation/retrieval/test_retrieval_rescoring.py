@@ -20,7 +20,7 @@ from small_views import make_small_views
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError, PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.common.set_folder import sets_in
+from relocbench.evaluation.common.folders import sets_in
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
@@ -34,7 +34,7 @@ from relocbench.evaluation.retrieval.records import (
 from relocbench.evaluation.retrieval.score import summary
 from relocbench.files import sha256_file
 from relocbench.leaderboard import displays
-from relocbench.leaderboard.common.loading import load_board
+from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.retrieval.board import RETRIEVAL, rescored_text
 from relocbench.metrics import relevance_within
 from relocbench.progress import Silent

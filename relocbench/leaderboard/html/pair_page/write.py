@@ -28,7 +28,7 @@ from relocbench.leaderboard.html.data import floats, write_data
 from relocbench.leaderboard.html.pair_page.matches import shown_matches
 from relocbench.leaderboard.html.pair_page.pictures import depth_payload, image_payload
 from relocbench.leaderboard.html.payloads import answers_key, id_of
-from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.metrics import CORRECT
 from relocbench.progress import Reporter, Silent
