@@ -126,7 +126,7 @@ def _entry(
     own = {row["method"]: row for row in of_sets}
     methods = [_method(row, settings.get(label), list(sets), errors, matching) for label, row in sorted(own.items())]
     checks = {row["pair_set"]: _truth_check(row) for row in truth if row["fingerprint"] == fingerprint}
-    return DatasetEntry(record, tuple(methods), record.pair_sets, splits, truth_checks=checks)
+    return DatasetEntry(record, tuple(methods), record.pair_sets, splits=splits, truth_checks=checks)
 
 
 def _truth_check(row: dict[str, str]) -> TruthCheck:
