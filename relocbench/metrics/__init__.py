@@ -20,7 +20,7 @@ from relocbench.metrics.pose.matching import MatchingQuality, OffsetShare, match
 from relocbench.metrics.pose.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
 from relocbench.metrics.pose.registry import CORRECT, METRICS, Metric, PairScores, metric_named, within
 from relocbench.metrics.pose.summary import PairSetSummary, Spread, spread_over_seeds, summarize, totals
-from relocbench.metrics.retrieval.chance import chance_level
+from relocbench.metrics.retrieval.chance import chance_level, chance_recall
 from relocbench.metrics.retrieval.descriptors import exact_scores, rank_descriptors
 from relocbench.metrics.retrieval.measures import (
     PLACE_METRICS,
@@ -101,6 +101,7 @@ __all__ = [
     "area_shares",
     "by_place",
     "chance_level",
+    "chance_recall",
     "check_single_positive_tables",
     "count_at_least",
     "crossed_difference",

@@ -39,7 +39,7 @@ _GO_TO_ONE_WITHOUT_IMAGES = """async () => {
   const errors = await relocbench.load(`errors/${set}/${pairset}`);
   const answers = await relocbench.load(`pairs/${set}/${pairset}`);
   const row = [...Array(errors.pairs).keys()].find((i) => !answers.pictured.includes(i));
-  const [reference, query] = [errors.reference, errors.query].map((times) => times[row]);
+  const [reference, query] = [errors.units.reference, errors.units.query].map((times) => times[row]);
   location.hash = `set=${set}&pairset=${pairset}&pair=${reference}-${query}`;
 }"""
 
@@ -173,8 +173,8 @@ def _open_list(page: Any, site: Path, label: str, pair_set: str = ACROSS) -> Non
     (of_set,) = site.glob("set-*.html")
     page.goto(f"{of_set.as_uri()}#table={pair_set}&method={label}&pairs=1")
     if (site / "data" / "images").exists():
-        page.wait_for_selector("#pair-list img[src^=data]")
-    page.locator("#pair-list a").first.click()
+        page.wait_for_selector("#list img[src^=data]")
+    page.locator("#list a").first.click()
     page.wait_for_selector("#numbers tr")
 
 

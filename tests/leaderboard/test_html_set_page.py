@@ -115,15 +115,15 @@ def _click(page: Any, chart: str, trace: int, point: int) -> None:
 def test_a_point_of_a_curve_lists_the_pairs_up_to_it_and_beside_them_all_others(page: Any, site: Path) -> None:
     _open(page, site, f"table={ACROSS}&hide=%5B%22identity%22,%22right%22%5D&error=translation")
     _click(page, "curves", 0, 2)
-    page.wait_for_selector("#pairs[open]")
-    parts = page.locator("#pairs-part button")
+    page.wait_for_selector("#list-dialog[open]")
+    parts = page.locator("#list-part button")
     counts = [int(text.split(": ")[1]) for text in parts.all_inner_texts()]
     assert counts[0] + counts[1] == counts[2] == 15
     assert counts[0] < 15
-    shown = page.locator("#pair-list tbody tr")
+    shown = page.locator("#list tbody tr")
     assert shown.count() == counts[0]
     limit = parts.first.inner_text().split("at most ")[1].split(" m")[0]
-    errors = page.locator("#pair-list tbody td:nth-child(3)")
+    errors = page.locator("#list tbody td:nth-child(3)")
     assert errors.first.inner_text() == limit
     parts.last.click()
     assert errors.all_inner_texts()[:2] == ["no pose", "no pose"]
@@ -134,15 +134,15 @@ def test_a_cell_of_the_matrix_lists_its_pairs_found_and_missed(page: Any, site: 
     _open(page, site)
     cells = page.locator(".matrix tbody tr", has_text="wrong").locator("td.share a")
     cells.last.click()
-    page.wait_for_selector("#pairs[open]")
-    found, missed = (page.locator(f"#pair-list tbody .{word}").count() for word in ("found", "missed"))
+    page.wait_for_selector("#list-dialog[open]")
+    found, missed = (page.locator(f"#list tbody .{word}").count() for word in ("found", "missed"))
     assert found + missed == 15
-    assert page.locator("#pairs-title").inner_text() == f"wrong, snow, winter, day: {found} of 15 found"
-    assert page.locator("#pairs-part button").count() == 0
+    assert page.locator("#list-title").inner_text() == f"wrong, snow, winter, day: {found} of 15 found"
+    assert page.locator("#list-part button").count() == 0
     page.locator("#close").click()
     cells.first.click()  # the total, here of one pair set
-    page.wait_for_selector("#pairs[open]")
-    assert page.locator("#pairs-title").inner_text() == f"wrong, across conditions: {found} of 15 found"
+    page.wait_for_selector("#list-dialog[open]")
+    assert page.locator("#list-title").inner_text() == f"wrong, across conditions: {found} of 15 found"
 
 
 @pytest.mark.thorough
@@ -157,7 +157,7 @@ def test_the_map_of_each_world_shows_its_pairs_and_opens_them(page: Any, site: P
     page.locator("#map-world").select_option("1")
     page.wait_for_function("Math.min(...document.getElementById('map').data[1].x) > -4")
     page.locator("#map-list").press("Enter")  # a way for the keyboard
-    page.wait_for_selector("#pairs[open]")
+    page.wait_for_selector("#list-dialog[open]")
     page.keyboard.press("Escape")
     _click(page, "map", 2, 0)
     page.wait_for_url("**/pair.html#*")

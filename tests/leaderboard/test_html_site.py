@@ -174,11 +174,11 @@ def test_a_number_opens_its_pairs_worst_first(page: Any, site: Path, boards: Boa
     page.goto(next(site.glob("set-*.html")).as_uri())
     row = page.locator("#methods tbody tr", has_text="good")
     row.locator("button.cell").first.click()
-    page.wait_for_selector("#pairs[open]")
-    errors = page.locator("#pair-list tbody tr")
+    page.wait_for_selector("#list-dialog[open]")
+    errors = page.locator("#list tbody tr")
     assert errors.count() == 50
     assert errors.first.locator("td").nth(2).inner_text() == f"{metres[np.argmax(joint)]:.3f}"
-    assert "100 entries" in page.locator("#pairs .dt-info").inner_text()
+    assert "100 entries" in page.locator("#list-dialog .dt-info").inner_text()
     assert serious_faults(page) == []
 
 

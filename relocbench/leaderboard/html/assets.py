@@ -11,8 +11,8 @@ from relocbench.files import write_bytes, write_text
 
 _OWN = (
     *("site.css", "core.js", "tables.js", "charts.js", "legend.js", "heat.js", "start.js"),
-    *("parts.js", "map.js", "against.js", "measured.js", "set.js"),
-    *("warp.js", "matches.js", "pair.js", "pair.css"),
+    *("rows.js", "parts.js", "errors.js", "recall.js", "stages.js", "map.js", "against.js", "measured.js", "board.js"),
+    *("warp.js", "matches.js", "pair.js", "pair.css", "query.js", "places.css"),
 )
 _EXPORT = re.compile(r"export\{[^{}]*?(\w+) as default[^{}]*\};?")
 _NOTICES = """\
@@ -27,14 +27,12 @@ The bundle of DataTables is that of the package itables, MIT licence, with its e
 pages that are opened from a disk cannot load modules. All other scripts and styles are those of relocbench, licence
 Apache-2.0.
 """
-_OF_PLACES = ("boards.js", "retrieval.js", "relocalization.js", "queries.js", "query.js", "located.js", "places.css")
-"""those of the pages of retrievers and of pipelines"""
 
 
 def asset_files(site: Path) -> set[Path]:
     """The files of :func:`write_assets`."""
     shipped = ("plotly.min.js", "datatables.js", "datatables.css")
-    return {site / "notices.txt", *(site / "assets" / name for name in (*_OWN, *_OF_PLACES, *shipped))}
+    return {site / "notices.txt", *(site / "assets" / name for name in (*_OWN, *shipped))}
 
 
 def write_assets(site: Path) -> None:
@@ -44,7 +42,7 @@ def write_assets(site: Path) -> None:
         ConfigError: the installed package itables has no bundle of DataTables that can be used.
     """
     own = files("relocbench.leaderboard.html") / "assets"
-    for name in (*_OWN, *_OF_PLACES):
+    for name in _OWN:
         write_bytes(site / "assets" / name, (own / name).read_bytes())
     write_bytes(site / "assets" / "plotly.min.js", (files("plotly") / "package_data" / "plotly.min.js").read_bytes())
     bundle = files("itables") / "html"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from relocbench.evaluation.common.tables import STATUSES
+from relocbench.leaderboard.common.headings import COUNTS, SECONDS
 from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
@@ -18,7 +19,19 @@ from relocbench.leaderboard.tracking.model import MEDIANS, SAME_DRIVE_TOTAL, Boa
 from relocbench.metrics import CORRECT, Interval, metric_named
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 
-_SECONDS = "median_seconds"
+_LIST = [
+    {"key": "task", "title": "pair", "kind": "link"},
+    {"key": "found", "title": "found", "kind": "found", "higher": True},
+    {"key": "translation_error_m", "title": "translation error, m", "kind": "error_m", "higher": False},
+    {"key": "rotation_error_deg", "title": "rotation error, °", "kind": "error_deg", "higher": False},
+    {"key": "confidence", "title": "confidence", "kind": "number", "higher": True},
+    {"key": "status", "title": "answer", "kind": "status"},
+    {"key": "seconds", "title": "seconds", "kind": "s", "higher": False},
+    {"key": "distance_m", "title": "distance, m", "kind": "m"},
+    {"key": "angle_deg", "title": "angle, °", "kind": "deg"},
+    {"key": "task", "title": "pair set", "kind": "text"},
+]
+"""the columns of lists of pairs: key of a row, heading, how it is shown, and whether more is better"""
 
 
 def id_of(dataset: DatasetBoard) -> str:
@@ -48,29 +61,38 @@ def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
     entry = dataset.entry
     shown = [metric for metric in shown_metrics(board) if metric.name != board.metric.name]
     first = [metric for metric in shown if metric.name in MEDIANS]
-    metrics = [board.metric, *first, *(m for m in shown if m not in first), metric_named(_SECONDS)]
+    metrics = [board.metric, *first, *(m for m in shown if m not in first), metric_named(SECONDS)]
+    described = {m.name: {"heading": plain_heading(m), "unit": m.unit, "higher": m.higher_is_better} for m in metrics}
     return {
         "id": id_of(dataset),
         "title": entry.title,
         "ranking": board.metric.name,
-        "metrics": [
-            {"name": m.name, "heading": plain_heading(m), "unit": m.unit, "higher": m.higher_is_better} for m in metrics
-        ],
+        "unit": "pair",
+        "units": "pairs",
+        "page": {"file": links.PAIR_PAGE, "task": "pairset", "unit": "pair", "method": "method"},
+        "correct": list(CORRECT),
+        "worst": "both",
+        "list": _LIST,
+        "columns": {**described, COUNTS: {"heading": COUNTS, "unit": ""}},
+        "views": {"methods": ["method", "rank", *described, COUNTS]},
+        "heat": ["query", "reference"],
+        "least_cells": 2,
+        "charts": f"charts/{id_of(dataset)}",
         "methods": {m.label: _method(m) for m in _best_first(dataset)},
-        "pair_sets": {
+        "tasks": {
             name: {
-                "key": f"errors/{id_of(dataset)}/{links.pair_set_id(name)}",
-                "answers": answers_key(dataset, name),
+                "answers": f"errors/{id_of(dataset)}/{links.pair_set_id(name)}",
+                "pictures": answers_key(dataset, name),
                 "title": record.query if record.query_condition == UNKNOWN else record.query_condition,
-                "reference": record.reference_condition,
+                "gallery": record.reference_condition,
                 "query": record.query_condition,
-                "same_drive": record.reference == record.query,
+                "has_conditions": True,
                 "finest_m": _finest(record.median_sigma_translation_m),
                 "finest_deg": _finest(record.median_sigma_rotation_deg),
             }
             for name, record in entry.pair_sets.items()
         },
-        "tables": [_table(board, dataset, table, [m.name for m in metrics]) for table in dataset.tables],
+        "tables": [_table(board, dataset, table, list(described)) for table in dataset.tables],
     }
 
 
@@ -82,12 +104,14 @@ def errors_payload(dataset: DatasetBoard, pair_set: str) -> dict[str, Any] | Non
     first = next(iter(known.values()))
     return {
         "pairs": len(first),
-        "reference": integers(first.keys[:, 0]),
-        "query": integers(first.keys[:, 1]),
-        "groups": list(first.group_names),
-        "group": floats(first.group_index),
-        "distance_m": floats(first.column("distance_m")),
-        "angle_deg": floats(first.column("angle_deg")),
+        "units": {
+            "reference": integers(first.keys[:, 0]),
+            "query": integers(first.keys[:, 1]),
+            "group": floats(first.group_index),
+            "distance_m": floats(first.column("distance_m")),
+            "angle_deg": floats(first.column("angle_deg")),
+        },
+        "words": {"group": list(first.group_names)},
         "methods": {
             label: {
                 "translation_error_m": floats(rows.errors.translation_error_m),
@@ -102,7 +126,7 @@ def errors_payload(dataset: DatasetBoard, pair_set: str) -> dict[str, Any] | Non
 
 
 def _method(method: Method) -> dict[str, Any]:
-    return {"baseline": method.is_baseline, "marks": marks_of(method), "missing": dict(method.missing)}
+    return {"baseline": method.is_baseline, "competes": not method.is_baseline, "marks": marks_of(method)}
 
 
 def marks_of(method: Method) -> list[str]:
@@ -136,16 +160,18 @@ def _best_first(dataset: DatasetBoard) -> list[Method]:
 
 
 def _table(board: Board, dataset: DatasetBoard, table: Table, metrics: list[str]) -> dict[str, Any]:
+    level = ", ".join(level_with_identity(dataset, table))
     return {
         "title": table_title(table),
         "total": table.is_total,
-        "pair_sets": list(table.pair_sets),
+        "tasks": list(table.pair_sets),
         "group": table.group,
-        "pairs": table.pairs,
-        "rejected": table.rejected,
         "finer": sorted(table.finer),
-        "ranks": why_no_ranks(board, table),
-        "level": level_with_identity(dataset, table),
+        "about": f"{'. '.join(_about(table))}.",
+        "notes": [
+            why_no_ranks(board, table),
+            f"No significant gain over the identity baseline: {level}" if level else "",
+        ],
         "rows": [_row(table, row, metrics) for row in table.rows],
     }
 
@@ -154,10 +180,24 @@ def _row(table: Table, row: Row, metrics: list[str]) -> dict[str, Any]:
     intervals: Mapping[str, Interval | None] = row.intervals
     return {
         "method": row.method.label,
-        "rank": rank_text(row, table.rows),
-        "values": [row.values[name] for name in metrics],
+        "texts": {
+            "rank": rank_text(row, table.rows),
+            COUNTS: "" if row.failed is None else f"{row.failed} / {row.broke}",
+        },
+        "values": {name: row.values[name] for name in metrics},
         "intervals": {n: [i.low, i.high] for n in metrics if (i := intervals.get(n)) is not None},
-        "failed": row.failed,
-        "broke": row.broke,
         "missing": list(row.missing),
     }
+
+
+def _about(table: Table) -> Iterator[str]:
+    """How many pairs a table is of, and which results are missing in it."""
+    rejected = f"; {table.rejected} more have no accepted truth" if table.rejected else ""
+    yield f"{table.pairs} pairs{rejected}"
+    missing = [
+        f"{row.method.label} on {name} ({row.method.missing.get(name, 'no result')})"
+        for row in table.rows
+        for name in row.missing
+    ]
+    if missing:
+        yield f"Missing: {'; '.join(missing)}"

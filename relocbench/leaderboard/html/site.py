@@ -41,6 +41,8 @@ from relocbench.metrics import CORRECT, LEVEL
 from relocbench.progress import Reporter, Silent
 
 READING = "reading.html"
+_CHARTS = ("errors", "map", "against", "measured")
+"""the scripts of a set's charts, in the order in which they draw"""
 
 
 def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter: Reporter | None = None) -> Path:
@@ -81,11 +83,13 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
     if boards.relocalization is not None:
         told = reporter or Silent()
         written |= write_pipeline_pages(boards.relocalization, board, site, queries=pairs, reporter=told)
-    _page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
+    write_page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
     marks = [(mark.name, _code_spans(mark.words)) for mark in MARKS]
-    _page(site / READING, "reading.html.j2", page="reading", metric=board.metric if board else None, marks=marks)
+    write_page(site / READING, "reading.html.j2", page="reading", metric=board.metric if board else None, marks=marks)
     opening = _opening(board, datasets, pictures=pairs > 0)
-    _page(site / links.START, "start.html.j2", page="start", level=f"{LEVEL:.0%}", sections=sections(boards), **opening)
+    write_page(
+        site / links.START, "start.html.j2", page="start", level=f"{LEVEL:.0%}", sections=sections(boards), **opening
+    )
     write_manifest(site, earlier | written)
     for path in earlier - written:
         path.unlink(missing_ok=True)
@@ -108,8 +112,9 @@ def _opening(board: Board | None, datasets: Sequence[DatasetBoard], *, pictures:
 
 def _write_set(board: Board, dataset: DatasetBoard, site: Path, *, pictures: bool) -> set[Path]:
     of_set = id_of(dataset)
-    payload = {**set_payload(board, dataset), "columns": matrix_columns(dataset)}
-    written = {write_data(site, f"sets/{of_set}", payload)}
+    key = f"sets/{of_set}"
+    payload = {**set_payload(board, dataset), "matrix": matrix_columns(dataset)}
+    written = {write_data(site, key, payload)}
     for name in dataset.entry.pair_sets:
         errors = errors_payload(dataset, name)
         if errors is not None:
@@ -117,7 +122,17 @@ def _write_set(board: Board, dataset: DatasetBoard, site: Path, *, pictures: boo
     written |= write_charts(board, dataset, site)
     page = site / links.set_page(of_set)
     opening = _opening(board, [dataset], pictures=pictures)
-    _page(page, "set.html.j2", page="set", entry=dataset.entry, of_set=of_set, pairs=_pairs(dataset), **opening)
+    write_page(
+        page,
+        "set.html.j2",
+        page="set",
+        title=dataset.entry.title,
+        entry=dataset.entry,
+        key=key,
+        charts=_CHARTS,
+        pairs=_pairs(dataset),
+        **opening,
+    )
     return written | {page}
 
 
@@ -139,7 +154,7 @@ def _write_methods(boards: Boards, site: Path) -> set[Path]:
         marks = list(dict.fromkeys(mark for _, method in own for mark in marks_of(method)))
         shown = {"label": label, "marks": marks, "numbers": numbers, "runs": runs, **results_of(label, boards)}
         shown["metric"] = board.metric.name if board else ""
-        _page(page, "method.html.j2", page="method", **shown)
+        write_page(page, "method.html.j2", page="method", **shown)
         written.add(page)
     return written
 
@@ -169,10 +184,6 @@ def _run(dataset: DatasetBoard, method: Method) -> dict[str, Any]:
         "missing": [(name, why) for name, why in method.missing.items() if name in dataset.entry.used],
         "command": evaluate_command(run, matching=bool(method.matching)),
     }
-
-
-def _page(path: Path, template: str, **values: object) -> None:
-    write_page(path, __name__, template, **values)
 
 
 def _code_spans(words: str) -> Markup:

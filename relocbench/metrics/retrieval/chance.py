@@ -36,6 +36,13 @@ def chance_level(relevance: Relevance, metrics: Sequence[str]) -> dict[str, floa
     }
 
 
+def chance_recall(positives: Sequence[int], gallery: int, depths: Sequence[int]) -> list[float]:
+    """The expected R@K, 0..1, at each depth K, over queries with so many positives among ``gallery`` images."""
+    counts, queries = np.unique(np.asarray(positives, dtype=np.int64), return_counts=True)
+    weights = queries / max(len(positives), 1)
+    return [float(sum(w * _recall(int(n), gallery, k) for n, w in zip(counts, weights, strict=True))) for k in depths]
+
+
 def _expected(metric: str, n: int, size: int, whole: int) -> float:
     """The expected metric of one query with n positives among ``size`` images; ``whole`` includes junk."""
     k = recall_depth(metric)

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { escape, number, chart, evenly, pairText, openPair, keys, css } = relocbench;
+  const { escape, number, chart, evenly, pairText, openPair, keys, css, line } = relocbench;
   const $ = (id) => document.getElementById(id);
   const MOST_POINTS = 300, MOST_PAIRS = 5000, MOST_SVG = 1500, PLACES = 40, FEW = 6;
   const UNITS_OF_TIME = [["days", 86400], ["h", 3600], ["min", 60]];
@@ -24,7 +24,7 @@
   /** Draw one chart; `place` gives the x of a pair, NaN where there is none. Points of a few values of x are spread. */
   function draw(page, id, place, axis, words, spread = 0) {
     chart(id, () => {
-      const { own, shown, field, line, mark, unit, title, pairLink } = page;
+      const { own, shown, field, mark, unit, title, pairLink } = page;
       const drawn = own.reduce((sum, label) => sum + Math.min(MOST_POINTS, shown[label].length), 0), type = drawn > MOST_SVG ? "scattergl" : "scatter";
       const traces = [], least = page.field === "both" ? 1e-3 : 1e-4;
       for (const label of own) {
@@ -54,7 +54,7 @@
   }
 
   function drawMonths(page) {
-    const { own, shown } = page, facts = page.extra.months, sets = page.sets.map((of) => of.name);
+    const { own, shown } = page, facts = page.extra.months, sets = page.tasks.map((of) => of.name);
     const by = (how) => sets.filter((name) => facts[name]?.by === how);
     const told = [];
     if (by("dates").length) told.push(`By the dates of both images${by("seasons").length ? `: ${by("dates").join(", ")}` : ""}.`);
@@ -63,7 +63,7 @@
     const unknown = sets.filter((name) => !facts[name]?.by);
     if (unknown.length) told.push(`Not recorded: neither dates nor seasons of ${unknown.length === sets.length ? "these drives" : unknown.join(", ")}.`);
     const place = (pair) => {
-      const fact = facts[pair.set];
+      const fact = facts[pair.task];
       if (!fact?.by) return NaN;
       return fact.by === "dates" ? Math.abs(Number(pair.query - pair.reference)) / MONTH_NS : fact.months;
     };
@@ -76,17 +76,17 @@
   }
 
   relocbench.parts.push((page) => {
-    const { own, shown, sets } = page;
-    const unanswered = own.map((label) => [label, shown[label].filter((p) => !Number.isFinite(p.t)).length, shown[label].length]).filter(([, n]) => n);
+    const { own, shown, tasks } = page;
+    const unanswered = own.map((label) => [label, shown[label].filter((p) => !Number.isFinite(p.translation_error_m)).length, shown[label].length]).filter(([, n]) => n);
     $("undrawn").textContent = `Lines are running medians over an eighth of a method's pairs, where a pair without an answer counts as an infinite error: they end where most have none. Of a method at most ${MOST_POINTS} points are drawn, and a click on one opens its pair; the dotted line is the threshold.`
       + (unanswered.length ? ` Pairs without an answer have no point: ${unanswered.map(([label, n, all]) => `${label} ${n} of ${all}`).join(", ")}.` : "");
-    const starts = new Map(sets.map((of) => [of.name, of.query.reduce((first, time) => (time < first ? time : first), of.query[0])]));
-    const since = (p) => Number(p.query - starts.get(p.set)) / 1e9;
-    const span = sets.reduce((most, of) => of.query.reduce((longest, time) => Math.max(longest, Number(time - starts.get(of.name)) / 1e9), most), 0);
+    const starts = new Map(tasks.map(({ name, units: { query } }) => [name, query.reduce((first, time) => (time < first ? time : first), query[0])]));
+    const since = (p) => Number(p.query - starts.get(p.task)) / 1e9;
+    const span = tasks.reduce((most, of) => of.units.query.reduce((longest, time) => Math.max(longest, Number(time - starts.get(of.name)) / 1e9), most), 0);
     const [unit, seconds] = UNITS_OF_TIME.find(([, each]) => span >= 3 * each) || ["s", 1];
     draw(page, "route", (p) => since(p) / seconds, `time since the first query, ${unit}`, unit);
-    draw(page, "distance", (p) => p.distance, "distance of the cameras, m", "m");
-    draw(page, "angle", (p) => p.angle, "angle between the cameras, °", "°");
+    draw(page, "distance", (p) => p.distance_m, "distance of the cameras, m", "m");
+    draw(page, "angle", (p) => p.angle_deg, "angle between the cameras, °", "°");
     drawMonths(page);
     keys("against-keys", own.filter((label) => shown[label].length));
   });

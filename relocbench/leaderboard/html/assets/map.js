@@ -19,7 +19,7 @@
   function pointsIn(world, page, label, places) {
     const out = [];
     for (const pair of page.shown[label]) {
-      const place = places.get(pair.set);
+      const place = places.get(pair.task);
       const at = place.world === world ? place : place.own?.world === world ? place.own : null;
       if (at && Number.isFinite(at.x[pair.row])) out.push({ pair, x: at.x[pair.row], y: at.y[pair.row] });
     }
@@ -28,7 +28,7 @@
 
   /** The drives of the chosen table whose poses are in a world. */
   function drives(page, world) {
-    const inWorld = page.extra.worlds[world].routes, pairs = page.sets.map((of) => page.extra.drives[of.name]);
+    const inWorld = page.extra.worlds[world].routes, pairs = page.tasks.map((of) => page.extra.drives[of.name]);
     const [keyframes, queries] = [0, 1].map((side) => [...new Set(pairs.map((pair) => pair[side]))].filter((name) => name in inWorld));
     return { keyframes, queries: queries.filter((name) => !keyframes.includes(name)), all: [...new Set([...queries, ...keyframes])] };
   }
@@ -41,13 +41,13 @@
     }));
   }
 
-  const placesOf = ({ set, sets }) => Promise.all(sets.map((of) => load(`maps/${set.id}/${set.pair_sets[of.name].key.split("/").at(-1)}`)));
+  const placesOf = ({ set, tasks }) => Promise.all(tasks.map((of) => load(`maps/${set.id}/${set.tasks[of.name].answers.split("/").at(-1)}`)));
 
   async function drawn(page, label, world) {
     const { extra, field, mark } = page;
     const known = await placesOf(page);
     if (page !== last) return null;
-    const places = new Map(page.sets.map((of, i) => [of.name, known[i]]));
+    const places = new Map(page.tasks.map((of, i) => [of.name, known[i]]));
     const points = pointsIn(world, page, label, places), type = points.length > MOST_SVG ? "scattergl" : "scatter";
     keys(page, label, world, page.shown[label].length - points.length);
     const answered = points.filter(({ pair }) => Number.isFinite(pair[field])).sort((a, b) => a.pair[field] - b.pair[field]);
@@ -124,7 +124,7 @@
 
   $("map-method").addEventListener("change", () => { state.set({ map: $("map-method").value }); draw(); });
   $("map-world").addEventListener("change", () => { state.set({ world: $("map-world").value }); draw(); });
-  $("map-list").addEventListener("click", () => { const label = $("map-method").value; last.openPairs(label, last.shown[label], last.table.title); });
+  $("map-list").addEventListener("click", () => { const label = $("map-method").value; last.open(label); });
 
   relocbench.parts.push((page) => {
     last = page;

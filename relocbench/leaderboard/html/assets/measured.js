@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { element, escape, number, state, chart, keys, css } = relocbench;
+  const { element, escape, number, state, chart, keys, css, line } = relocbench;
   const $ = (id) => document.getElementById(id);
   const percent = (shares) => shares.map((share) => (share === null ? null : 100 * share));
   const mean = (values) => (values.length && !values.includes(null) ? values.reduce((sum, value) => sum + value, 0) / values.length : null);
@@ -10,13 +10,12 @@
 
   /* Sweeps */
   function drawSweep(page) {
-    const { extra: { sweep }, set, table, own, line } = page;
-    const names = sweep ? table.pair_sets.filter((name) => name in sweep.values) : [];
+    const { extra: { sweep }, set, table, own } = page;
+    const names = sweep ? table.tasks.filter((name) => name in sweep.values) : [];
     const values = [...new Set(names.map((name) => sweep.values[name]))].sort((a, b) => a - b);
     $("sweep-section").hidden = values.length < 3;
     if (values.length < 3) return;
-    const ranking = set.metrics.findIndex((metric) => metric.name === set.ranking);
-    const tableOf = (name) => set.tables.find((t) => !t.total && t.pair_sets[0] === name && t.group === table.group);
+    const tableOf = (name) => set.tables.find((t) => !t.total && t.tasks[0] === name && t.group === table.group);
     const span = values.at(-1) - values[0];
     const traces = [], drawn = [];
     let several = false, bars = false;
@@ -24,7 +23,7 @@
       const points = values.map((value) => {
         const rows = names.filter((name) => sweep.values[name] === value).map((name) => tableOf(name)?.rows.find((row) => row.method === label));
         several ||= rows.length > 1;
-        return { value, share: mean(rows.map((row) => row?.values[ranking] ?? null)), bounds: rows.length === 1 ? rows[0]?.intervals[set.ranking] : null };
+        return { value, share: mean(rows.map((row) => row?.values[set.ranking] ?? null)), bounds: rows.length === 1 ? rows[0]?.intervals[set.ranking] : null };
       });
       if (!points.some((point) => point.share !== null)) return;
       bars ||= points.some((point) => point.bounds);
@@ -51,7 +50,7 @@
   }
 
   /** A curve of shares against the offset of starts, with what the starts themselves get. */
-  function curve(id, lines, starts, offsets, of, line) {
+  function curve(id, lines, starts, offsets, of) {
     const unit = escape(of);
     const traces = lines.map(({ label, shares, x }) => line(label, { x: x || offsets, y: percent(shares), mode: "lines+markers", type: "scatter", hovertemplate: `${escape(label)}<br>%{y:.1f} % from %{x} ${unit}<extra></extra>` }));
     traces.unshift({ x: offsets, y: percent(starts), mode: "lines", type: "scatter", fill: "tozeroy", fillcolor: css("--line"), line: { color: css("--line-strong"), width: 1, dash: "dot" }, hovertemplate: "the starts themselves<br>%{y:.1f} % from %{x}<extra></extra>" });
@@ -64,15 +63,15 @@
 
   /* Matching of single pixels */
   function drawMatching(page) {
-    const { extra: { matching }, sets, own } = page, near = $("matching-near").value;
-    const known = sets.map((of) => matching.pair_sets?.[of.name]).filter(Boolean);
+    const { extra: { matching }, tasks, own } = page, near = $("matching-near").value;
+    const known = tasks.map((of) => matching.pair_sets?.[of.name]).filter(Boolean);
     const labels = own.filter((label) => known.length && known.every((of) => label in of.methods));
     $("matching-section").hidden = !labels.length;
     if (!labels.length) return;
     const average = (of) => matching.offsets.map((_, i) => mean(known.map((each) => of(each)[near][i])));
     $("matching-about").textContent = `Pixels whose true place is known are started beside it, and the method brings them back or does not (evaluate --matching). `
       + (known.length > 1 ? `A point is the mean of ${known.length} pair sets. ` : "") + "All pairs count, whichever group is chosen; no intervals are recorded.";
-    curve("matching", labels.map((label) => ({ label, shares: average((of) => of.methods[label]) })), average((of) => of.starts), matching.offsets, "px", page.line);
+    curve("matching", labels.map((label) => ({ label, shares: average((of) => of.methods[label]) })), average((of) => of.starts), matching.offsets, "px");
   }
 
   /* Basins of convergence */
@@ -100,7 +99,7 @@
     left = left.filter((line) => page.own.includes(line.method) || !page.labels.includes(line.method));
     if (!left.length) return;
     const [first] = left;
-    curve("probe", left.map((line) => ({ label: line.method, shares: line.shares, x: line.offsets })), first.starts, first.offsets, first.unit, page.line);
+    curve("probe", left.map((line) => ({ label: line.method, shares: line.shares, x: line.offsets })), first.starts, first.offsets, first.unit);
     fill("probe-widths", ["method", "pairs", "found from the truth, %", "half of that is left up to"],
       left.map((line) => [line.method, String(line.pairs), number(line.shares[0], "share"), line.half ?? "not recorded of this criterion"]));
   }

@@ -21,9 +21,9 @@
   async function open(setId, name) {
     const key = `${setId}/${name}`;
     if (!decoded.has(key)) {
-      const set = await load(`sets/${setId}`), record = set.pair_sets[name];
+      const set = await load(`sets/${setId}`), record = set.tasks[name];
       if (!record) throw new Error(`the set has no pair set '${name}'`);
-      const [errors, answers] = await Promise.all([load(record.key), load(record.answers)]);
+      const [errors, answers] = await Promise.all([load(record.answers), load(record.pictures)]);
       const methods = {};
       for (const [label, m] of Object.entries(errors.methods)) {
         const t = m.translation_error_m, r = m.rotation_error_deg;
@@ -36,8 +36,8 @@
       const rows = answers.rows || Array.from({ length: errors.pairs }, (_, i) => i);
       decoded.set(key, {
         setId, name, set, record, methods, pairs: errors.pairs, images: answers.images, alone: answers.alone,
-        reference: errors.reference, query: errors.query, groups: errors.groups, group: errors.group,
-        distance: errors.distance_m, angle: errors.angle_deg, truth: answers.truth,
+        reference: errors.units.reference, query: errors.units.query, groups: errors.words.group, group: errors.units.group,
+        distance: errors.units.distance_m, angle: errors.units.angle_deg, truth: answers.truth,
         places: new Map(rows.map((row, place) => [row, place])), pictured: new Set(answers.pictured.map((place) => rows[place])),
       });
     }
@@ -98,7 +98,7 @@
     document.title = `${$("title").textContent} – relocbench`;
     const fact = (name, ...value) => element("div", {}, element("dt", {}, name), element("dd", {}, ...value));
     $("facts").replaceChildren(
-      fact("set", element("a", { href: `set-${of.set.id}.html` }, of.set.title)), fact("pair set", of.name), fact("conditions", `${of.record.reference} → ${of.record.query}`), fact("keyframe, ns", String(of.reference[row])),
+      fact("set", element("a", { href: `set-${of.set.id}.html` }, of.set.title)), fact("pair set", of.name), fact("conditions", `${of.record.gallery} → ${of.record.query}`), fact("keyframe, ns", String(of.reference[row])),
       fact("query, ns", String(of.query[row])), fact("distance, m", number(of.distance[row], "m")), fact("angle, °", number(of.angle[row], "deg")),
       ...(of.groups.length > 1 ? [fact("group", of.groups[of.group[row]])] : []));
     $("method").replaceChildren(...labels.map((l) => element("option", { value: l, selected: l === label }, l)));

@@ -91,7 +91,7 @@ def candidates_payload(
         "rows": None if len(kept) == len(times) else list(kept),
         "nearest": nearest,
         "pipelines": told,
-        "pictures": {row: thumbnail_name(of[0].key) for row, of in views.items()},
+        "queries": {row: thumbnail_name(of[0].key) for row, of in views.items()},
         "keyframes": {_time(view): thumbnail_name(view.key) for of in views.values() for view in of[1:]},
     }
 

@@ -12,13 +12,14 @@ from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer
 from relocbench.evaluation.relocalization.pipeline import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineTask
-from relocbench.evaluation.relocalization.score import FAILURES, HIT
+from relocbench.evaluation.relocalization.score import FAILURES
 from relocbench.leaderboard.common.columns import Line
-from relocbench.leaderboard.common.headings import SECONDS, heading
-from relocbench.leaderboard.common.ranks import rank_text, why_no_ranks
+from relocbench.leaderboard.common.headings import BASIN, COUNTS
+from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds
+from relocbench.leaderboard.html.query_tables import ANSWER_COLUMNS, columns_payload, table_payload, view_of
 from relocbench.leaderboard.relocalization.board import (
     Pipeline,
     PipelineBoard,
@@ -26,14 +27,31 @@ from relocbench.leaderboard.relocalization.board import (
     PipelineSetBoard,
     PipelineTable,
 )
-from relocbench.leaderboard.relocalization.columns import GIVEN_HIT, MEDIANS, POSES, STAGES, basin_words
+from relocbench.leaderboard.relocalization.columns import (
+    STAGES,
+    PipelineColumn,
+    pipeline_columns,
+    pose_columns,
+    stage_columns,
+)
 from relocbench.leaderboard.relocalization.page import marks_of_pipeline
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 
 LOSSES = ("right_and_hit", "right_without_hit", *FAILURES)
 """shares of all queries that add up to one: what is right, and what the others are lost to"""
 _NONE = -1
-"""in place of a timestamp or a rank that there is none of"""
+"""in place of the timestamp of a keyframe that there is none of"""
+_LIST = (
+    {"key": "task", "title": "task", "kind": "text"},
+    {"key": "query", "title": "query, ns", "kind": "link"},
+    {"key": "outcome", "title": "outcome", "kind": "outcome"},
+    {"key": "translation_error_m", "title": "translation error, m", "kind": "error_m", "higher": False},
+    {"key": "rotation_error_deg", "title": "rotation error, °", "kind": "error_deg", "higher": False},
+    {"key": "rank", "title": "rank kept", "kind": "rank"},
+    {"key": "hit_rank", "title": "first in basin", "kind": "rank"},
+    {"key": "right_rank", "title": "first right", "kind": "rank"},
+    {"key": "confidence", "title": "confidence", "kind": "number", "higher": True},
+)
 
 
 def id_of_pipelines(asked: PipelineSetBoard) -> str:
@@ -73,26 +91,27 @@ def pipelines_payload(board: PipelineBoard, asked: PipelineSetBoard, trackers: M
     Args:
         trackers: task -> the id of the set of trackers whose pairs have pages, where there is one.
     """
-    poses = list(dict.fromkeys((board.metric, *POSES)))
-    shares = [*poses, "basin_recall@1", HIT, GIVEN_HIT, "right_among_K", *LOSSES]
-    metrics = [(name, "share") for name in dict.fromkeys(shares)]
-    metrics += [*zip(MEDIANS, ("m", "deg"), strict=True), (SECONDS, "s")]
+    columns = pipeline_columns(board)
     used = [name for name in asked.record.tasks if name in asked.used]
     rows = {row.method.label: row for row in asked.tables[0].rows}
     return {
         "id": id_of_pipelines(asked),
         "title": asked.title,
         "ranking": board.metric,
-        "rescored": asked.truth is not None,
-        "metrics": [{"name": name, "heading": heading(name, unit), "unit": unit} for name, unit in metrics],
-        "shown": [*poses, *MEDIANS, SECONDS],
-        "stages": list(STAGES),
+        "unit": "query",
+        "units": "queries",
+        "page": {"file": links.LOCATED_PAGE, "task": "task", "unit": "query", "method": "pipeline"},
+        "correct": list(RIGHT),
+        "words": {"outcome": list(OUTCOMES)},
+        "worst": "both",
+        "list": [*_LIST, *ANSWER_COLUMNS],
+        "columns": columns_payload(columns, view_of((*pose_columns(board), BASIN, *STAGES, COUNTS))),
+        "heat": ["query", "map"],
+        "least_cells": 1,
         "losses": list(LOSSES),
-        "outcomes": list(OUTCOMES),
-        "right": list(RIGHT),
-        "pipelines": {label: _pipeline(rows[label], asked.tables[0]) for label in sorted(rows)},
+        "methods": {label: _pipeline(rows[label], asked.tables[0]) for label in sorted(rows)},
         "tasks": {name: _task(asked, name, asked.record.tasks[name], trackers.get(name)) for name in used},
-        "tables": [_table(board, asked, table, [name for name, _ in metrics]) for table in asked.tables],
+        "tables": [_table(board, asked, table, columns) for table in asked.tables],
     }
 
 
@@ -101,19 +120,19 @@ def located_payload(asked: PipelineSetBoard, task: str) -> dict[str, Any]:
     pipelines = {pipeline.label: pipeline for pipeline in asked.methods if task in pipeline.answers}
     first = next(iter(pipelines.values())).answers[task]
     return {
-        "queries": integers([a.query_timestamp_ns for a in first]),
-        "pipelines": {label: _answers(pipeline, task) for label, pipeline in pipelines.items()},
+        "units": {"query": integers([a.query_timestamp_ns for a in first])},
+        "methods": {label: _answers(pipeline, task) for label, pipeline in pipelines.items()},
     }
 
 
 def _pipeline(row: PipelineRow, table: PipelineTable) -> dict[str, Any]:
     run = row.method.run
     return {
-        "retriever": run.retriever,
-        "tracker": run.tracker,
+        "parts": [run.retriever, run.tracker],
         "top": run.top,
         "baseline": is_keyframe_pose(row.method),
         "oracle": run.retriever == ORACLE,
+        "competes": run.retriever != ORACLE and not is_keyframe_pose(row.method),
         "marks": marks_of_row(row, table),
     }
 
@@ -121,8 +140,8 @@ def _pipeline(row: PipelineRow, table: PipelineTable) -> dict[str, Any]:
 def _task(asked: PipelineSetBoard, name: str, task: PipelineTask, trackers: str | None) -> dict[str, Any]:
     sigma = task.median_sigma_translation_m
     return {
-        "located": located_key(asked, name),
-        "candidates": candidates_key(asked, name),
+        "answers": located_key(asked, name),
+        "details": None if asked.truth is None else candidates_key(asked, name),
         "query": task.condition_query,
         "gallery": task.condition_gallery,
         "has_conditions": bool(task.condition_query or task.condition_gallery),
@@ -131,27 +150,24 @@ def _task(asked: PipelineSetBoard, name: str, task: PipelineTask, trackers: str 
     }
 
 
-def _table(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
-    return {
-        "title": table.name,
-        "tasks": list(table.tasks),
-        "queries": table.queries,
-        "ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
-        "rows": [_row(asked, row, table, names) for row in table.rows],
-    }
-
-
-def _row(asked: PipelineSetBoard, row: PipelineRow, table: PipelineTable, names: Sequence[str]) -> dict[str, Any]:
-    return {
-        "method": row.method.label,
-        "rank": rank_text(row, table.rows),
-        "values": [row.values.get(name) for name in names],
-        "intervals": {n: [i.low, i.high] for n in names if (i := row.intervals.get(n)) is not None},
-        "basin": basin_words(Line(asked, table, row)),
-        "failed": row.failed,
-        "broke": row.broke,
-        "missing": list(row.missing),
-    }
+def _table(
+    board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, columns: Mapping[str, PipelineColumn]
+) -> dict[str, Any]:
+    about = f"{table.queries} queries."
+    if len(table.tasks) > 1:
+        about = f"Mean over {len(table.tasks)} tasks, each of which counts the same. {about}"
+    sigma = max((r.median_sigma_translation_m or 0.0 for r in table.records), default=0.0)
+    if SIGMA_FACTOR * sigma > RIGHT[0]:
+        about += f" The truth is too coarse for thresholds below {number(SIGMA_FACTOR * sigma, 'm')} m."
+    return table_payload(
+        table,
+        {"methods": view_of((*pose_columns(board), COUNTS)), "stages": view_of(stage_columns(table))[:-1]},
+        columns,
+        [(row.method.label, Line(asked, table, row)) for row in table.rows],
+        metric=board.metric,
+        about=about,
+        further=LOSSES,
+    )
 
 
 def _answers(pipeline: Pipeline, task: str) -> dict[str, Any]:
@@ -167,14 +183,16 @@ def _answers(pipeline: Pipeline, task: str) -> dict[str, Any]:
         "status": bytes_of([STATUSES.index(a.status) for a in rows]),
         "outcome": bytes_of([OUTCOMES.index(a.outcome) for a in rows]),
         "keyframe": integers([_NONE if a.ref_timestamp_ns is None else a.ref_timestamp_ns for a in rows]),
-        **{name: integers([_or_none(a, name) for a in rows]) for name in ("rank", "hit_rank", "right_rank", "asked")},
+        "asked": floats([a.asked for a in rows]),
+        **{name: floats([_or_none(a, name) for a in rows]) for name in ("rank", "hit_rank", "right_rank")},
         "messages": {row: answer.message for row, answer in enumerate(rows) if answer.message},
     }
 
 
-def _or_none(answer: PipelineAnswer, name: str) -> int:
+def _or_none(answer: PipelineAnswer, name: str) -> float:
+    """A rank; infinite where there is none."""
     value: int | None = getattr(answer, name)
-    return _NONE if value is None else value
+    return np.inf if value is None else value
 
 
 def _numbers(values: Sequence[float | None]) -> Array:

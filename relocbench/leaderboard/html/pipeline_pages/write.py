@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import write_data
-from relocbench.leaderboard.html.pages import write_page
+from relocbench.leaderboard.html.pages import write_board_page, write_query_page
 from relocbench.leaderboard.html.payloads import id_of
 from relocbench.leaderboard.html.pipeline_pages.candidates import (
     asked_pipelines,
@@ -56,7 +57,7 @@ def write_pipeline_pages(
     for asked in board.sets:
         written |= _write_set(board, asked, tracking, site, queries, thumbnails)
     page = site / links.LOCATED_PAGE
-    write_page(page, __name__, "located.html.j2", page="located")
+    write_query_page(page, "located", "pipelines")
     return written | {page} | write_thumbnails(thumbnails, reporter)
 
 
@@ -70,7 +71,8 @@ def _write_set(
 ) -> set[Path]:
     of_set = id_of_pipelines(asked)
     payload = pipelines_payload(board, asked, _trackers(asked, tracking))
-    written = {write_data(site, f"pipelines/{of_set}", payload)}
+    key = f"pipelines/{of_set}"
+    written = {write_data(site, key, payload)}
     rows = sum(len(rows) for pipeline in asked.methods for rows in pipeline.answers.values())
     for name in payload["tasks"]:
         written.add(write_data(site, located_key(asked, name), located_payload(asked, name)))
@@ -86,7 +88,12 @@ def _write_set(
         written.add(write_data(site, candidates_key(asked, name), told))
         thumbnails.extend(thumbnails_of(views, site, of_set))
     page = site / links.relocalization_page(of_set)
-    write_page(page, __name__, "relocalization.html.j2", page="relocalization", asked=asked, of_set=of_set)
+    facts = {
+        "task": "full pipeline: retrieval, then tracking",
+        "fingerprint": asked.record.dataset_fingerprint[:SHORT],
+        "tasks": len(asked.record.tasks),
+    }
+    write_board_page(page, "relocalization", key, asked.title, asked.record.dataset, facts, ("errors", "stages"))
     return written | {page}
 
 

@@ -74,15 +74,7 @@ def lists_payload(
         "pictures": [thumbnail_name(key) if key in pictured else None for key in images],
         "queries": {} if task is None else {q: thumbnail_name(task.queries[q].key) for q in chosen},
         "right": None if task is None else [[told(q, key) for key in right[q]] for q in kept],
-        "methods": {
-            label: {
-                "top": [first(label, q) for q in kept],
-                "messages": {
-                    row: message for row, q in enumerate(kept) if (message := method.answers[name][q].message)
-                },
-            }
-            for label, method in methods.items()
-        },
+        "methods": {label: {"top": [first(label, q) for q in kept]} for label in methods},
     }
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import write_data
-from relocbench.leaderboard.html.pages import write_page
+from relocbench.leaderboard.html.pages import write_board_page, write_query_page
 from relocbench.leaderboard.html.retrieval_pages.distances import distances_of
 from relocbench.leaderboard.html.retrieval_pages.lists import kept_lists, task_of
 from relocbench.leaderboard.html.retrieval_pages.payloads import (
@@ -51,7 +52,7 @@ def write_retrieval_pages(board: RetrievalBoard, site: Path, *, queries: int, re
     for asked in board.sets:
         written |= _write_set(board, asked, site, queries, thumbnails)
     page = site / links.QUERY_PAGE
-    write_page(page, __name__, "query.html.j2", page="query")
+    write_query_page(page, "query", "retrieval")
     return written | {page} | write_thumbnails(thumbnails, reporter)
 
 
@@ -59,7 +60,8 @@ def _write_set(
     board: RetrievalBoard, asked: RetrievalSetBoard, site: Path, count: int, thumbnails: list[Thumbnail]
 ) -> set[Path]:
     of_set = id_of_places(asked)
-    written = {write_data(site, f"retrieval/{of_set}", retrieval_payload(board, asked))}
+    key = f"retrieval/{of_set}"
+    written = {write_data(site, key, retrieval_payload(board, asked))}
     names = asked.used
     rows = sum(len(rows) for m in asked.methods for rows in m.answers.values())
     for name in names:
@@ -75,5 +77,11 @@ def _write_set(
         if task is not None:
             thumbnails.extend(thumbnails_of(task, lists, chosen, distances, site, of_set))
     page = site / links.retrieval_page(of_set)
-    write_page(page, __name__, "retrieval.html.j2", page="retrieval", asked=asked, of_set=of_set, tasks=names)
+    facts = {
+        "task": "retrieval",
+        "fingerprint": asked.record.fingerprint[:SHORT],
+        **({"right are": asked.record.positives} if asked.record.positives else {}),
+        "tasks": len(names),
+    }
+    write_board_page(page, "retrieval", key, asked.title, asked.record.name, facts, ("recall",))
     return written | {page}

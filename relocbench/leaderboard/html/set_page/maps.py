@@ -102,7 +102,7 @@ class Maps:
         return with_camera_axes(poses) if camera in traversal.frames else np.asarray(poses)
 
 
-def _route(T_world_cam: Array, plan: Plan) -> dict[str, str]:
+def _route(T_world_cam: Array, plan: Plan) -> dict[str, dict[str, str]]:
     """The line of a drive; NaN where it is broken."""
     step = max(1, -(-len(T_world_cam) // _MOST_OF_A_ROUTE))
     points = plan.of(T_world_cam[::step, :3, 3])
