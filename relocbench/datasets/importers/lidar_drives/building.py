@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,6 @@ from relocbench.datasets.groundtruth.odometry.deferred import later
 from relocbench.datasets.groundtruth.odometry.files import kept_in
 from relocbench.datasets.importers.assembly import check_folder, open_writer
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, on_one_map
-from relocbench.datasets.importers.lidar_drives.options import DriveOptions
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError
@@ -25,7 +24,19 @@ if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
 
 
-def build_drives(sources: Sequence[Path], options: DriveOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+ReadDrive = Callable[[Path, str, Reporter], DriveFiles]
+"""called with the folder of a drive and its name"""
+
+
+def build_drives(
+    kind: str,
+    sources: Sequence[Path],
+    options: FieldOptions,
+    out: Path,
+    reporter: Reporter,
+    run: Run,
+    read: ReadDrive,
+) -> Dataset:
     """Build a dataset from a reference drive (the first source) and one or more query drives.
 
     All files but scans and images are read, and all options are checked, before odometry is computed from a lidar.
@@ -37,11 +48,11 @@ def build_drives(sources: Sequence[Path], options: DriveOptions, out: Path, repo
     if len(sources) < 2:
         raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(sources)}")
     for source in sources:
-        check_folder(source, f"a drive in the layout of {options.kind}")
+        check_folder(source, f"a drive in the layout of {kind}")
     names = traversal_names(sources)
     options.check_conditions(names)
-    drives = [options.read(source, name, reporter) for source, name in zip(sources, names, strict=True)]
-    return build_from(drives, options.kind, sources, options, out, reporter, run)
+    drives = [read(source, name, reporter) for source, name in zip(sources, names, strict=True)]
+    return build_from(drives, kind, sources, options, out, reporter, run)
 
 
 def build_from(

@@ -34,4 +34,4 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.importers.lidar_drives.building import build_drives
 
     assert isinstance(options, DriveOptions)
-    return build_drives(sources, options, out, reporter, run)
+    return build_drives(options.kind, sources, options, out, reporter, run, options.read)
