@@ -15,10 +15,9 @@ from baselines.alignment.features.solver import FeatureAlignment, align_features
 from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels, match_pixels_by_level
 from baselines.alignment.shared.damping import DSO_DAMPING, Damping
 from baselines.alignment.shared.depth_map import LevelPoints, coarse_points, sample_points
-from baselines.alignment.shared.keyframe import choose_points
 from baselines.alignment.shared.levels import ABANDON_FACTOR, LevelOutcome
 from baselines.alignment.shared.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
-from baselines.alignment.shared.selection import select_pixels
+from baselines.alignment.shared.selection import choose_points, select_pixels
 from baselines.alignment.shared.starts import Start, moved_along, small_rotations
 
 __all__ = [

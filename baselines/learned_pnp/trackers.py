@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from baselines.calibration import ALIKED_PNP, Calibration
@@ -15,11 +16,10 @@ from baselines.learned_pnp import published
 from baselines.learned_pnp.aliked import Aliked, AlikedModel
 from baselines.learned_pnp.detector import NetworkDetector
 from baselines.learned_pnp.disk import Disk
-from baselines.learned_pnp.matching import mutual_nearest
 from baselines.learned_pnp.superpoint import SuperPoint
 from baselines.learned_pnp.xfeat import XFeat
 from baselines.published_weights import by_place, find_weights
-from relocbench.arrays import Image, Indices
+from relocbench.arrays import Floats, Image, Indices
 from relocbench.weights import PublishedFile
 
 
@@ -138,3 +138,27 @@ class SuperPointPnp(NearestPnp):
     name: ClassVar[str] = "superpoint-pnp"
     network: ClassVar[type[NetworkDetector]] = SuperPoint
     file: ClassVar[PublishedFile] = published.SUPERPOINT
+
+
+def mutual_nearest(first: Floats, second: Floats, ratio: float = 1.0) -> Indices:
+    """Match descriptors (N, D) and (M, D) of norm 1 that are each other's nearest neighbour.
+
+    Args:
+        ratio: a match is accepted below this ratio of the nearest to the second nearest distance, as seen from
+            ``first``; 1 accepts all.
+
+    Returns:
+        Indices (K, 2) into both, in the order of ``first``.
+    """
+    if len(first) == 0 or len(second) == 0:
+        return np.zeros((0, 2), dtype=np.intp)
+    similarity = first @ second.T
+    nearest, back = similarity.argmax(axis=1), similarity.argmax(axis=0)
+    here = np.arange(len(first))
+    accepted = back[nearest] == here
+    if ratio < 1.0 and len(second) > 1:
+        two = -np.partition(-similarity, 1, axis=1)[:, :2].astype(np.float64)
+        distance = np.sqrt(np.maximum(2.0 - 2.0 * two, 0.0))  # of vectors of norm 1
+        accepted &= distance[:, 0] < ratio * distance[:, 1]
+    index = np.flatnonzero(accepted)
+    return np.stack([index, nearest[index]], axis=-1)

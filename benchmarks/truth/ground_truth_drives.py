@@ -15,7 +15,7 @@ import yaml
 
 from relocbench.arrays import Array, Image, Times
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
-from relocbench.datasets.groundtruth.jobs.frames import select_images
+from relocbench.datasets.groundtruth.jobs.writing import select_images
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.datasets.synthetic.conditions.condition import condition_named

@@ -42,10 +42,10 @@ from register_scenes import Boxes, camera_directions, room, sphere_directions
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.jobs.aligning import align
 from relocbench.datasets.groundtruth.jobs.enlarging import enlarged
-from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.groundtruth.jobs.measuring import scale_of_drives
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.reducing import reduced_paired
+from relocbench.datasets.groundtruth.jobs.writing import select_images
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
 from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from baselines.alignment.shared.pyramid import Level
 from relocbench.arrays import Floats, Indices, Mask
 from relocbench.kernels import njit
+from relocbench.tracking import KeyframePoints, Reference
 
 BLOCK = 32
 """pixels; side of the blocks that each have a threshold"""
@@ -22,6 +23,24 @@ FIRST_CELL = 4
 """pixels; side of the smallest cells in the first try"""
 MAX_TRIES = 8
 DIRECTIONS = 16
+
+
+def choose_points(reference: Reference, levels: list[Level], count: int, rng: np.random.Generator) -> KeyframePoints:
+    """All points of a sparse map, or about ``count`` pixels of large gradient of a dense depth image.
+
+    Args:
+        reference: the keyframe.
+        levels: its intensity pyramid, finest first.
+        count: number of pixels wanted.
+        rng: source of the random choices.
+    """
+    if reference.sparse_points is not None or reference.depth is None:
+        return reference.points
+    known = np.isfinite(reference.depth) & (reference.depth > 0)
+    uv = select_pixels(levels, known, count, rng)
+    z = reference.depth[uv[:, 1], uv[:, 0]].astype(np.float64)
+    a, b, c = reference.depth_sigma
+    return KeyframePoints(uv.astype(np.float64), 1.0 / z, (a + b * z + c * z * z) / (z * z))
 
 
 def select_pixels(levels: list[Level], candidates: Mask, wanted: int, rng: np.random.Generator) -> NDArray[np.int32]:

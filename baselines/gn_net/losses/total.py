@@ -23,7 +23,6 @@ from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_new
 from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.pose import PoseOptions, SeenPoints, draw_start_poses, pose_terms
-from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.sampling import level_coordinates, sample
 from baselines.options import OptionError, Options, require
 
@@ -260,3 +259,14 @@ def _gauss_newton(
     if options.start == "affine":
         return affine_gauss_newton_terms(features, f_ref, u, options.vicinity, eps)
     return gauss_newton_terms(features, f_ref, u, draw_starts(u, options.vicinity, generator), eps)
+
+
+def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
+    """The mean of ``values`` where ``mask`` is true; zero, with zero derivative, if it is true nowhere.
+
+    Args:
+        values: (...); need not be finite where masked out.
+        mask: (...) bool.
+    """
+    kept = torch.where(mask, values, torch.zeros_like(values))
+    return kept.sum() / mask.sum().clamp(min=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -28,7 +29,6 @@ from baselines.training.ema import EmaNetwork
 from baselines.training.log import Row
 from baselines.training.loop import TrainingLoop
 from baselines.training.random_streams import generator
-from baselines.training.schedule import warmed_cosine
 from relocbench.errors import MethodError
 from relocbench.pages import render
 from relocbench.training import TrainingData, TrainingRun, Validate
@@ -211,3 +211,18 @@ def _pretrained(network: FeatureNet) -> EfficientNetLite0:
     if not isinstance(network.encoder, EfficientNetEncoder):
         raise TypeError("only the encoder efficientnet-lite0 has published weights")
     return network.encoder.trunk
+
+
+def warmed_cosine(step: int, steps: int, warm_up: int, rate: float, final_rate: float) -> float:
+    """The learning rate of a step, counted from 0: a linear rise, then half a cosine (SGDR, ICLR 2017).
+
+    Args:
+        steps: of the whole training.
+        warm_up: steps of the rise.
+        rate: the highest one.
+        final_rate: the last one as a share of the highest.
+    """
+    if step < warm_up:
+        return rate * (step + 1) / warm_up
+    done = (step - warm_up) / max(steps - 1 - warm_up, 1)
+    return rate * (final_rate + (1 - final_rate) * 0.5 * (1 + math.cos(math.pi * done)))

@@ -16,7 +16,7 @@ from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.datasets.pairs.correspondence_index import CorrespondenceIndex
+from relocbench.datasets.pairs.correspondence_file import CorrespondenceIndex
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.tracking import KeyframePoints
 from relocbench.training import PairLabel, PosedPair, TrainingPair, TrainingView

@@ -15,7 +15,7 @@ from refusals import refused
 
 from baselines.alignment import Level, image_pyramid, moved_along
 from baselines.dso import Dso, DsoMultiStart, small_rotations
-from baselines.dso.evidence import evidence_for
+from baselines.dso.tracker import evidence_for
 from relocbench.arrays import Array
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, compose, invert, rotation_angle

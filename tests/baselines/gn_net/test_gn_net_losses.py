@@ -30,8 +30,8 @@ from baselines.gn_net.losses.gauss_newton_affine import affine_gauss_newton_term
 from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_newton_terms
 from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
-from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
+from baselines.gn_net.losses.total import masked_mean
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.sampling import sample, sample_with_gradient

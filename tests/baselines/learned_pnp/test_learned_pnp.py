@@ -21,7 +21,7 @@ from small_dataset import ACROSS, make_small_dataset
 
 from baselines.learned_pnp import AlikedPnp
 from baselines.learned_pnp.aliked import Aliked
-from baselines.learned_pnp.matching import mutual_nearest
+from baselines.learned_pnp.trackers import mutual_nearest
 from relocbench.arrays import Image
 from relocbench.errors import MethodError
 

@@ -27,8 +27,7 @@ from baselines.lpn.backbone import make_backbone
 from baselines.lpn.backbone_weights import load_backbone
 from baselines.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from baselines.training.checkpoint_content import check_state, restore_optimiser
-from relocbench.datasets.pairs.correspondence_file import MOST_ROWS, SCHEMA, read_correspondences
-from relocbench.datasets.pairs.correspondence_index import CorrespondenceIndex
+from relocbench.datasets.pairs.correspondence_file import MOST_ROWS, SCHEMA, CorrespondenceIndex, read_correspondences
 from relocbench.errors import DatasetError, MethodError
 
 GN_NET = {"card": {}, "version": 1, "options": {}}

@@ -27,8 +27,7 @@ from relocbench.datasets.groundtruth.depth.stereo_check import (
 from relocbench.datasets.groundtruth.depth.surfels import SECTORS, SurfelOptions, make_surfels
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
-from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences
-from relocbench.datasets.pairs.pixel_sigma import pixel_sigma
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences, pixel_sigma
 from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, warp
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, apply, invert, make_transform, se3_exp

@@ -12,10 +12,11 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.schema import CameraEntry, Transform, TraversalFile
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
-from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.registration.scene_scale import scaled
@@ -195,3 +196,36 @@ def _develop(unit: _ImageUnit) -> int:
         path = unit.layout.traversal(unit.traversal).image(unit.stream.name, time)
         images.write_image(path, unit.stream.read(index))
     return len(unit.indices)
+
+
+def select_images(
+    recording: FieldRecording, stream: CameraStream | RigStream, nodes: Nodes, apart_m: float, *, in_gaps: bool = False
+) -> list[int]:
+    """Indices of images at least ``apart_m`` of road apart, between the first and the last node of the drive.
+
+    Args:
+        in_gaps: also select images at times that the odometry does not cover, as many as at the drive's mean speed, so
+            that their rejection is recorded.
+    """
+    times = stream.times_ns
+    inside = (times >= nodes.times_ns[0]) & (times <= nodes.times_ns[-1])
+    known = recording.odometry.covers(times) & (nearest_nodes(nodes, recording.odometry, times) >= 0)
+    rows = np.flatnonzero(inside if in_gaps else inside & known)
+    if not len(rows):
+        return []
+    seconds = (times - nodes.times_ns[0]) / 1e9
+    at_nodes = (nodes.times_ns - nodes.times_ns[0]) / 1e9
+    travelled = np.interp(seconds, at_nodes, nodes.travelled_m)
+    segments = nodes.segments()
+    same = segments[1:] == segments[:-1]
+    driven, spent = np.diff(nodes.travelled_m)[same].sum(), np.diff(at_nodes)[same].sum()
+    wait_s = apart_m * spent / driven if driven > 0 else np.inf
+    chosen: list[int] = []
+    for index in rows.tolist():
+        if chosen:
+            last = chosen[-1]
+            waited = not (known[index] and known[last]) and seconds[index] - seconds[last] >= wait_s - 1e-9
+            if not waited and travelled[index] - travelled[last] < apart_m - 1e-6:
+                continue
+        chosen.append(index)
+    return chosen

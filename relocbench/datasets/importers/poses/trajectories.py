@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Self
 
@@ -18,7 +18,6 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.importers.poses.names import names_of_files
-from relocbench.datasets.importers.poses.sigmas import sigma_of_pair
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file
@@ -199,3 +198,22 @@ def _tell_doubts(drives: Sequence[_Drive], job: Build[Options]) -> None:
 def _is_origin(T_world_frame: Array) -> bool:
     metres, radians = _AT_ORIGIN
     return bool(np.linalg.norm(T_world_frame[:3, 3]) <= metres and rotation_angle(T_world_frame[:3, :3]) <= radians)
+
+
+def sigma_of_pair(pair: Pair, sigma_m: float | None, sigma_deg: float | None) -> Pair:
+    """A pair with its sigmas, the errors of its two poses being independent.
+
+    With ``c = R_world_ref^T (c_query - c_ref)``, first-order propagation gives the covariance
+    ``2 sigma_m^2 I + sigma_rad^2 (|c|^2 I - c c^T)``, whose mean variance on an axis is
+    ``2 sigma_m^2 + 2/3 |c|^2 sigma_rad^2``; the relative rotation has ``sqrt(2)`` times the sigma of each.
+
+    Args:
+        sigma_m: of each pose's position along each axis, metres; None if unknown.
+        sigma_deg: of each pose's rotation about each axis, degrees; None if unknown, and not counted.
+    """
+    translation = None
+    if sigma_m is not None:
+        lever = float(np.radians(sigma_deg or 0.0)) * (pair.distance_m or 0.0)
+        translation = float(np.sqrt(2 * sigma_m**2 + 2 / 3 * lever**2))
+    rotation = None if sigma_deg is None else float(np.sqrt(2) * sigma_deg)
+    return replace(pair, sigma_translation_m=translation, sigma_rotation_deg=rotation)
