@@ -45,21 +45,17 @@ def write_bags(root: Path) -> None:
 
 
 def _read(path: Path, place: Place, **settings: object) -> None:
-    from relocbench.datasets.importers.rosbag import bag
     from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
     from relocbench.datasets.importers.rosbag.roles import Wanted
     from relocbench.datasets.importers.rosbag.settings import BagSettings
 
     how = BagSettings(wanted=Wanted(odometry="/odom"), **settings)  # type: ignore[arg-type]
-    try:
-        recording, _ = read_bag(open_bag(path, how.wanted), "drive", how, kept=place.out / "index.npz")
-        for lidar in recording.lidars:
-            for index in range(len(lidar.times_ns)):
-                lidar.read(index)
-        for camera in recording.cameras.values():
-            camera.read(1)
-    finally:
-        bag.forget()
+    recording, _ = read_bag(open_bag(path, how.wanted), "drive", how, kept=place.out / "index.npz")
+    for lidar in recording.lidars:
+        for index in range(len(lidar.times_ns)):
+            lidar.read(index)
+    for camera in recording.cameras.values():
+        camera.read(1)
 
 
 def _rosbag1(place: Place) -> None:

@@ -199,7 +199,6 @@ def _reads(name: str) -> Read:
         from relocbench.datasets.importers.kitti360.recording import read_kitti360
         from relocbench.datasets.importers.mulran.recording import read_mulran
         from relocbench.datasets.importers.nclt.recording import read_nclt
-        from relocbench.datasets.importers.rosbag import bag
         from relocbench.progress import Silent
 
         root = place.root
@@ -215,10 +214,7 @@ def _reads(name: str) -> Read:
             ),
             "folder-of-clouds": lambda: read_clouds(root / "summer", "a", Silent()),
         }
-        try:
-            _all_of(readers[name]())
-        finally:
-            bag.forget()
+        _all_of(readers[name]())
 
     return run
 

@@ -203,12 +203,10 @@ def test_without_the_package_one_line_names_the_extra(
 ) -> None:
     import sys
 
-    from relocbench.datasets.importers.rosbag import bag
-
-    bag.forget()
+    copies = [Path(shutil.copy(path, tmp_path)) for path in bags["rosbag1"]]  # which nothing has open
     for name in ("rosbags.rosbag1", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, name, None)
-    outcome = build(tmp_path / "out", *bags["rosbag1"])
+    outcome = build(tmp_path / "out", *copies)
     assert outcome.status == 2
     assert_names(outcome.complaint, "", None, "rosbags", "bags")
 

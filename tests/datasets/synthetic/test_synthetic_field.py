@@ -282,7 +282,7 @@ def test_a_crossing_is_passed_in_another_direction() -> None:
 
 def test_the_periodic_route_runs_along_the_repeating_facades() -> None:
     for path, _, periodic in found_routes("periodic", 200.0):
-        stretches = path.on_street(periodic)
+        stretches = [(start, end) for start, end, name in path.streets if name == periodic]
         along = sum(min(end, path.length - MARGIN_M) - max(start, MARGIN_M) for start, end in stretches)
         assert along > 40
 

@@ -167,25 +167,22 @@ class Preparation:
     prepared: PreparedCloud
     sensor: Literal["known", "supposed", "refuted", "unknown"]
     """``supposed``: the origin, which the points do not contradict; ``refuted``: they do"""
-    through_itself: float
-    """share of the cloud's surfaces that its own beams went through; nan if the sensor is unknown"""
 
 
 def prepare(cloud: Cloud, scale: SceneScale) -> Preparation:
     """Enlarge a cloud, thin it, and fit planes; a supposed sensor is checked against the cloud itself."""
     submap, T_cloud_node = submap_of(cloud, scale)
     if cloud.sensors is None:
-        return Preparation(PreparedCloud(submap, T_cloud_node, False, True), "unknown", float("nan"))
+        return Preparation(PreparedCloud(submap, T_cloud_node, False, True), "unknown")
     prepared = PreparedCloud(submap, T_cloud_node, True, False)
     if not cloud.supposed:
-        return Preparation(prepared, "known", float("nan"))
+        return Preparation(prepared, "known")
     space = prepared.space
     votes = space.votes_of(space.beams, np.eye(4))
-    through = votes.violations(np.zeros(len(space.patches), dtype=bool))
-    if through <= _THROUGH_ITSELF:
-        return Preparation(prepared, "supposed", through)
+    if votes.violations(np.zeros(len(space.patches), dtype=bool)) <= _THROUGH_ITSELF:
+        return Preparation(prepared, "supposed")
     submap, T_cloud_node = submap_of(replace(cloud, sensors=None), scale)
-    return Preparation(PreparedCloud(submap, T_cloud_node, False, True), "refuted", through)
+    return Preparation(PreparedCloud(submap, T_cloud_node, False, True), "refuted")
 
 
 def submap_of(cloud: Cloud, scale: SceneScale) -> tuple[Submap, Array]:

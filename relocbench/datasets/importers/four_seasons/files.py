@@ -103,7 +103,6 @@ class GnssPose:
     """(4, 4), translation in units of ``w``"""
     scale: float
     """metres per unit of ``w``"""
-    fusion_quality: float | None
 
     @property
     def metric(self) -> Array:
@@ -217,9 +216,7 @@ def read_gnss_poses(path: Path) -> dict[int, GnssPose]:
         time = parse_timestamp(fields[0], path, line, DatasetError)
         if time in poses:
             raise DatasetError(f"timestamp {time} occurs again", path, line)
-        scale = _parse_scale(fields[8], path, line)
-        quality = parse_floats(fields[9:10], path, line, "fusion_quality", DatasetError)[0] if fields[9:] else None
-        poses[time] = GnssPose(parse_pose(fields[1:8], path, line), scale, quality)
+        poses[time] = GnssPose(parse_pose(fields[1:8], path, line), _parse_scale(fields[8], path, line))
     return dict(sorted(poses.items()))
 
 

@@ -19,7 +19,6 @@ from relocbench.arrays import Array, Times
 FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset", "timeoffset", "t_offset", "stamp")
 """names of fields with times, of which a cloud's first is used"""
 Unit = Literal["s", "ms", "us", "ns"]
-Base = Literal["scan", "epoch", "first"]
 UNITS: dict[str, float] = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 BASES = ("scan", "epoch", "first")
 _SHORTEST, _LONGEST = 0.1, 1.5

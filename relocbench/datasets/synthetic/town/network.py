@@ -71,10 +71,6 @@ class Path:
         pose[:2, 3] = x - lateral_m * np.sin(heading), y + lateral_m * np.cos(heading)
         return pose
 
-    def on_street(self, street: int) -> list[tuple[float, float]]:
-        """The sections (from, to) in metres on which the path follows a street."""
-        return [(start, end) for start, end, name in self.streets if name == street]
-
 
 @dataclass(frozen=True, eq=False)
 class StreetNetwork:

@@ -133,7 +133,6 @@ class _Row:
         if sum(wanted) > room:
             loss = (sum(wanted) - room) / 2
             wanted = [w - loss if all(wanted) else min(w, room) for w in wanted]
-        self.left_over = [0.0, 0.0]
         if wanted[0]:
             self._add(corner_house[here], self.free[0], wanted[0], here)
             self.free[0] += wanted[0]
