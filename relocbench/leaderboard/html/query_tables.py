@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from relocbench.leaderboard.common.by_query import Table
 from relocbench.leaderboard.common.columns import B, Column, Line, R, T
 from relocbench.leaderboard.common.headings import BASIN, METHOD, RANK, RESCORED, RETRIEVER, TOP, TRACKER
-from relocbench.leaderboard.common.model import Table
 from relocbench.leaderboard.common.ranks import why_no_ranks
 
 ANSWER_COLUMNS = (
