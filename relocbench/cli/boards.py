@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from relocbench.leaderboard.tracking.by_condition import ByCondition, Column
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
 
-COLUMNS = (RANKING, "median_translation_error_m", "median_rotation_error_deg", "coverage", "median_seconds")
-"""the metrics that the terminal shows of trackers, in this order"""
 SHORT_HEADINGS = {
     RANKING: "found, %",
     "median_translation_error_m": "median m",
@@ -102,25 +100,17 @@ def print_board(board: Board) -> None:
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import METHOD, RANK
-    from relocbench.leaderboard.common.ranks import rank_text
-    from relocbench.leaderboard.common.text import number
     from relocbench.leaderboard.tracking.cells import total_words, why_no_ranks
-    from relocbench.metrics import metric_named
+    from relocbench.leaderboard.tracking.columns import lines_of, tracking_columns
+    from relocbench.metrics import shown_in
 
-    ranking = board.metric
-    shown = [metric_named(name) for name in COLUMNS if name != ranking.name]
+    shown = shown_in("terminal", board.metric)
+    columns = tracking_columns(board)
     rejected = f", {table.rejected} rejected" if table.rejected else ""
     over = total_words(table) if table.is_total else table.pair_set
-    heads = [METHOD, RANK, short_heading(ranking.name, ranking.unit), *(short_heading(m.name, m.unit) for m in shown)]
-    rows = [
-        [
-            row.method.label,
-            rank_text(row, table.rows),
-            number(row.values[ranking.name], ranking.unit),
-            *(number(row.values[m.name], m.unit) for m in shown),
-        ]
-        for row in table.rows
-    ]
+    heads = [METHOD, RANK, *(short_heading(metric.name, metric.unit) for metric in shown)]
+    keys = [METHOD, RANK, *(metric.name for metric in shown)]
+    rows = [[columns[key].text(line, bounds=False) for key in keys] for line in lines_of(dataset, table)]
     print_table(f"{dataset.entry.record.name}, {over} ({table.pairs} pairs{rejected})", heads, rows)
     if why := why_no_ranks(board, table):
         print(why)

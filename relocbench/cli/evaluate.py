@@ -108,16 +108,17 @@ def _print_report(report: Report, progress: Reporter, *, matching: bool) -> None
 
 def _print_scores(name: str, pair_set: PairSet, folders: list[MethodResults]) -> None:
     """The scores of all pairs of a pair set; those of its groups are in ``scores.yaml`` and ``--json``."""
-    from relocbench.cli.boards import COLUMNS, short_heading
+    from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
     from relocbench.evaluation.common.matching_table import ALL
     from relocbench.leaderboard.common.headings import METHOD
     from relocbench.leaderboard.common.text import number
-    from relocbench.metrics import metric_named
+    from relocbench.leaderboard.tracking.model import RANKING
+    from relocbench.metrics import metric_named, shown_in
 
     rejected = f", {len(pair_set.rejected)} rejected" if pair_set.rejected else ""
     negative = f", {len(pair_set.negative_pairs)} negative pairs" if pair_set.negative_pairs else ""
-    metrics = [metric_named(name) for name in COLUMNS]
+    metrics = shown_in("terminal", metric_named(RANKING))
     rows = []
     for folder in folders:
         values = folder.score_record().pair_sets.get(pair_set.name, {}).get(ALL)

@@ -18,7 +18,7 @@ from relocbench.metrics.pose.failure_policy import (
 )
 from relocbench.metrics.pose.matching import MatchingQuality, OffsetShare, matching_quality
 from relocbench.metrics.pose.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
-from relocbench.metrics.pose.registry import CORRECT, METRICS, Metric, PairScores, metric_named, within
+from relocbench.metrics.pose.registry import CORRECT, METRICS, Metric, PairScores, metric_named, shown_in, within
 from relocbench.metrics.pose.summary import PairSetSummary, Spread, spread_over_seeds, summarize, totals
 from relocbench.metrics.retrieval.chance import chance_level, chance_recall
 from relocbench.metrics.retrieval.descriptors import exact_scores, rank_descriptors
@@ -131,6 +131,7 @@ __all__ = [
     "risk_coverage_area",
     "score_retrieval",
     "share_interval",
+    "shown_in",
     "single_positive_fault",
     "sorted_finite",
     "spread_over_seeds",

@@ -15,8 +15,8 @@ COUNTS = "declined / crashed"
 RESCORED = "rescored"
 RETRIEVER, TRACKER, TOP = "retriever", "tracker", "top"
 BASIN = "basin_m / basin_deg"
-ELSEWHERE = ("elsewhere", "elsewhere_answered, %", "elsewhere_confident, %", "elsewhere_confident_high, %")
-"""of the numbers about pairs of different places"""
+ELSEWHERE = ("elsewhere", "elsewhere_answered", "elsewhere_confident", "elsewhere_confident_high")
+"""the columns about pairs of different places"""
 
 
 def heading(name: str, unit: str = "share") -> str:

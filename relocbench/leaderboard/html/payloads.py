@@ -12,11 +12,11 @@ from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.html.looks import looks
 from relocbench.leaderboard.tracking.by_condition import UNKNOWN, by_condition
-from relocbench.leaderboard.tracking.cells import level_with_identity, plain_heading, shown_metrics, why_no_ranks
+from relocbench.leaderboard.tracking.cells import level_with_identity, plain_heading, why_no_ranks
 from relocbench.leaderboard.tracking.marks import MARKS
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import MEDIANS, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
-from relocbench.metrics import CORRECT, Interval, metric_named
+from relocbench.metrics import CORRECT, Interval, metric_named, shown_in
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 
 _LIST = [
@@ -59,7 +59,7 @@ def site_payload(board: Board | None) -> dict[str, Any]:
 def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
     """All tables of a dataset."""
     entry = dataset.entry
-    shown = [metric for metric in shown_metrics(board) if metric.name != board.metric.name]
+    _, *shown = shown_in("set page", board.metric)
     first = [metric for metric in shown if metric.name in MEDIANS]
     metrics = [board.metric, *first, *(m for m in shown if m not in first), metric_named(SECONDS)]
     described = {m.name: {"heading": plain_heading(m), "unit": m.unit, "higher": m.higher_is_better} for m in metrics}

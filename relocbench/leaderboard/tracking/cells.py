@@ -6,28 +6,10 @@ from relocbench.leaderboard.common import headings, ranks
 from relocbench.leaderboard.common.text import number, with_bounds
 from relocbench.leaderboard.tracking.marks import signs
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
-from relocbench.metrics import Metric, metric_named
+from relocbench.metrics import Metric
 from relocbench.pages.markdown import code, escaped
 
-SHOWN = (
-    "coverage",
-    "median_translation_error_m",
-    "median_rotation_error_deg",
-    "t_auc@0.5m",
-    "r_auc@0.5deg",
-    "recall@(0.1m,1deg)",
-    "recall@(0.25m,2deg)",
-    "recall@(0.5m,5deg)",
-    "recall@(1m,5deg)",
-    "recall@(5m,10deg)",
-)
 DAGGER = "†"
-
-
-def shown_metrics(board: Board) -> list[Metric]:
-    """The metrics shown as columns, with the ranking metric among them, in the order of :data:`SHOWN`."""
-    names = [*SHOWN] if board.metric.name in SHOWN else [SHOWN[0], board.metric.name, *SHOWN[1:]]
-    return [metric_named(name) for name in names]
 
 
 def plain_heading(metric: Metric) -> str:

@@ -25,13 +25,11 @@ from relocbench.leaderboard.tracking.matrix_text import matrix_text
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table, short_title
 from relocbench.leaderboard.tracking.reservations import reservations
 from relocbench.leaderboard.tracking.set_page import set_file
-from relocbench.metrics import CORRECT, LEVEL, metric_named
+from relocbench.metrics import CORRECT, LEVEL, shown_in
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
 READING = "reading.md"
-_BESIDE = ("coverage", "median_translation_error_m", "median_rotation_error_deg", "t_auc@0.5m", "r_auc@0.5deg")
-"""the metrics of a dataset's table besides the ranking metric"""
 
 
 def front_page(board: Board) -> str:
@@ -87,7 +85,7 @@ def _dataset(board: Board, dataset: DatasetBoard) -> dict[str, object]:
 def _total_table(board: Board, dataset: DatasetBoard, table: Table) -> str:
     """A row for each method: the ranking metric with its interval and by group, and what else is asked first."""
     groups = dataset.groups_of(table)
-    beside = [metric_named(metric) for metric in _BESIDE if metric != board.metric.name]
+    _, *beside = shown_in("first page", board.metric)
     columns = [
         RANK,
         METHOD,
@@ -112,4 +110,4 @@ def _total_table(board: Board, dataset: DatasetBoard, table: Table) -> str:
 
 def _shows_finer(board: Board, table: Table) -> bool:
     """Whether the page shows a metric of the table whose thresholds are finer than the ground truth allows."""
-    return bool(table.finer & {board.metric.name, *_BESIDE})
+    return bool(table.finer & {metric.name for metric in shown_in("first page", board.metric)})

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 
 from relocbench.leaderboard.common.headings import METHOD, SECONDS, heading
 from relocbench.leaderboard.common.latex import Column, LatexTable, Line, document, intervals_of
-from relocbench.leaderboard.tracking.cells import SHOWN, total_words
+from relocbench.leaderboard.tracking.cells import total_words
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
-from relocbench.metrics import Metric, metric_named
-
-_NAMES = ("coverage", "median_translation_error_m", "median_rotation_error_deg", "t_auc@0.5m", "r_auc@0.5deg")
+from relocbench.metrics import Metric, metric_named, shown_in
 
 
 def latex_page(board: Board) -> str:
@@ -24,7 +22,7 @@ def _tables(dataset: DatasetBoard) -> Iterator[Table]:
 
 
 def _table(board: Board, dataset: DatasetBoard, table: Table) -> LatexTable:
-    metrics = [metric_named(name) for name in dict.fromkeys((board.metric.name, *_NAMES))]
+    metrics = shown_in("paper", board.metric)
     seconds = metric_named(SECONDS)
     place = total_words(table) if table.is_total else table.pair_set
     note = f"{table.pairs} pairs"
@@ -55,6 +53,3 @@ def _line(board: Board, row: Row, metrics: list[Metric]) -> Line:
         intervals=intervals_of(names, shown),
         competes=not (row.method.is_baseline or row.method.run.uses_times),
     )
-
-
-assert set(_NAMES) <= set(SHOWN)

@@ -23,7 +23,7 @@ from relocbench.leaderboard.common.loading import BoardTask, Loaded, Plan, Stand
 from relocbench.leaderboard.common.untrusted_results import check_folder
 from relocbench.leaderboard.tracking.marks import is_ranked
 from relocbench.leaderboard.tracking.method import Method, read_method
-from relocbench.leaderboard.tracking.model import INTERVALS, RANKING, DatasetEntry, Row
+from relocbench.leaderboard.tracking.model import RANKING, DatasetEntry, Row
 from relocbench.leaderboard.tracking.rows import errors_of, per_pair, present, row_of
 from relocbench.metrics import METRICS, metric_named
 
@@ -93,7 +93,7 @@ class Trackers(BoardTask[MethodResults, DatasetRecord, PairSetRecord, Method, Tr
     kind = DatasetResults
     rankable = tuple(metric.name for metric in METRICS if metric.per_pair is not None)
     ranking = RANKING
-    with_interval = INTERVALS
+    with_interval = tuple(metric.name for metric in METRICS if metric.with_interval and metric.per_pair is not None)
 
     def units(self, record: DatasetRecord, split: str | None = None) -> Mapping[str, PairSetRecord]:
         known = {name: record.pair_sets[name] for name in _chosen(record, split)}

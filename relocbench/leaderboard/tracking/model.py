@@ -30,8 +30,6 @@ SAME_DRIVE_TOTAL = "total_same_drive"
 TOTALS = (TOTAL, SAME_DRIVE_TOTAL)
 MEDIANS = ("median_translation_error_m", "median_rotation_error_deg")
 """the medians that tables of one pair set show with an interval"""
-INTERVALS = ("pose_auc@(0.5m,4deg)", "t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)", "recall@(0.5m,5deg)")
-"""the metrics that tables show with a 95 % interval, besides the ranking metric"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,4 +181,4 @@ class Board:
     @property
     def with_interval(self) -> tuple[Metric, ...]:
         """The metrics that are shown with an interval, in the registry's order."""
-        return tuple(m for m in METRICS if m.name in {*INTERVALS, *MEDIANS, self.metric.name})
+        return tuple(m for m in METRICS if m.with_interval or m == self.metric)

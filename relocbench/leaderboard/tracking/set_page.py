@@ -9,7 +9,6 @@ from relocbench.evaluation.common.matching_table import ALL
 from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.headings import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95
-from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.common.text import json_text, number
 from relocbench.leaderboard.tracking.cells import (
     DAGGER,
@@ -21,29 +20,19 @@ from relocbench.leaderboard.tracking.cells import (
     name,
     plain_heading,
     same_method,
-    shown_metrics,
     total_name,
     why_no_ranks,
 )
+from relocbench.leaderboard.tracking.columns import lines_of, tracking_columns
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere
 from relocbench.leaderboard.tracking.matching import matching_lines, matching_numbers
 from relocbench.leaderboard.tracking.matrix_text import matrix_text
 from relocbench.leaderboard.tracking.method import Method, evaluate_command
-from relocbench.leaderboard.tracking.model import RANKING, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
+from relocbench.leaderboard.tracking.model import RANKING, SAME_DRIVE_TOTAL, Board, DatasetBoard, SeedRow, Table
 from relocbench.leaderboard.tracking.reservations import reservations
-from relocbench.metrics import CONFIDENT, CORRECT, LEVEL, Metric, Spread, metric_named
+from relocbench.metrics import CONFIDENT, CORRECT, LEVEL, Metric, Spread, metric_named, shown_in
 from relocbench.pages import render
 from relocbench.pages.markdown import code, escaped, table_text
-
-_OF_CONFIDENCE = (
-    "coverage",
-    "wrong_of_answered@(0.25m,2deg)",
-    "aurc@(0.25m,2deg)",
-    "coverage_at_precision_95@(0.25m,2deg)",
-    "coverage_at_precision_99@(0.25m,2deg)",
-    "precision_at_confidence_50@(0.25m,2deg)",
-    "coverage_at_confidence_50",
-)
 
 
 def set_file(dataset: DatasetBoard) -> str:
@@ -81,7 +70,7 @@ def set_page(board: Board, dataset: DatasetBoard) -> str:
             *(_section(board, dataset, t) | {"total": True} for t in dataset.totals if len(t.pair_sets) > 1),
             *(_section(board, dataset, t) | {"matching": _matching(dataset, t)} for t in dataset.pair_sets),
         ],
-        confidence=_confidences(dataset, elsewhere=elsewhere),
+        confidence=_confidences(board, dataset, elsewhere=elsewhere),
         elsewhere=elsewhere,
         imported=any(made_elsewhere(m.run) for m in methods),
         cards=shown_cards(entry.title, methods),
@@ -97,32 +86,20 @@ def _renamed(method: Method) -> bool:
     return method.ran_as not in ("", method.label, method.label.rpartition("@")[0])
 
 
-def _confidences(dataset: DatasetBoard, *, elsewhere: bool) -> str:
+def _confidences(board: Board, dataset: DatasetBoard, *, elsewhere: bool) -> str:
     """What confidences are worth: a row for each total and method, with pairs of different places if wanted."""
-    metrics = [metric_named(metric) for metric in _OF_CONFIDENCE]
-    rows = [
-        [total_name(table), name(row)]
-        + [cell(metric, row, table, interval=False) for metric in metrics]
-        + (_elsewhere_cells(row) if elsewhere else [])
-        for table in dataset.totals
-        for row in table.rows
-    ]
-    columns = ["total", METHOD, *map(plain_heading, metrics)]
-    columns += [*ELSEWHERE] if elsewhere else []
+    metrics = shown_in("confidence")
+    of_elsewhere = [tracking_columns(board)[key] for key in (ELSEWHERE if elsewhere else ())]
+    rows = []
+    for table in dataset.totals:
+        for line in lines_of(dataset, table):
+            assert line.row is not None
+            known = line.row.elsewhere is not None and line.row.elsewhere.answered_share is not None
+            cells = [cell(metric, line.row, table, interval=False) for metric in metrics]
+            cells += [column.text(line) if known else "" for column in of_elsewhere]
+            rows.append([total_name(table), name(line.row), *cells])
+    columns = ["total", METHOD, *map(plain_heading, metrics), *(column.heading for column in of_elsewhere)]
     return table_text(columns, rows, left=2) if rows else ""
-
-
-def _elsewhere_cells(row: Row) -> list[str]:
-    """The number of pairs of different places, and the shares answered and confidently answered, with the bound."""
-    places = row.elsewhere
-    if places is None or places.answered_share is None:
-        return [""] * len(ELSEWHERE)
-    return [
-        str(places.pairs),
-        number(places.answered_share, "share"),
-        number(places.confident_share, "share"),
-        number(places.confident_high, "share"),
-    ]
 
 
 def _missing(dataset: DatasetBoard) -> Iterator[tuple[str, list[tuple[str, str]], str]]:
@@ -140,10 +117,10 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
         "table": table,
         "total": False,
         "same_drive": table.pair_set == SAME_DRIVE_TOTAL,
-        "numbers": _method_table(board, table),
+        "numbers": _method_table(board, dataset, table),
         "why_no_ranks": why_no_ranks(board, table),
         "level": level_with_identity(dataset, table),
-        "finer": [m.name for m in shown_metrics(board) if m.name in table.finer],
+        "finer": [m.name for m in shown_in("set page", board.metric) if m.name in table.finer],
         "ranked_by_finer": board.metric.name in table.finer,
         "sigmas": [
             f"{number(table.medians[sigma], unit)} {words}"
@@ -151,7 +128,7 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
             if table.medians[sigma] is not None
         ],
         "pivots": [_pivot(table, groups, metric) for metric in (_pivoted(board) if groups else ())],
-        "groups": [(group, _method_table(board, group, ranks=False)) for group in groups],
+        "groups": [(group, _method_table(board, dataset, group, ranks=False)) for group in groups],
         "matching": None,
     }
 
@@ -173,8 +150,8 @@ def _differences(methods: Sequence[Method]) -> Iterator[tuple[str, str]]:
             yield target, table_text(["method", *map(code, differing)], rows, left=1)
 
 
-def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
-    metrics = shown_metrics(board)
+def _method_table(board: Board, dataset: DatasetBoard, table: Table, *, ranks: bool = True) -> str:
+    metrics = shown_in("set page", board.metric)
     columns = [
         *([RANK] if ranks else []),
         METHOD,
@@ -182,10 +159,13 @@ def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
         SECONDS_AND_P95,
         COUNTS,
     ]
+    of_key = tracking_columns(board)
     rows = []
-    for row in table.rows:
-        head = [*([rank_text(row, table.rows)] if ranks else []), name(row)]
-        rows.append([*head, *(cell(m, row, table) for m in metrics), _seconds(row), _counts(row)])
+    for line in lines_of(dataset, table):
+        assert line.row is not None
+        head = [*([of_key[RANK].text(line)] if ranks else []), name(line.row)]
+        tail = [of_key[key].text(line) for key in (SECONDS_AND_P95, COUNTS)]
+        rows.append([*head, *(cell(m, line.row, table) for m in metrics), *tail])
     for seed_row in table.seeds:
         head = [*([""] if ranks else []), f"*{escaped(seed_row.title)}, mean ± sd*"]
         seconds = _spread_cell(metric_named("median_seconds"), seed_row, table)
@@ -201,15 +181,6 @@ def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:
     if spread.standard_deviation is not None:
         text += f" ± {number(spread.standard_deviation, metric.unit)}"
     return marked(text, metric, table)
-
-
-def _seconds(row: Row) -> str:
-    median, p95 = row.values["median_seconds"], row.values["p95_seconds"]
-    return "" if median is None else f"{number(median, 's')} / {number(p95, 's')}"
-
-
-def _counts(row: Row) -> str:
-    return "" if row.missing else f"{row.failed} / {row.broke}"
 
 
 def _pivoted(board: Board) -> list[Metric]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -16,13 +17,7 @@ from relocbench.metrics.pose.errors import PoseErrors
 _Judged = tuple[Mask, Mask, Array]
 """(N,) whether each pair is correct, whether it is answered, and how confidently"""
 
-RECALL_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.1, 1), (0.25, 2), (0.5, 5), (1, 5), (5, 10))
-"""(metres, degrees)"""
 MLAD_THRESHOLDS_M: tuple[float, ...] = (0.1, 0.2, 0.5)
-TRANSLATION_AUC_THRESHOLDS_M: tuple[float, ...] = (0.5, 1)
-ROTATION_AUC_THRESHOLDS_DEG: tuple[float, ...] = (0.5, 1)
-POSE_AUC_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.5, 4),)
-"""(metres, degrees): twice those within which an answer counts as correct"""
 CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence is assessed"""
 PRECISIONS_PERCENT: tuple[int, ...] = (95, 99)
@@ -47,6 +42,10 @@ class PairScores:
                 raise ValueError(f"{name} must be ({len(self.errors)},), got {np.shape(column)}")
 
 
+Place = Literal["set page", "first page", "paper", "terminal", "confidence"]
+"""tables for people: on the page of a dataset and on the first page, in LaTeX, on the terminal, and of confidences"""
+
+
 @dataclass(frozen=True)
 class Metric:
     """A metric of a pair set: its name, how it is computed, and its description."""
@@ -62,6 +61,10 @@ class Metric:
     """(N,) values whose plain mean is the metric, for metrics that are such a mean: the bootstrap resamples them"""
     translation_threshold_m: float | None = None
     rotation_threshold_deg: float | None = None
+    shown: frozenset[Place] = frozenset()
+    """the tables for people that have it, besides those of CSV and JSON, which have all"""
+    with_interval: bool = False
+    """whether tables have its 95 % interval, also where another metric ranks"""
 
     def threshold_finer_than(
         self, sigma_m: float | None, sigma_deg: float | None = None, factor: float = SIGMA_FACTOR
@@ -286,23 +289,47 @@ def _coverage_of_confident() -> Metric:
     )
 
 
+def _shown(metric: Metric, *places: Place, with_interval: bool = False) -> Metric:
+    return replace(metric, shown=frozenset(places), with_interval=with_interval)
+
+
 METRICS: tuple[Metric, ...] = (
-    *(_translation_auc(metres) for metres in TRANSLATION_AUC_THRESHOLDS_M),
-    *(_rotation_auc(degrees) for degrees in ROTATION_AUC_THRESHOLDS_DEG),
-    *(_pose_auc(*thresholds) for thresholds in POSE_AUC_THRESHOLDS),
-    *(_recall(*thresholds) for thresholds in RECALL_THRESHOLDS),
+    _shown(_translation_auc(0.5), "set page", "first page", "paper", with_interval=True),
+    _translation_auc(1),
+    _shown(_rotation_auc(0.5), "set page", "first page", "paper", with_interval=True),
+    _rotation_auc(1),
+    _shown(_pose_auc(0.5, 4), with_interval=True),
+    _shown(_recall(0.1, 1), "set page"),
+    _shown(_recall(0.25, 2), "set page", "terminal", with_interval=True),
+    _shown(_recall(0.5, 5), "set page", with_interval=True),
+    _shown(_recall(1, 5), "set page"),
+    _shown(_recall(5, 10), "set page"),
     *(_mlad_recall(metres) for metres in MLAD_THRESHOLDS_M),
-    _median("translation_error_m", "m"),
-    _median("rotation_error_deg", "deg"),
+    _shown(_median("translation_error_m", "m"), "set page", "first page", "paper", "terminal", with_interval=True),
+    _shown(_median("rotation_error_deg", "deg"), "set page", "first page", "paper", "terminal", with_interval=True),
     _median("mlad_translation_error_m", "m"),
-    _mean_metric("coverage", "share of all pairs with an answer", lambda errors: errors.answered.astype(np.float64)),
+    _shown(
+        _mean_metric(
+            "coverage", "share of all pairs with an answer", lambda errors: errors.answered.astype(np.float64)
+        ),
+        *("set page", "first page", "paper", "terminal", "confidence"),
+    ),
     _confidence_area(*CORRECT),
-    _risk_coverage_area(),
-    _wrong_of_answered(),
-    *(_coverage_at(percent) for percent in PRECISIONS_PERCENT),
-    _precision_of_confident(),
-    _coverage_of_confident(),
-    _seconds("median_seconds", 50, "median"),
+    _shown(_risk_coverage_area(), "confidence"),
+    _shown(_wrong_of_answered(), "confidence"),
+    *(_shown(_coverage_at(percent), "confidence") for percent in PRECISIONS_PERCENT),
+    _shown(_precision_of_confident(), "confidence"),
+    _shown(_coverage_of_confident(), "confidence"),
+    _shown(_seconds("median_seconds", 50, "median"), "terminal"),
     _seconds("p95_seconds", 95, "95th percentile"),
 )
-"""All metrics of a pair set, in the order in which tables show them."""
+"""All metrics of a pair set, in the order in which tables show them.
+
+An entry is all that a metric needs: CSV and JSON have a column for each, and so has each table that the entry names.
+"""
+
+
+def shown_in(place: Place, ranking: Metric | None = None) -> list[Metric]:
+    """The metrics of a table for people, the one that ranks first where it is given."""
+    shown = [metric for metric in METRICS if place in metric.shown and metric != ranking]
+    return shown if ranking is None else [ranking, *shown]
