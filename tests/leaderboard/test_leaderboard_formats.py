@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from latex_parser import check_latex
 from refusals import assert_names
 from test_leaderboard import NIGHT, WINTER, MadeResults, made, read_csv
 
-from relocbench.leaderboard.common.latex import Column, LatexTable, Line, document, escaped
+from relocbench.leaderboard.common.columns import Column
+from relocbench.leaderboard.common.latex import LatexTable, document, escaped
+from relocbench.leaderboard.tracking.latex import latex_page
 from relocbench.metrics import Interval
 
 NASTY = r"a_b%c#d&e$f{g}h\i^j~k--l[m]n*o" + "'`" + '"<>|° → †'
@@ -125,30 +128,56 @@ def test_latex_has_the_best_in_bold_ranks_and_intervals_in_small_print(results: 
     assert "Shares are in percent." in text
 
 
-def test_equal_numbers_are_bold_alike_and_floors_infinities_and_gaps_never() -> None:
-    columns = (Column("a, %", "share", higher_is_better=True), Column("b_m", "m", higher_is_better=False))
-    lines = (
-        Line(("one",), 1, (0.5001, np.inf), (Interval(0.4, 0.6, 0.95), None)),
-        Line(("two",), 1, (0.5002, np.inf), (None, None)),
-        Line(("none",), None, (None, None), (None, None)),
-        Line(("floor",), None, (0.9, 0.1), (None, None), competes=False),
+def table_of(*lines: dict[str, Any], of: str = "t", head: str = "method", column: str = "a", words: str = "") -> str:
+    """The LaTeX of a table with a share and a length; a line says also whether it is ``out`` of competition."""
+    return document(
+        [
+            LatexTable(
+                of=of,
+                place=of,
+                names=[Column(head, lambda line: line["name"])],
+                rank=Column("rank", lambda line: line.get("rank")),
+                columns=[
+                    Column(
+                        column,
+                        lambda line: line.get("share"),
+                        "share",
+                        bounds=lambda line: line.get("interval"),
+                        definition=words,
+                        higher_is_better=True,
+                    ),
+                    Column("b_m", lambda line: line.get("length"), "m", higher_is_better=False),
+                ],
+                lines=lines,
+                competes=lambda line: not line.get("out"),
+                metric=column,
+                note=words,
+            )
+        ]
     )
-    ((_, one, two, none, floor),) = check_latex(document([LatexTable("t", "l", ("method",), columns, lines)]))
+
+
+def test_equal_numbers_are_bold_alike_and_floors_infinities_and_gaps_never() -> None:
+    lines: list[dict[str, Any]] = [
+        {"name": "one", "rank": 1, "share": 0.5001, "length": np.inf, "interval": Interval(0.4, 0.6, 0.95)},
+        {"name": "two", "rank": 1, "share": 0.5002, "length": np.inf},
+        {"name": "none"},
+        {"name": "floor", "share": 0.9, "length": 0.1, "out": True},
+    ]
+    ((_, one, two, none, floor),) = check_latex(table_of(*lines))
     assert one[2:] == [r"\textbf{50.0} {\scriptsize {[}40.0, 60.0{]}}", r"$\infty$"]
     assert two[2:] == [r"\textbf{50.0}", r"$\infty$"]
     assert none[1:] == ["", "", ""]
-    assert "In italics, what is not ranked." in document([LatexTable("t", "l", ("method",), columns, lines)])
-    assert "italics" not in document([LatexTable("t", "l", ("method",), columns, lines[:3])])
+    assert "In italics, what is not ranked." in table_of(*lines)
+    assert "italics" not in table_of(*lines[:3])
     assert floor == [r"\textit{floor}", "", "90.0", "0.100"]
 
 
 @given(st.text(max_size=40))
 def test_any_text_is_shown_and_never_acts(text: str) -> None:
-    line = Line((text,), 1, (1.0,), (None,))
-    table = LatexTable(text, text, (text,), (Column(text, "share", True, text),), (line,), note=text)
-    ((heads, row),) = check_latex(document([table]))
+    ((heads, row),) = check_latex(table_of({"name": text, "rank": 1, "share": 1.0}, of=text, head=text, words=text))
     assert row[0] == escaped(text)
-    assert len(heads) == 3
+    assert len(heads) == 4
 
 
 def test_what_the_fonts_lack_and_what_they_would_join_is_written_otherwise() -> None:
@@ -156,17 +185,20 @@ def test_what_the_fonts_lack_and_what_they_would_join_is_written_otherwise() -> 
     assert escaped("a,,b ,,, --- 'x'") == "a,{},b ,{},{}, -{}-{}- {'}x{'}"
 
 
-def test_labels_of_names_that_differ_in_signs_alone_are_told_apart() -> None:
-    column, line = Column("a, %", "share", higher_is_better=True), Line(("m",), 1, (0.5,), (None,))
-    tables = [LatexTable(name, f"tab:{name}", ("method",), (column,), (line,)) for name in ("a_b", "a-b", "a+b")]
-    text = document(tables)
+def test_labels_of_names_that_differ_in_signs_alone_are_told_apart(tmp_path: Path) -> None:
+    names = [f"{name}__{name}__cam" for name in ("a", "a-b", "a+b")]
+    made_results = MadeResults(tmp_path / "results", dict.fromkeys(names, 20))
+    made_results.write_dataset()
+    made_results.add("good", {name: made(1, 20, 0.05) for name in names})
+    text = latex_page(made_results.board())
     check_latex(text)
-    assert re.findall(r"label{(.*)}", text) == ["tab:a-b", "tab:a-b:2", "tab:a-b:3"]
+    labels = re.findall(r"label{(.*)}", text)
+    assert labels[-1] == f"{labels[-2]}:2"
 
 
 def test_names_with_special_characters_compile(tmp_path: Path) -> None:
-    line = Line((NASTY,), 1, (1.0,), (Interval(0.9, 1.0, 0.95),))
-    text = document([LatexTable(NASTY, NASTY, (NASTY,), (Column(NASTY, "share", True, NASTY),), (line,), note=NASTY)])
+    line = {"name": NASTY, "rank": 1, "share": 1.0, "interval": Interval(0.9, 1.0, 0.95)}
+    text = table_of(line, of=NASTY, head=NASTY, column=NASTY, words=NASTY)
     check_latex(text)
     compiler = shutil.which("pdflatex") or shutil.which("tectonic")
     if compiler is None:

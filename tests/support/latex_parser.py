@@ -12,7 +12,7 @@ _COMMANDS = {
     *("begin", "end", "centering", "caption", "label", "resizebox", "ifdim", "width", "linewidth", "else", "fi"),
     *("toprule", "midrule", "bottomrule", "textbf", "textit", "scriptsize", "uparrow", "downarrow", "infty"),
     *("textbackslash", "textasciicircum", "textasciitilde", "textless", "textgreater", "textbar", "textquotedbl"),
-    *("textdegree", "textdagger", "textrightarrow", "texttimes", "textpm"),
+    *("textdegree", "textdagger", "textrightarrow", "texttimes", "textpm", "textendash"),
 }
 _SYMBOLS = set("\\{}$&#%_,")
 _TOKEN = re.compile(r"\\([A-Za-z]+|.)|(.)", re.DOTALL)

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from math import isfinite
+from typing import Generic, TypeVar
 
-from relocbench.leaderboard.common.ranks import rank_text
+from relocbench.leaderboard.common.columns import Column
 from relocbench.leaderboard.common.text import number
-from relocbench.metrics import Interval
+
+L = TypeVar("L")
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -37,6 +39,7 @@ _SPECIAL = {
     "×": r"\texttimes{}",
     "±": r"\textpm{}",
     "−": "-",
+    "–": r"\textendash{}",
     # At the beginning of a cell a bracket or a star would belong to the line break before it, and quotation marks in a
     # row would be joined.
     "[": "{[}",
@@ -47,42 +50,24 @@ _SPECIAL = {
 }
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of numbers."""
-
-    heading: str
-    unit: str
-    """share, m, deg, s, or empty for counts"""
-    higher_is_better: bool | None
-    """None where no value is the best"""
-    definition: str = ""
-    """what the number is, for the caption"""
-
-
-@dataclass(frozen=True)
-class Line:
-    """The line of a method."""
-
-    names: tuple[str, ...]
-    rank: int | None
-    values: tuple[float | None, ...]
-    """one for each column"""
-    intervals: tuple[Interval | None, ...]
-    competes: bool = True
-    """whether its values may be the best: those of trivial baselines and of methods that know more may not"""
-
-
-@dataclass(frozen=True)
-class LatexTable:
+@dataclass(frozen=True, eq=False)
+class LatexTable(Generic[L]):
     """A table of methods and metrics."""
 
-    title: str
-    label: str
-    heads: tuple[str, ...]
-    """headings of the names"""
-    columns: tuple[Column, ...]
-    lines: tuple[Line, ...]
+    of: str
+    """the set, which begins the caption and the label"""
+    place: str
+    """which of its tables"""
+    names: Sequence[Column[L]]
+    """the columns on the left, of text, before the rank"""
+    rank: Column[L]
+    columns: Sequence[Column[L]]
+    """of numbers"""
+    lines: Sequence[L]
+    competes: Callable[[L], bool]
+    """whether values of a line may be the best: those of trivial baselines and of methods that know more may not"""
+    metric: str
+    """the one that ranks, whose intervals are shown"""
     note: str = ""
     """a sentence for the caption"""
 
@@ -99,35 +84,33 @@ def _is_in_fonts(letter: str) -> bool:
     return letter.isalpha() and ord(letter) < 0x180 and letter not in "ĦħĸĿŀŉŦŧſ"
 
 
-def document(tables: Sequence[LatexTable]) -> str:
-    """All tables, below a comment that says what they need."""
-    head = "% Needs \\usepackage{booktabs,graphicx,textcomp} and \\usepackage[T1]{fontenc}.\n"
-    return "\n".join([head, *map(table_text, _with_labels_of_their_own(tables))])
+def document(tables: Iterable[LatexTable[L]]) -> str:
+    """All tables, below a comment that says what they need.
 
-
-def _with_labels_of_their_own(tables: Sequence[LatexTable]) -> Iterator[LatexTable]:
-    """The tables; a label that is another's once it has letters and hyphens alone gets a number."""
+    A label that is another's once it has letters and hyphens alone gets a number.
+    """
+    texts = ["% Needs \\usepackage{booktabs,graphicx,textcomp} and \\usepackage[T1]{fontenc}.\n"]
     seen: Counter[str] = Counter()
     for table in tables:
-        plain = _label(table.label)
-        seen[plain] += 1
-        yield table if seen[plain] == 1 else replace(table, label=f"{plain}:{seen[plain]}")
+        label = re.sub("[^A-Za-z0-9:]", "-", f"tab:{table.of}:{table.place}")
+        seen[label] += 1
+        texts.append(_table_text(table, label if seen[label] == 1 else f"{label}:{seen[label]}"))
+    return "\n".join(texts)
 
 
-def table_text(table: LatexTable) -> str:
+def _table_text(table: LatexTable[L], label: str) -> str:
     """One table, with its caption; the best value of each column that has one is bold."""
-    best = [_best(table, index) for index in range(len(table.columns))]
-    names = len(table.heads)
-    head = [*map(escaped, table.heads), "rank", *(_heading(column) for column in table.columns)]
+    best = [_best(table, column) for column in table.columns]
+    head = [escaped(column.heading) for column in (*table.names, table.rank)]
     lines = [
         r"\begin{table}",
         r"\centering",
         rf"\caption{{{_caption(table)}}}",
-        rf"\label{{{_label(table.label)}}}",
+        rf"\label{{{label}}}",
         r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
-        rf"\begin{{tabular}}{{{'l' * names}r{'r' * len(table.columns)}}}",
+        rf"\begin{{tabular}}{{{'l' * len(table.names)}r{'r' * len(table.columns)}}}",
         r"\toprule",
-        " & ".join(head) + r" \\",
+        " & ".join([*head, *map(_heading, table.columns)]) + r" \\",
         r"\midrule",
         *(_line(table, line, best) for line in table.lines),
         r"\bottomrule",
@@ -137,62 +120,59 @@ def table_text(table: LatexTable) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _line(table: LatexTable, line: Line, best: Sequence[str | None]) -> str:
-    names = [escaped(name) if line.competes else rf"\textit{{{escaped(name)}}}" for name in line.names]
-    cells = [*names, rank_text(line, table.lines).replace("–", "--")]
-    for index, column in enumerate(table.columns):
-        text = _number(line.values[index], column)
-        bold = line.competes and text != "" and text == best[index]
-        shown = rf"\textbf{{{text}}}" if bold else text
-        interval = line.intervals[index]
+def _line(table: LatexTable[L], line: L, best: Sequence[str]) -> str:
+    competes = table.competes(line)
+    names = [escaped(column.text(line)) for column in table.names]
+    cells = [*(name if competes else rf"\textit{{{name}}}" for name in names), escaped(table.rank.text(line))]
+    for column, best_text in zip(table.columns, best, strict=True):
+        text = shown = _number(_value(column, line), column.unit)
+        if competes and text and text == best_text:
+            shown = rf"\textbf{{{text}}}"
+        interval = column.bounds(line) if column.bounds is not None and column.key == table.metric else None
         if text and interval is not None:
-            low, high = (_number(bound, column) for bound in (interval.low, interval.high))
+            low, high = (_number(bound, column.unit) for bound in (interval.low, interval.high))
             shown += rf" {{\scriptsize {{[}}{low}, {high}{{]}}}}"
         cells.append(shown)
     return " & ".join(cells) + r" \\"
 
 
-def _best(table: LatexTable, index: int) -> str | None:
-    """The best value of a column as it is shown, so that what looks equal is bold alike; None where there is none."""
-    column = table.columns[index]
-    values = [value for line in table.lines if line.competes and (value := line.values[index]) is not None]
-    values = [value for value in values if isfinite(value)]
-    if column.higher_is_better is None or not values:
-        return None
-    value = max(values) if column.higher_is_better else min(values)
-    return _number(value, column)
+def _value(column: Column[L], line: L) -> float | None:
+    value = column.value(line)
+    assert value is None or isinstance(value, int | float)
+    return value
 
 
-def _number(value: float | None, column: Column) -> str:
-    if value is None:
+def _best(table: LatexTable[L], column: Column[L]) -> str:
+    """The best value of a column as it is shown, so that what looks equal is bold alike; empty where there is none."""
+    values = [_value(column, line) for line in table.lines if table.competes(line)]
+    known = [value for value in values if value is not None and isfinite(value)]
+    if column.higher_is_better is None or not known:
         return ""
-    if not column.unit:
-        return str(int(value))
-    text = number(value, column.unit)
+    return _number(max(known) if column.higher_is_better else min(known), column.unit)
+
+
+def _number(value: float | None, unit: str) -> str:
+    text = number(value, unit)
     return r"$\infty$" if text == "inf" else text.replace("-", r"$-$")
 
 
-def _heading(column: Column) -> str:
+def _heading(column: Column[L]) -> str:
     """The heading, with an arrow that says which end is better."""
     arrow = {None: "", True: r" $\uparrow$", False: r" $\downarrow$"}[column.higher_is_better]
     return escaped(column.heading) + arrow
 
 
-def _caption(table: LatexTable) -> str:
+def _caption(table: LatexTable[L]) -> str:
     definitions = [f"{escaped(c.heading)}: {escaped(c.definition)}" for c in table.columns if c.definition]
-    shares = "Shares are in percent." if any(c.unit == "share" for c in table.columns) else ""
-    ranged = any(interval is not None for line in table.lines for interval in line.intervals)
-    intervals = "In small print, 95\\,\\% intervals." if ranged else ""
-    unranked = "" if all(line.competes for line in table.lines) else "In italics, what is not ranked."
-    parts = [f"{escaped(table.title)}.", escaped(table.note), "; ".join(definitions) + "." if definitions else ""]
-    return " ".join(part for part in [*parts, shares, intervals, "Best in bold.", unranked] if part)
-
-
-def _label(text: str) -> str:
-    """A label of letters, digits, colons and hyphens."""
-    return "".join(c if c.isascii() and (c.isalnum() or c == ":") else "-" for c in text)
-
-
-def intervals_of(names: Sequence[str], intervals: Mapping[str, Interval | None]) -> tuple[Interval | None, ...]:
-    """The intervals of these metrics, None where there is none."""
-    return tuple(intervals.get(name) for name in names)
+    bounds = [c.bounds for c in table.columns if c.key == table.metric and c.bounds is not None]
+    ranged = any(of(line) is not None for of in bounds for line in table.lines)
+    parts = [
+        f"{escaped(f'{table.of}, {table.place}')}.",
+        escaped(table.note),
+        "; ".join(definitions) + "." if definitions else "",
+        "Shares are in percent." if any(c.unit == "share" for c in table.columns) else "",
+        "In small print, 95\\,\\% intervals." if ranged else "",
+        "Best in bold.",
+        "" if all(map(table.competes, table.lines)) else "In italics, what is not ranked.",
+    ]
+    return " ".join(filter(None, parts))

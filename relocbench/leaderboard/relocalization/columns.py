@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from relocbench.evaluation.relocalization.basin import SAID
 from relocbench.evaluation.relocalization.records import PipelineBasin
-from relocbench.evaluation.relocalization.score import FAILURES, HIT, POSE_METRICS, RANKING
+from relocbench.evaluation.relocalization.score import FAILURES, HIT, POSE_METRICS, RANKING, basin_recall
 from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
 from relocbench.leaderboard.common.headings import BASIN, COUNTS, RANK, RESCORED, RETRIEVER, SECONDS, TOP, TRACKER
 from relocbench.leaderboard.common.text import Value
@@ -17,13 +17,21 @@ from relocbench.leaderboard.relocalization.board import (
     PipelineTable,
     is_rescored,
 )
-from relocbench.metrics import Interval
+from relocbench.metrics import Interval, metric_named
 
 PipelineLine = Line[PipelineSetBoard, PipelineTable, PipelineRow]
 PipelineColumn = Column[PipelineLine]
 POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)", "t_auc@0.5m", "r_auc@0.5deg")
 MEDIANS = ("median_translation_error_m", "median_rotation_error_deg")
 GIVEN_HIT = "right_given_hit"
+_DEFINED = {
+    basin_recall(1): "share of queries whose first keyframe is in the tracker's basin",
+    HIT: "share of queries with one of the keyframes that were tried in the basin",
+    GIVEN_HIT: "share of right answers among these",
+    SECONDS: "median of the seconds a query",
+    **{name: metric_named(name).description.replace("pairs", "queries") for name in POSE_METRICS},
+}
+"""what some numbers are, in words"""
 STAGES = ("basin_recall@1", HIT, GIVEN_HIT, "right_without_hit", "right_among_K", *FAILURES)
 """what became of queries on their way through retrieval and tracking"""
 
@@ -106,4 +114,5 @@ def _number(name: str, unit: str) -> PipelineColumn:
     def bounds(line: PipelineLine) -> Interval | None:
         return line.interval(name)
 
-    return Column(name, value, unit, bounds=bounds, higher_is_better=unit == "share" and name not in FAILURES)
+    better = unit == "share" and name not in FAILURES
+    return Column(name, value, unit, bounds=bounds, definition=_DEFINED.get(name, ""), higher_is_better=better)

@@ -24,7 +24,6 @@ RetrievalColumn = Column[RetrievalLine]
 PAGE = (RANK, METHOD, *METRICS, SECONDS, COUNTS, RESCORED)
 TERMINAL = ("R@1", "R@5", "R@10", "AP")
 """the metrics on the terminal"""
-_SECONDS = "median of the seconds a query"
 _DEFINED = {
     "AP": "mean over queries of the average precision",
     "MRR": "mean over queries of one over the place of the first right image",
@@ -67,7 +66,12 @@ def retrieval_columns(board: RetrievalBoard) -> dict[str, RetrievalColumn]:
             Column("failed", lambda line: line.of_row(lambda row: row.failed)),
             Column("broke", lambda line: line.of_row(lambda row: row.broke)),
             Column(
-                SECONDS, lambda line: line.value(SECONDS), "s", _seconds, definition="median of the seconds a query"
+                SECONDS,
+                lambda line: line.value(SECONDS),
+                "s",
+                _seconds,
+                definition="median of the seconds a query",
+                higher_is_better=False,
             ),
             counts_column(),
             *(_metric(metric) for metric in METRICS),

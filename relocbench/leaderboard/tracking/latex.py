@@ -4,16 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from relocbench.leaderboard.common.headings import METHOD, SECONDS, heading
-from relocbench.leaderboard.common.latex import Column, LatexTable, Line, document, intervals_of
+from relocbench.leaderboard.common.headings import METHOD, RANK, SECONDS
+from relocbench.leaderboard.common.latex import LatexTable, document
 from relocbench.leaderboard.tracking.cells import total_words
-from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
-from relocbench.metrics import Metric, metric_named, shown_in
+from relocbench.leaderboard.tracking.columns import TrackingLine, lines_of, tracking_columns
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
+from relocbench.metrics import shown_in
 
 
 def latex_page(board: Board) -> str:
     """All tables, totals of several pair sets first."""
-    return document([_table(board, dataset, table) for dataset in board.datasets for table in _tables(dataset)])
+    columns = tracking_columns(board)
+    keys = [*(metric.name for metric in shown_in("paper", board.metric)), SECONDS]
+    return document(
+        LatexTable(
+            of=dataset.entry.title,
+            place=total_words(table) if table.is_total else table.pair_set,
+            names=[columns[METHOD]],
+            rank=columns[RANK],
+            columns=[columns[key] for key in keys],
+            lines=lines_of(dataset, table),
+            competes=_competes,
+            metric=board.metric.name,
+            note=_note(table, keys),
+        )
+        for dataset in board.datasets
+        for table in _tables(dataset)
+    )
 
 
 def _tables(dataset: DatasetBoard) -> Iterator[Table]:
@@ -21,35 +38,13 @@ def _tables(dataset: DatasetBoard) -> Iterator[Table]:
     yield from dataset.pair_sets
 
 
-def _table(board: Board, dataset: DatasetBoard, table: Table) -> LatexTable:
-    metrics = shown_in("paper", board.metric)
-    seconds = metric_named(SECONDS)
-    place = total_words(table) if table.is_total else table.pair_set
+def _note(table: Table, keys: list[str]) -> str:
     note = f"{table.pairs} pairs"
     note += f", {table.rejected} more rejected." if table.rejected else "."
-    if finer := [metric.name for metric in metrics if metric.name in table.finer]:
+    if finer := [key for key in keys if key in table.finer]:
         note += f" Finer than twice the standard deviation of the ground truth: {', '.join(finer)}."
-    return LatexTable(
-        title=f"{dataset.entry.title}, {place}",
-        label=f"tab:{dataset.entry.title}:{place}",
-        heads=(METHOD,),
-        columns=(*map(_column, metrics), _column(seconds)),
-        lines=tuple(_line(board, row, [*metrics, seconds]) for row in table.rows),
-        note=note,
-    )
+    return note
 
 
-def _column(metric: Metric) -> Column:
-    return Column(heading(metric.name, metric.unit), metric.unit, metric.higher_is_better, metric.description)
-
-
-def _line(board: Board, row: Row, metrics: list[Metric]) -> Line:
-    names = [metric.name for metric in metrics]
-    shown = {board.metric.name: row.intervals.get(board.metric.name)}
-    return Line(
-        names=(row.method.label,),
-        rank=row.rank,
-        values=tuple(row.values[name] for name in names),
-        intervals=intervals_of(names, shown),
-        competes=not (row.method.is_baseline or row.method.run.uses_times),
-    )
+def _competes(line: TrackingLine) -> bool:
+    return line.row is not None and not (line.row.method.is_baseline or line.row.method.run.uses_times)
