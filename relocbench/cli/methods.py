@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
     from relocbench.methods import MethodKind
-    from relocbench.methods.discovery import Parameter
+    from relocbench.methods.parameters import Parameter
 
 
 def methods(

@@ -8,7 +8,6 @@ from relocbench.methods.discovery import (
     TRACKERS,
     MethodKind,
     MethodSpec,
-    Parameter,
     distribution_version,
     installed_methods,
     kind_of,
@@ -18,6 +17,7 @@ from relocbench.methods.discovery import (
     parse_methods,
     target_of,
 )
+from relocbench.methods.parameters import Parameter
 
 __all__ = [
     "ENTRY_POINT_GROUP",

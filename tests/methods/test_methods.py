@@ -15,7 +15,7 @@ from refusals import refused
 from relocbench.errors import MethodError
 from relocbench.evaluation.tracking.check import check
 from relocbench.methods import installed_methods, parameters_of, parse_method, parse_methods
-from relocbench.methods.discovery import Parameter
+from relocbench.methods.parameters import Parameter
 
 HERE = "trackers_for_tests"
 
