@@ -56,6 +56,7 @@ class DsoReference:
     """the keyframe's pyramid, finest first"""
 
 
+@dataclass(eq=False)
 class Dso:
     """Direct alignment of raw intensities from the prior, or from the identity without one.
 
@@ -86,30 +87,22 @@ class Dso:
     uses_prior = True
     calibration: ClassVar[Calibration] = DSO
 
-    def __init__(
-        self,
-        points: Annotated[int, Field(ge=1)] = 2000,
-        huber: Annotated[float, Field(gt=0)] = 9.0,
-        cutoff: Annotated[float, Field(gt=0)] = 20.0,
-        cutoff_levels: Annotated[int, Field(ge=1)] = 1,
-        max_levels: Annotated[int, Field(ge=1, le=16)] = 6,
-        affine: bool = True,
-        min_points: Annotated[int, Field(ge=8)] = 30,
-        min_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.03,
-        dso_failure_test: bool = False,
-        along: tuple[Finite, ...] = (),
-        turns_deg: tuple[Finite, ...] = (0.0,),
-        seed: int = 0,
-    ) -> None:
-        self.points = points
-        self.settings = Settings(huber=huber, cutoff=cutoff, cutoff_levels=cutoff_levels, affine=affine)
-        self.max_levels = max_levels
-        self.min_points = min_points
-        self.min_correlation = min_correlation
-        self.dso_failure_test = dso_failure_test
-        self.along = along
-        self.turns = tuple(np.deg2rad(turns_deg))
-        self.seed = seed
+    points: Annotated[int, Field(ge=1)] = 2000
+    huber: Annotated[float, Field(gt=0)] = 9.0
+    cutoff: Annotated[float, Field(gt=0)] = 20.0
+    cutoff_levels: Annotated[int, Field(ge=1)] = 1
+    max_levels: Annotated[int, Field(ge=1, le=16)] = 6
+    affine: bool = True
+    min_points: Annotated[int, Field(ge=8)] = 30
+    min_correlation: Annotated[float, Field(ge=-1, le=1)] = 0.03
+    dso_failure_test: bool = False
+    along: tuple[Finite, ...] = ()
+    turns_deg: tuple[Finite, ...] = (0.0,)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self.settings = Settings(self.huber, self.cutoff, self.cutoff_levels, affine=self.affine)
+        self.turns = tuple(np.deg2rad(self.turns_deg))
 
     def prepare(self, reference: Reference) -> DsoReference:
         """Choose points and propagate them to all levels.

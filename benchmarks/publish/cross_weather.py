@@ -49,7 +49,8 @@ import numpy as np
 import pandas as pd
 from districts import COUNT, NEXT_PHRASE, PHRASE, District, districts
 
-from baselines.gn_net.tracker import ALONG, ONE_START, TURNS_DEG
+from baselines.gn_net.method import ALONG, TURNS_DEG
+from baselines.gn_net.tracker import ONE_START
 from relocbench.arrays import Array
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import ALL

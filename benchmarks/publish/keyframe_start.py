@@ -34,7 +34,8 @@ from answers import Answer, in_percent, kept, questions
 from calibration import VALIDATION, build_district, made_by
 
 from baselines.feature_cache import FeatureCache
-from baselines.gn_net.tracker import ONE_START, SHIPPED, GnNet
+from baselines.gn_net.method import SHIPPED
+from baselines.gn_net.tracker import ONE_START, GnNet
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import se3_exp

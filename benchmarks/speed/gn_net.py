@@ -33,8 +33,8 @@ from torch.fx.experimental.optimization import fuse
 from torchvision.models import resnet18
 
 from baselines.gn_net.losses import GaussNewtonOptions, LossOptions, total_loss
+from baselines.gn_net.method import SHIPPED
 from baselines.gn_net.network import FeatureNet
-from baselines.gn_net.tracker import SHIPPED
 from baselines.gn_net.weights import load_weights, save_weights
 
 SIZE = 512

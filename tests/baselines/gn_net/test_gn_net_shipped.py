@@ -7,7 +7,8 @@ import re
 
 import pytest
 
-from baselines.gn_net.tracker import SHIPPED, GnNet, GnNetContrastive, LmNet
+from baselines.gn_net.method import SHIPPED
+from baselines.gn_net.tracker import GnNet, GnNetContrastive, LmNet
 from baselines.gn_net.weights import read_card
 
 LARGEST_BYTES = 25_000_000

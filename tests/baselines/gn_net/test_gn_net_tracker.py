@@ -19,10 +19,11 @@ from small_dataset import WITHIN, make_small_dataset, render, small_camera, smal
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.shared.pyramid import level_camera
 from baselines.alignment.shared.starts import Start, moved_along
+from baselines.gn_net.method import ALONG
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.start import MatchedLandmarks, find_landmarks
-from baselines.gn_net.tracker import ALONG, ONE_START, GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
+from baselines.gn_net.tracker import ONE_START, GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
 from baselines.gn_net.weights import save_weights
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
@@ -375,7 +376,7 @@ def test_a_prior_that_is_not_finite_is_a_stated_failure(weights: Path) -> None:
 def test_a_method_without_weights_says_how_to_get_them(
     kind: type[GnNet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("baselines.gn_net.tracker.SHIPPED", tmp_path)
+    monkeypatch.setattr("baselines.gn_net.method.SHIPPED", tmp_path)
     with refused(MethodError, "", None, kind.trainer, f"--set {kind.name}.weights=OUT/weights.safetensors") as told:
         parse_method(f"baselines.gn_net.tracker:{kind.__name__}").create()
     assert "\n" not in str(told.value)
