@@ -21,7 +21,6 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import jpeg_bytes
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.datasets.core.upright import with_camera_axes
 from relocbench.datasets.core.worlds import world_of_traversals
 from relocbench.errors import ConfigError
 from relocbench.files import atomic_write, remove_parts
@@ -32,10 +31,9 @@ from relocbench.viewer import paths
 from relocbench.viewer.answers import MethodAnswers, ShownAnswer
 from relocbench.viewer.blueprint import blueprint
 from relocbench.viewer.choice import ShownPair
-from relocbench.viewer.frames import origin_of
+from relocbench.viewer.frames import Colour, axes, origin_of, pinhole, transform, view_coordinates
 from relocbench.viewer.pictures import as_pinhole, keyframe_points, reduced
 
-Colour = tuple[int, int, int]
 # Okabe and Ito, "Color Universal Design" (2008).
 _METHODS: tuple[Colour, ...] = (
     (213, 94, 0),
@@ -48,8 +46,6 @@ _METHODS: tuple[Colour, ...] = (
 _TRUE, _REF, _RIG = (0, 158, 115), (200, 200, 200), (120, 120, 120)
 _PATIENCE_S = 10.0
 """in which some more of a recording is written, if any is"""
-_PLANE_M = 0.6
-"""metres from a camera's centre at which its image stands in the world"""
 
 
 @dataclass(frozen=True)
@@ -130,7 +126,7 @@ class _Work:
         self.rec.save(path, default_blueprint=self._blueprint())
         self.rec.send_recording_name(dataset.name)
         for world in self.origins:
-            self.rec.log(paths.world(world), rr.ViewCoordinates(xyz=_view(dataset, world)), static=True)
+            self.rec.log(paths.world(world), rr.ViewCoordinates(xyz=view_coordinates(dataset, world)), static=True)
         for name in self.worlds:
             self._add_traversal(dataset.traversal(name))
         for name in self.sets:
@@ -228,8 +224,8 @@ class _Work:
         )
         for name in [*traversal.cameras, *traversal.frames]:
             entity = f"{root}/rig{paths.path(name)}"
-            shape = _axes(_RIG) if name in traversal.frames else _pinhole(traversal.camera(name), _RIG)
-            self.rec.log(entity, _transform(traversal.T_rig_cam(name)), shape, static=True)
+            shape = axes(_RIG) if name in traversal.frames else pinhole(traversal.camera(name), _RIG)
+            self.rec.log(entity, transform(traversal.T_rig_cam(name)), shape, static=True)
 
     def _add_rig(self, one: ShownPair) -> None:
         """The query's rig at its own pose, on the timeline of pairs, which the poses over time do not fill."""
@@ -239,7 +235,7 @@ class _Work:
         if T_world_rig is not None:
             self._on_pairs(one.index)
             rig = f"{paths.traversal(world, traversal.name)}/rig"
-            self.rec.log(rig, _transform(self._moved(T_world_rig, world)))
+            self.rec.log(rig, transform(self._moved(T_world_rig, world)))
             self.rec.set_time(paths.QUERY_TIMELINE, timestamp=np.datetime64(one.pair.query_timestamp_ns, "ns"))
 
     def _on_pairs(self, index: int) -> None:
@@ -269,7 +265,7 @@ class _Work:
         points = rr.Points3D(found.positions, colors=found.colours, radii=rr.Radius.ui_points(1.5))
         if T_world_ref is not None:
             # Beside the camera for the same reason as the labels of methods.
-            self.rec.log(f"{root}/points", _transform(T_world_ref), points)
+            self.rec.log(f"{root}/points", transform(T_world_ref), points)
 
     def _add_answer(
         self,
@@ -317,8 +313,8 @@ class _Work:
         if T_world_cam is None:
             self.rec.log(entity, rr.Clear(recursive=True))
             return
-        shape = _axes(colour) if camera is None else _pinhole(camera, colour)
-        self.rec.log(entity, _transform(T_world_cam), shape)
+        shape = axes(colour) if camera is None else pinhole(camera, colour)
+        self.rec.log(entity, transform(T_world_cam), shape)
         if small is not None:
             self.rec.log(f"{entity}/image", rr.EncodedImage(contents=small, media_type="image/jpeg"))
 
@@ -370,45 +366,3 @@ def _placed(T_world_ref: Array | None, T_query_ref: Array | None) -> Array | Non
     if T_world_ref is None or T_query_ref is None:
         return None
     return np.asarray(T_world_ref @ invert(T_query_ref), dtype=np.float64)
-
-
-def _transform(T_parent_child: Array) -> rr.Transform3D:
-    translation, quaternion = transform_to_tq(T_parent_child)
-    return rr.Transform3D(translation=translation, quaternion=rr.Quaternion(xyzw=quaternion))
-
-
-def _axes(colour: Colour) -> rr.Arrows3D:
-    """The axes of a frame without images, in the colour of what it stands for."""
-    return rr.Arrows3D(vectors=np.eye(3) * _PLANE_M, colors=[colour] * 3)
-
-
-def _pinhole(camera: Camera, colour: Colour) -> rr.Pinhole:
-    """The camera without its distortion, as a frustum."""
-    camera = reduced(camera)
-    # rerun's pixels are counted from the corner of the first one, ours from its centre.
-    matrix = camera.matrix
-    matrix[:2, 2] += 0.5
-    return rr.Pinhole(
-        image_from_camera=matrix,
-        resolution=[camera.width, camera.height],
-        camera_xyz=rr.ViewCoordinates.RDF,
-        image_plane_distance=_PLANE_M,
-        color=colour,
-    )
-
-
-def _view(dataset: Dataset, world: str) -> rr.components.ViewCoordinates:
-    """Which way is up: against the y axis of the first camera or frame, rounded to an axis of the world."""
-    traversal = dataset.traversal(world)
-    up = np.array([0.0, 0.0, 1.0])
-    if traversal.poses and traversal.cameras:
-        first = next(iter(traversal.poses.values())) @ traversal.T_rig_cam(traversal.cameras[0])
-        up = -first[:3, 1]
-    elif traversal.poses:
-        poses = np.array(list(traversal.poses.values())) @ traversal.T_rig_cam(traversal.frames[0])
-        up = -with_camera_axes(poses)[0, :3, 1]
-    axis = int(np.argmax(np.abs(up)))
-    names = {(0, True): "RIGHT_HAND_X_UP", (0, False): "RIGHT_HAND_X_DOWN", (1, True): "RIGHT_HAND_Y_UP"}
-    names |= {(1, False): "RIGHT_HAND_Y_DOWN", (2, True): "RIGHT_HAND_Z_UP", (2, False): "RIGHT_HAND_Z_DOWN"}
-    view: rr.components.ViewCoordinates = getattr(rr.ViewCoordinates, names[axis, bool(up[axis] > 0)])
-    return view
