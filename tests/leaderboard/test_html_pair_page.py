@@ -27,6 +27,7 @@ from relocbench.evaluation.common.results import (
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.boards import Boards
+from relocbench.leaderboard.html import chosen as chosen_rows
 from relocbench.leaderboard.html.pair_page import write as pair_page
 from relocbench.leaderboard.html.pair_page.write import chosen_pairs
 from relocbench.leaderboard.html.site import write_site
@@ -129,7 +130,7 @@ def test_without_the_dataset_there_are_answers_but_no_truth_and_no_pictures(numb
 def test_with_too_many_answers_only_the_chosen_pairs_have_poses(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pair_page, "MOST_ROWS", 10)
+    monkeypatch.setattr(chosen_rows, "MOST_ROWS", 10)
     payloads: dict[str, Any] = {}
 
     def keep(site: Path, key: str, payload: object) -> Path:

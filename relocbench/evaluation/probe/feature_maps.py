@@ -27,7 +27,6 @@ from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
 from relocbench.tracking import SupportsFeatures
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 COMPONENTS = 3

@@ -11,13 +11,12 @@ from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.common.info_text import info_text
 from relocbench.evaluation.common.method_process import FORGED, MethodProcess, crash_of
 from relocbench.evaluation.retrieval.local import CallResult
-from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores
+from relocbench.evaluation.retrieval.output_checks import MOST_RERANKED, checked_descriptors, checked_scores
 from relocbench.execution import MANY_TIMES, step
 from relocbench.methods import MethodSpec
 from relocbench.retrieval import Descriptors, Image, ImageView
 
 _MODULE = "relocbench.evaluation.retrieval.isolated_process"
-_MOST_RERANKED = 1_000_000
 
 
 class IsolatedRetriever:
@@ -33,7 +32,7 @@ class IsolatedRetriever:
         self._warm = False
         self.fits = declared.get("fits") is True
         top = declared.get("rerank_top", 0)
-        self.rerank_top = top if type(top) is int and 0 <= top <= _MOST_RERANKED else 0
+        self.rerank_top = top if type(top) is int and 0 <= top <= MOST_RERANKED else 0
         self.rerank_fault = one_line(declared.get("rerank_fault") or "")
 
     @property

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from relocbench.evaluation.common.guard import guarded
 
-_MOST_RERANKED = 1_000_000
+MOST_RERANKED = 1_000_000
+"""candidates of a query that a retriever may ask to rerank"""
 
 
 def fault_of(values: object, count: int, dimensions: int | None = None) -> str | None:
@@ -52,9 +53,9 @@ def rerank_top_of(retriever: object) -> tuple[int, str | None]:
     if guarded(lambda: callable(getattr(retriever, "rerank", None)))[0] is not True:
         return 0, None
     top, crash = guarded(lambda: operator.index(getattr(retriever, "rerank_top", 0)))
-    if crash is not None or not 0 <= top <= _MOST_RERANKED:
+    if crash is not None or not 0 <= top <= MOST_RERANKED:
         shown = crash or str(top)[:30]
-        return 0, f"its attribute 'rerank_top' is not a whole number from 0 to {_MOST_RERANKED}: {shown}"
+        return 0, f"its attribute 'rerank_top' is not a whole number from 0 to {MOST_RERANKED}: {shown}"
     return int(top), None
 
 

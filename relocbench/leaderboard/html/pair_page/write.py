@@ -24,6 +24,7 @@ from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.execution import run_units
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.chosen import kept_rows, worst_and_drawn
 from relocbench.leaderboard.html.data import floats, write_data
 from relocbench.leaderboard.html.pair_page.matches import shown_matches
 from relocbench.leaderboard.html.pair_page.pictures import depth_payload, image_payload
@@ -35,9 +36,6 @@ from relocbench.progress import Reporter, Silent
 
 USUAL_PAIRS = 6
 """pairs with pictures: so many worst ones of each method, and so many drawn at random, in each pair set"""
-MOST_ROWS = 100_000
-"""answers of all methods up to which the pages hold the poses of all pairs, not only of those with pictures"""
-_SEED = 0
 
 
 @dataclass(frozen=True, order=True)
@@ -86,7 +84,7 @@ def write_pair_pages(
         if not methods:
             continue
         chosen = chosen_pairs(methods, name, pairs)
-        kept = chosen if rows > MOST_ROWS else list(range(len(methods[0].errors[name])))
+        kept = kept_rows(chosen, len(methods[0].errors[name]), rows)
         payload = _answers_payload(dataset, name, methods, kept, chosen)
         written.add(write_data(site, answers_key(dataset, name), payload))
         if dataset.entry.dataset is not None and _has_images(dataset.entry.dataset, name):
@@ -101,20 +99,12 @@ def chosen_pairs(methods: Sequence[Method], pair_set: str, count: int) -> list[i
     """The rows of the pairs that are shown with pictures, in ascending order.
 
     They are the ``count`` worst of each method that is no trivial baseline, by the larger of both errors in units of
-    what counts as correct, ``count`` drawn at random, the same for the same number of pairs, and the one in the middle,
-    which stands for the set at the head of columns; none where ``count`` is 0.
+    what counts as correct, ``count`` drawn at random, and the one in the middle, which stands for the set at the head
+    of columns; none where ``count`` is 0.
     """
-    chosen: set[int] = set()
-    for method in methods:
-        if not method.is_baseline:
-            errors = method.errors[pair_set].errors
-            both = np.maximum(errors.translation_error_m / CORRECT[0], errors.rotation_error_deg / CORRECT[1])
-            chosen.update(np.argsort(-both, kind="stable")[:count].tolist())
     pairs = len(methods[0].errors[pair_set])
-    chosen.update(np.random.default_rng(_SEED).choice(pairs, min(count, pairs), replace=False).tolist())
-    if count and pairs:
-        chosen.add(pairs // 2)
-    return sorted(chosen)
+    worst = [m.errors[pair_set].errors.joint_error(*CORRECT) for m in methods if not m.is_baseline]
+    return sorted({*worst_and_drawn(worst, pairs, count), *([pairs // 2] if count and pairs else [])})
 
 
 def middle_picture(dataset: DatasetBoard, pair_set: str) -> str | None:

@@ -15,13 +15,12 @@ from relocbench.evaluation.relocalization.pipeline import RIGHT, Retrieved, Trac
 from relocbench.evaluation.relocalization.records import PipelineBasin
 from relocbench.evaluation.relocalization.rescoring import PipelineTruth
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
+from relocbench.leaderboard.html.chosen import worst_and_drawn
 from relocbench.leaderboard.html.pipeline_pages.payloads import is_keyframe_pose
 from relocbench.leaderboard.html.thumbnails import Thumbnail, thumbnail_name
 from relocbench.leaderboard.relocalization.board import Pipeline
 from relocbench.metrics import pose_errors
 from relocbench.retrieval import ImageView
-
-_SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +47,15 @@ def chosen_queries(pipelines: Sequence[Pipeline], task: str, count: int) -> list
     """The indices of the queries that are shown with pictures, in ascending order.
 
     They are the ``count`` worst of each pipeline that is no baseline, by the larger error in units of what counts as
-    right, and ``count`` drawn at random, the same for the same number of queries.
+    right, and ``count`` drawn at random.
     """
-    chosen: set[int] = set()
     own = [pipeline for pipeline in pipelines if task in pipeline.answers]
-    for pipeline in own:
-        if not is_keyframe_pose(pipeline):
-            rows = pipeline.answers[task]
-            both = [max(a.translation_error_m / RIGHT[0], a.rotation_error_deg / RIGHT[1]) for a in rows]
-            chosen.update(np.argsort(-np.array(both), kind="stable")[:count].tolist())
-    queries = len(own[0].answers[task])
-    chosen.update(np.random.default_rng(_SEED).choice(queries, min(count, queries), replace=False).tolist())
-    return sorted(chosen)
+    competing = [pipeline.answers[task] for pipeline in own if not is_keyframe_pose(pipeline)]
+    both = [
+        [max(a.translation_error_m / RIGHT[0], a.rotation_error_deg / RIGHT[1]) for a in answers]
+        for answers in competing
+    ]
+    return worst_and_drawn(both, len(own[0].answers[task]), count)
 
 
 def candidates_payload(

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.chosen import kept_rows
 from relocbench.leaderboard.html.data import write_data
 from relocbench.leaderboard.html.pages import write_board_page, write_query_page
 from relocbench.leaderboard.html.payloads import id_of
@@ -31,9 +32,6 @@ from relocbench.leaderboard.html.thumbnails import Thumbnail, write_thumbnails
 from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineSetBoard
 from relocbench.leaderboard.tracking.model import Board
 from relocbench.progress import Reporter
-
-MOST_ROWS = 100_000
-"""answers of all pipelines up to which the pages hold the keyframes of all queries, not only of those with pictures"""
 
 
 def write_pipeline_pages(
@@ -82,7 +80,7 @@ def _write_set(
         times = [answer.query_timestamp_ns for answer in first]
         halves = asked_pipelines(asked.truth, asked.methods, name)
         chosen = chosen_queries(asked.methods, name, count)
-        kept = chosen if rows > MOST_ROWS else list(range(len(times)))
+        kept = kept_rows(chosen, len(times), rows)
         views = views_of(asked.truth, name, halves, times, chosen)
         told = candidates_payload(asked.truth.truth(name), halves, times, kept, views)
         written.add(write_data(site, candidates_key(asked, name), told))

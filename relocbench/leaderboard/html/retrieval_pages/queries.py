@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from relocbench.leaderboard.html.chosen import worst_and_drawn
 from relocbench.leaderboard.html.retrieval_pages.distances import Distances
 from relocbench.leaderboard.html.retrieval_pages.lists import SHOWN, KeptLists, task_of
 from relocbench.leaderboard.html.retrieval_pages.payloads import is_random
@@ -15,23 +16,16 @@ from relocbench.leaderboard.html.thumbnails import Thumbnail, thumbnail_name
 from relocbench.leaderboard.retrieval.board import RetrievalSetBoard, Retriever
 from relocbench.retrieval import RetrievalTask
 
-_SEED = 0
-
 
 def chosen_queries(methods: Sequence[Retriever], task: str, count: int) -> list[int]:
     """The indices of the queries that are shown with pictures, in ascending order.
 
     They are the ``count`` worst of each method that is no trivial baseline, by the rank of their first right
-    image, and ``count`` drawn at random, the same for the same number of queries.
+    image, and ``count`` drawn at random.
     """
-    chosen: set[int] = set()
-    for method in methods:
-        if not is_random(method):
-            first = np.array([a.ranks[0] if a.ranks else np.inf for a in method.answers[task]])
-            chosen.update(np.argsort(-first, kind="stable")[:count].tolist())
-    queries = len(methods[0].answers[task])
-    chosen.update(np.random.default_rng(_SEED).choice(queries, min(count, queries), replace=False).tolist())
-    return sorted(chosen)
+    competing = [method.answers[task] for method in methods if not is_random(method)]
+    first = [[a.ranks[0] if a.ranks else np.inf for a in answers] for answers in competing]
+    return worst_and_drawn(first, len(methods[0].answers[task]), count)
 
 
 def lists_payload(

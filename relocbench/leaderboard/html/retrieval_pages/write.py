@@ -10,6 +10,7 @@ from pathlib import Path
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.leaderboard.html import links
+from relocbench.leaderboard.html.chosen import kept_rows
 from relocbench.leaderboard.html.data import write_data
 from relocbench.leaderboard.html.pages import write_board_page, write_query_page
 from relocbench.leaderboard.html.retrieval_pages.distances import distances_of
@@ -29,9 +30,6 @@ from relocbench.leaderboard.html.retrieval_pages.queries import (
 from relocbench.leaderboard.html.thumbnails import Thumbnail, write_thumbnails
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard
 from relocbench.progress import Reporter
-
-MOST_ROWS = 100_000
-"""lists of all methods up to which the pages hold those of all queries, not only of those with pictures"""
 
 
 def write_retrieval_pages(board: RetrievalBoard, site: Path, *, queries: int, reporter: Reporter) -> set[Path]:
@@ -70,7 +68,7 @@ def _write_set(
         lists = {m.label: kept_lists(asked, m, name) for m in methods}
         written.add(write_data(site, ranks_key(asked, name), ranks_payload(asked, name, lists, distances)))
         chosen = chosen_queries(methods, name, count)
-        kept = chosen if rows > MOST_ROWS else list(range(asked.record.tasks[name].queries))
+        kept = kept_rows(chosen, asked.record.tasks[name].queries, rows)
         payload = lists_payload(asked, name, lists, kept, chosen, distances)
         written.add(write_data(site, lists_key(asked, name), payload))
         task = task_of(asked, name)
