@@ -18,9 +18,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Image
 from relocbench.metrics.retrieval.relevance import Relevance
 
-Image = NDArray[np.uint8]
 Descriptors = NDArray[np.floating]
 
 

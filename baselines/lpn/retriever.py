@@ -14,7 +14,6 @@ from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
@@ -30,9 +29,8 @@ from baselines.lpn.shared_maps import SharedMaps
 from baselines.lpn.view_means import ViewMeans, unlabelled_files
 from baselines.lpn.weights import load_weights
 from relocbench.errors import MethodError
-from relocbench.retrieval import ImageView
+from relocbench.retrieval import Descriptors, ImageView
 
-Descriptors = NDArray[np.floating]
 TrainedShare = Annotated[float, Field(ge=0, le=1)]
 _TRAINED_ALIKE = ("partition", "parts", "attention", "ring_mean")
 """the network's options that distinguish the weights of one system from another's"""

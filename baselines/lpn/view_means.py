@@ -21,14 +21,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from baselines.lpn.descriptor import descriptors, parts_of
 from relocbench.arrays import Image
 from relocbench.errors import MethodError
-from relocbench.retrieval import ImageView
+from relocbench.retrieval import Descriptors, ImageView
 
-Descriptors = NDArray[np.floating]
 SUFFIXES = (".jpg", ".jpeg", ".png")
 MOST_IMAGES = 64
 """of a view, evenly from all in the order of their names: the mean hardly changes with more"""

@@ -22,11 +22,12 @@ from typing import Any
 import numpy as np
 from university_sample import METRICS, Asked
 
+from relocbench.arrays import Image
 from relocbench.datasets.core.images import as_rgb, read_image
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.methods import RETRIEVERS, parse_methods
 from relocbench.metrics import chance_level, relevance_from_lists
-from relocbench.retrieval import Image, ImageView, RetrievalTask
+from relocbench.retrieval import ImageView, RetrievalTask
 
 FLOORS = ("random", "colour-histogram", "orb-bow")
 SUFFIXES = (".jpg", ".jpeg", ".png")

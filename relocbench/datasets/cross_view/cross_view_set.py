@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 
+from relocbench.arrays import Image
 from relocbench.datasets.core import images
 from relocbench.datasets.cross_view.layout import TRAIN_FOLDERS
 from relocbench.errors import DatasetError
 from relocbench.metrics.retrieval.relevance import relevance_from_labels
-from relocbench.retrieval import Image, ImageView, PlaceData, PlaceImage, RetrievalTask
+from relocbench.retrieval import ImageView, PlaceData, PlaceImage, RetrievalTask
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from relocbench.arrays import Image
 from relocbench.datasets.cross_view import content
 from relocbench.datasets.cross_view.cross_view_set import CrossViewSet, Shot, read_rgb
 from relocbench.errors import DatasetError
-from relocbench.retrieval import Image, ImageView
+from relocbench.retrieval import ImageView
 
 SHEETS = {"drone": "sample_drone.jpg", "satellite": "sample_satellite.jpg"}
 ROWS, COLUMNS = 25, 20

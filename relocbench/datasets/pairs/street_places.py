@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from relocbench.arrays import Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_rgb
 from relocbench.datasets.core.layout import TraversalLayout
@@ -25,7 +26,7 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert
 from relocbench.metrics import Relevance, relevance_from_lists, relevance_within
 from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
-from relocbench.retrieval import Image, ImageView, RetrievalTask
+from relocbench.retrieval import ImageView, RetrievalTask
 
 Positives = Literal["radius", "pairs"]
 VIEW = "street"

@@ -13,17 +13,13 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array
 from relocbench.errors import one_line
 from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.common.info_text import info_text
 from relocbench.evaluation.common.views import read_only
 from relocbench.geometry import transform_to_tq
 from relocbench.tracking import ContractFault, Query, SupportsBatch, plain_pixels, plain_result
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,14 +13,13 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.tables import KEY_COLUMNS, STATUSES, TableRow, read_chunks, write_rows
 from relocbench.metrics import CORRECT, DifferentPlaces, PairSetSummary, PoseErrors, summarize, within
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 ERROR_COLUMNS = (
     *KEY_COLUMNS,
     "group",

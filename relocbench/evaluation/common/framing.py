@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.floating]
-
 _COUNT = struct.Struct("<Q")
 _LOOK_S = 0.25
 _MOST_TEXT = 2**26
@@ -50,7 +48,7 @@ def receive_request(connection: socket.socket) -> Any:
     return pickle.loads(text, buffers=[memoryview(part).toreadonly() for part in parts])
 
 
-def send_answer(connection: socket.socket, words: Any, arrays: Sequence[Floats] = ()) -> None:
+def send_answer(connection: socket.socket, words: Any, arrays: Sequence[NDArray[np.floating]] = ()) -> None:
     """Send plain values and arrays of float16, float32 or float64."""
     about = [[array.dtype.itemsize, *array.shape] for array in arrays]
     text = json.dumps({"words": words, "arrays": about}).encode()
@@ -59,7 +57,7 @@ def send_answer(connection: socket.socket, words: Any, arrays: Sequence[Floats] 
         connection.sendall(np.ascontiguousarray(array, dtype=f"<f{array.dtype.itemsize}").tobytes())
 
 
-def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tuple[Any, list[Floats]]:
+def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tuple[Any, list[NDArray[np.floating]]]:
     """Plain values and arrays of floats.
 
     Args:
@@ -84,7 +82,7 @@ def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tupl
         raise FramingFault(f"{len(about)} arrays of {sum(sizes)} bytes together")
     if any(not numbers or numbers[0] not in _ITEM_BYTES for numbers in about):
         raise FramingFault("arrays whose numbers are not floats")
-    arrays: list[Floats] = [
+    arrays: list[NDArray[np.floating]] = [
         np.frombuffer(_bytes(connection, size, alive), dtype=f"<f{numbers[0]}").reshape(numbers[1:])
         for size, numbers in zip(sizes, about, strict=True)
     ]

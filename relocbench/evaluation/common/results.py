@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
@@ -334,7 +334,7 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
     )
 
 
-def rounded_median(values: Sequence[float | None] | NDArray[np.float64]) -> float | None:
+def rounded_median(values: Sequence[float | None] | Array) -> float | None:
     """The median of the finite values, to six decimals; None counts as NaN, and without a value it is None."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]

@@ -13,8 +13,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
@@ -26,8 +26,6 @@ from relocbench.execution import MANY_TIMES, Loss, step
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
 from relocbench.tracking import SupportsFeatures
-
-Image = NDArray[np.uint8]
 
 COMPONENTS = 3
 _SPREAD = (1.0, 99.0)
@@ -46,7 +44,7 @@ class Place:
     """title, image (H, W[, 3]) and camera of each"""
 
 
-def principal_components(maps: Sequence[NDArray[np.float32]]) -> list[Image]:
+def principal_components(maps: Sequence[Floats]) -> list[Image]:
     """Render maps (H_i, W_i, D) as pictures (H_i, W_i, 3) by the first principal components of all their pixels.
 
     The sign of a component is chosen so that its largest entry is positive. Missing components, where D is less than
@@ -169,7 +167,7 @@ def lost_picture(picture: Picture, loss: Loss) -> tuple[Path | None, str]:
     return None, f"no picture of the features of {picture.spec.label} at {picture.place.name}: {how}"
 
 
-def _levels(method: SupportsFeatures, label: str, image: Image, camera: Camera) -> list[NDArray[np.float32]]:
+def _levels(method: SupportsFeatures, label: str, image: Image, camera: Camera) -> list[Floats]:
     """A method's maps (H, W, D), finest first. Raises MethodError for anything else."""
     maps = [level.map for level in method.features(read_only(image), camera).levels]
     wrong = [np.shape(m) for m in maps if not isinstance(m, np.ndarray) or m.ndim != 3 or not np.isfinite(m).all()]

@@ -17,14 +17,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.evaluation.tracking.matching import Starts, draw_starts
 from relocbench.tracking import Query
-
-Array = NDArray[np.float64]
 
 OFFSETS_PX = (0, 1, 2, 4, 8, 16)
 NEAR = "match@1px"
@@ -60,7 +59,7 @@ def probe_pixels(
     return tallies, crash or crash_too or ""
 
 
-def with_structure(known: Correspondences, image: NDArray[np.uint8], share: float) -> Correspondences:
+def with_structure(known: Correspondences, image: Image, share: float) -> Correspondences:
     """Keep the given share of the visible correspondences, those whose keyframe pixel has the most structure.
 
     Structure is the smaller eigenvalue of the image's structure tensor over 5 x 5 pixels (Shi and Tomasi, 1994). The

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.common.answers import error_answer
 from relocbench.evaluation.common.handles import TrackerHandle
@@ -18,8 +18,6 @@ from relocbench.evaluation.probe.tally import Tally, What
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics import PoseErrors, pose_errors, within
 from relocbench.tracking import Query
-
-Array = NDArray[np.float64]
 
 OFFSETS: dict[What, tuple[float, ...]] = {
     "translation": (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0),
@@ -88,7 +86,7 @@ def probe_poses(
     return tallies, crash
 
 
-def _near(errors: PoseErrors, name: str) -> NDArray[np.bool_]:
+def _near(errors: PoseErrors, name: str) -> Mask:
     return within(errors, *WITHIN[name])
 
 
@@ -98,5 +96,5 @@ def _starts_near(what: What, offsets: Sequence[float], name: str, directions: in
     return tuple(directions if offset <= limit else 0 for offset in offsets)
 
 
-def _by_offset(chosen: NDArray[np.bool_], offsets: Sequence[float]) -> tuple[int, ...]:
+def _by_offset(chosen: Mask, offsets: Sequence[float]) -> tuple[int, ...]:
     return tuple(int(n) for n in chosen.reshape(len(offsets), -1).sum(axis=1))

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.common.answers import error_answer
 from relocbench.evaluation.common.handles import TrackerHandle
@@ -80,7 +79,7 @@ def probe_starts(
     truth = np.repeat(T_query_ref[None], len(starts), axis=0)
     ends, begins = pose_errors(np.array(answers, dtype=np.float64), truth), pose_errors(starts, truth)
 
-    def by_kind(chosen: NDArray[np.bool_]) -> tuple[int, ...]:
+    def by_kind(chosen: Mask) -> tuple[int, ...]:
         return tuple(int(np.sum(chosen[kind == k])) for k in range(len(KINDS)))
 
     tally = Tally(

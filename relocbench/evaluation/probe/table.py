@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, level_names
 from relocbench.evaluation.probe.poses import CONVERGED
@@ -16,7 +16,6 @@ from relocbench.evaluation.probe.tally import UNITS, Tally, What
 from relocbench.evaluation.probe.work import PairResult
 from relocbench.metrics import Radius, Ratio, radius_of, radius_ratio
 
-Array = NDArray[np.float64]
 Answers = Mapping[tuple[str, PairKey], PairResult]
 
 ACROSS, SAME = "across conditions", "same condition"

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.evaluation.common.answer_table import Answer
 from relocbench.evaluation.relocalization.answers import Outcome, PipelineAnswer
@@ -16,7 +16,6 @@ from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_an
 from relocbench.metrics import PoseErrors, pose_errors, within
 from relocbench.metrics.pose.registry import CORRECT
 
-Array = NDArray[np.float64]
 RIGHT = CORRECT
 """(metres, degrees) within which an answer is right when failures are attributed to retrieval or tracking"""
 
@@ -137,7 +136,7 @@ def most_confident(confidence: Sequence[float | None], answered: Sequence[bool])
 
 def _errors(poses: Sequence[Array | None], T_query_ref: Array) -> PoseErrors:
     """The errors of the answers; infinite where there is no answer, or no truth to judge it by."""
-    known: NDArray[np.bool_] = np.all(np.isfinite(T_query_ref), axis=(1, 2))
+    known: Mask = np.all(np.isfinite(T_query_ref), axis=(1, 2))
     answers = np.array([np.full((4, 4), np.nan) if T is None else T for T in poses]).reshape(-1, 4, 4)
     return pose_errors(answers, np.where(known[:, None, None], T_query_ref, np.eye(4)), answered=known)
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import ConfigError, available
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer, errors_of
 from relocbench.metrics import METRICS, mean_interval, metric_named, summarize
 
-Array = NDArray[np.float64]
 Values = dict[str, float | int | None]
 RANKING = "recall@(0.25m,2deg)"
 POSE_METRICS = tuple(m.name for m in METRICS if m.per_pair is not None)

@@ -14,14 +14,13 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import distances_and_angles
 from relocbench.geometry import invert, rotation_angle
 
-Array = NDArray[np.float64]
 _ROUNDING = 1 + 1e-9
 
 
@@ -108,6 +107,6 @@ def distance_and_angle(T_query_ref: Array) -> tuple[Array, Array]:
     return metres, degrees
 
 
-def inside(metres: Array, degrees: Array, limits: tuple[float, float]) -> NDArray[np.bool_]:
+def inside(metres: Array, degrees: Array, limits: tuple[float, float]) -> Mask:
     """Whether both values are at most their limits; NaN is not."""
     return np.asarray((metres <= limits[0] * _ROUNDING) & (degrees <= limits[1] * _ROUNDING), dtype=np.bool_)

@@ -14,12 +14,13 @@ from typing import Literal
 
 from pydantic import Field
 
+from relocbench.arrays import Image
 from relocbench.datasets.core.images import as_rgb, read_image
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Strict
 from relocbench.errors import DatasetError
 from relocbench.files import lines_of, load_yaml, read_text, sha256_file
 from relocbench.metrics import relevance_from_lists
-from relocbench.retrieval import Image, ImageView, RetrievalTask
+from relocbench.retrieval import ImageView, RetrievalTask
 
 FILE = "blind.yaml"
 WITHHELD = "withheld: this is a blind export"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Image
 from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
@@ -16,7 +17,7 @@ from relocbench.evaluation.tracking.check import Finding, constructed
 from relocbench.execution import messages_to_stderr
 from relocbench.methods import MethodSpec
 from relocbench.progress import Silent
-from relocbench.retrieval import FittingRetriever, Image, ImageView, RerankingRetriever, Retriever
+from relocbench.retrieval import FittingRetriever, ImageView, RerankingRetriever, Retriever
 
 _CLOSE = 1e-3
 """tolerance for descriptors of norm 1: batches of another size add up floats in another order"""

@@ -12,13 +12,14 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Indices, Mask
 from relocbench.errors import one_line
 from relocbench.evaluation.common.views import read_only
 from relocbench.evaluation.retrieval.handles import RetrieverHandle, WorkerRetriever
 from relocbench.evaluation.retrieval.local import LocalRetriever
 from relocbench.evaluation.retrieval.output_checks import fault_of
 from relocbench.execution import chunks
-from relocbench.retrieval import Descriptors, Image, ImageView, RetrievalTask, Retriever
+from relocbench.retrieval import Descriptors, ImageView, RetrievalTask, Retriever
 
 BATCH = 32
 _HOPELESS = 64
@@ -33,14 +34,14 @@ class Described:
     """(N, D); a row of NaN for an image without a descriptor; (N, 1) where no image has one"""
     messages: tuple[str, ...]
     """(N,) how the method crashed on an image; empty where it did not"""
-    seconds: NDArray[np.float64]
+    seconds: Array
     """(N,) an equal share of the batch's time, without reading the images"""
 
     def __len__(self) -> int:
         return len(self.values)
 
     @property
-    def finite(self) -> NDArray[np.bool_]:
+    def finite(self) -> Mask:
         """(N,) whether an image has a descriptor."""
         return np.asarray(np.isfinite(self.values).all(axis=1), dtype=np.bool_)
 
@@ -123,7 +124,7 @@ def _local_handle(retriever: Any) -> RetrieverHandle:
     return LocalRetriever(retriever)
 
 
-def mixed(count: int, salt: str) -> NDArray[np.intp]:
+def mixed(count: int, salt: str) -> Indices:
     """The order in which a method sees images, which otherwise are in the order of a drive; as given without a salt."""
     if not salt:
         return np.arange(count)
@@ -148,7 +149,7 @@ def _read_only(read: Callable[[], Image]) -> Image:
 class AnonymousViews(Sequence[ImageView]):
     """A gallery for ``fit`` that can be indexed in any order; it keeps no image in memory."""
 
-    def __init__(self, images: Sequence[ImageView], salt: str = "", order: NDArray[np.intp] | None = None) -> None:
+    def __init__(self, images: Sequence[ImageView], salt: str = "", order: Indices | None = None) -> None:
         self._images, self._salt = images, salt
         self._order = mixed(len(images), salt) if order is None else order
 

@@ -7,16 +7,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, overload
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Image
 from relocbench.errors import RelocbenchError
 from relocbench.evaluation.common.isolated_process import Arrays, Connection, serve
 from relocbench.evaluation.common.method_process import NEEDS
 from relocbench.evaluation.common.views import read_only
 from relocbench.evaluation.retrieval.local import CallResult, LocalRetriever, create_retriever
 from relocbench.methods import MethodSpec
-from relocbench.retrieval import Descriptors, Image, ImageView
+from relocbench.retrieval import Descriptors, ImageView
 
 Named = tuple[str, str]
 """key and view of an image"""
@@ -92,7 +90,7 @@ class _Gallery(Sequence[ImageView]):
     def _fetch(self, index: int) -> Image:
         with self._lock:
             self._connection.answer({NEEDS: index})
-            image: NDArray[np.uint8] = self._connection.request()
+            image: Image = self._connection.request()
         return read_only(image)
 
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from relocbench.arrays import Image
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.common.info_text import info_text
 from relocbench.evaluation.common.method_process import FORGED, MethodProcess, crash_of
@@ -14,7 +15,7 @@ from relocbench.evaluation.retrieval.local import CallResult
 from relocbench.evaluation.retrieval.output_checks import MOST_RERANKED, checked_descriptors, checked_scores
 from relocbench.execution import MANY_TIMES, step
 from relocbench.methods import MethodSpec
-from relocbench.retrieval import Descriptors, Image, ImageView
+from relocbench.retrieval import Descriptors, ImageView
 
 _MODULE = "relocbench.evaluation.retrieval.isolated_process"
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.evaluation.common.guard import guarded
 
 MOST_RERANKED = 1_000_000
@@ -59,7 +60,7 @@ def rerank_top_of(retriever: object) -> tuple[int, str | None]:
     return int(top), None
 
 
-def checked_scores(values: object, crash: str | None, count: int) -> tuple[NDArray[np.float64] | None, str | None]:
+def checked_scores(values: object, crash: str | None, count: int) -> tuple[Array | None, str | None]:
     """What ``rerank`` returned for ``count`` candidates as (K,) float64, or None and an error message."""
     if crash is not None:
         return None, crash

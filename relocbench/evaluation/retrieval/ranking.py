@@ -6,16 +6,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.evaluation.retrieval.describe import Described
 from relocbench.evaluation.retrieval.handles import RetrieverHandle
 from relocbench.metrics import NEVER, count_at_least, exact_scores, ranks_of_positives, sorted_finite
 from relocbench.retrieval import Descriptors, RetrievalTask
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 _BLOCK_BYTES = 64 * 2**20
 
 
@@ -102,7 +100,7 @@ def _ranked(
     return Ranked(ordered[:count], (*_ranks(new, positives), *behind), seconds)
 
 
-def nearest(scores: Array, count: int, last: NDArray[np.bool_]) -> Indices:
+def nearest(scores: Array, count: int, last: Mask) -> Indices:
     """The indices of the ``count`` largest finite scores (G,), best first.
 
     Of equal scores those that are ``last`` (G,) come last; others are in the order of the indices.

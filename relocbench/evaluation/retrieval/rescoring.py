@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Indices
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.datasets.pairs.street_places import StreetPlaces
@@ -32,8 +32,6 @@ from relocbench.metrics import NEVER, Ranking, rank_lists, score_retrieval
 from relocbench.retrieval import RetrievalTask
 
 AGAIN = "run `relocbench evaluate-retrieval --overwrite always` to ask again"
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

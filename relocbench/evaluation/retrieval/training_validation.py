@@ -14,6 +14,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Indices
 from relocbench.errors import ConfigError
 from relocbench.metrics import rank_descriptors, relevance_from_labels, score_retrieval, summarize_retrieval
 from relocbench.retrieval import PlaceData, PlaceImage, Retriever
@@ -131,7 +132,7 @@ def _described(retriever: Retriever, images: Sequence[PlaceImage]) -> NDArray[np
     return np.concatenate(parts)
 
 
-def _places(images: Sequence[PlaceImage]) -> NDArray[np.int64]:
+def _places(images: Sequence[PlaceImage]) -> Indices:
     return np.array([each.place for each in images], dtype=np.int64)
 
 
@@ -157,7 +158,7 @@ def _thinned(
     return [images[number] for number in sorted(chosen)]
 
 
-def _of_places(data: PlaceData, places: NDArray[np.int64]) -> PlaceData:
+def _of_places(data: PlaceData, places: Indices) -> PlaceData:
     anew = {int(place): number for number, place in enumerate(places)}
     images = tuple(replace(each, place=anew[each.place]) for each in data.images if each.place in anew)
     return PlaceData(len(places), images, data.described)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError
 from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
@@ -187,7 +188,7 @@ def _batch_agrees(tracker: Any, question: _Question, single: CheckedAnswer) -> F
     return Finding(name, problem is None, problem or "")
 
 
-def _pixels(question: _Question) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _pixels(question: _Question) -> tuple[Array, Array]:
     """A grid of reference pixels that reaches into the corners, and start pixels in the query near them."""
     camera = question.reference.camera
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, 9), np.linspace(0, camera.height - 1, 7))
@@ -264,7 +265,7 @@ def _made_up() -> list[_Question]:
     ]
 
 
-def _smooth(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+def _smooth(values: Array) -> Image:
     """Smooth noise at several scales into a texture with corners and slopes."""
     total = np.zeros_like(values)
     for size in (3, 9, 27):
@@ -274,7 +275,7 @@ def _smooth(values: NDArray[np.float64]) -> NDArray[np.uint8]:
             level = np.apply_along_axis(np.convolve, axis, level, kernel, mode="same")
         total += (level - level.mean()) / level.std()
     scaled = (total - total.min()) / (total.max() - total.min())
-    out: NDArray[np.uint8] = np.rint(scaled * 255).astype(np.uint8)
+    out: Image = np.rint(scaled * 255).astype(np.uint8)
     return out
 
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
@@ -33,7 +32,7 @@ def clock_poses(
     ref_ns: Sequence[int],
     query_ns: Sequence[int],
     T_query_ref: Array,
-    fitted: NDArray[np.bool_] | None = None,
+    fitted: Mask | None = None,
 ) -> Array:
     """Poses from times alone, by cross-validation: each pair is predicted from the pairs of other parts of the drive.
 
@@ -66,13 +65,13 @@ def clock_poses(
     return out
 
 
-def _features(ref_ns: NDArray[np.int64], query_ns: NDArray[np.int64]) -> Array:
+def _features(ref_ns: Times, query_ns: Times) -> Array:
     """(N, 5) functions of the times, each time from 0 to 1 over the pairs."""
     r, q = (_share(times) for times in (ref_ns, query_ns))
     return np.stack([r, q, r * r, q * q, r * q], axis=1)
 
 
-def _share(times_ns: NDArray[np.int64]) -> Array:
+def _share(times_ns: Times) -> Array:
     since = (times_ns - times_ns.min()).astype(np.float64) if len(times_ns) else np.zeros(0)
     longest = float(since.max(initial=0.0))
     return since / longest if longest else since

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
@@ -57,8 +57,6 @@ from relocbench.methods import MethodSpec
 from relocbench.metrics import matching_quality
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
-
 PER_PAIR = 1000
 """the largest number of visible correspondences of a pair that are used, each from one offset"""
 _SEED = 1
@@ -72,7 +70,7 @@ class Starts:
     """(N, 2) pixels of the reference, no two of them the same"""
     uv_query: Array
     """(N, 2) the true pixels of the query"""
-    offset_px: NDArray[np.int64]
+    offset_px: Indices
     """(N,) distance of the start from the true pixel"""
     uv_start: Array
     """(N, 2) start pixels of the query"""

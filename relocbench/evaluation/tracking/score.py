@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench import version
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
@@ -29,7 +29,6 @@ from relocbench.evaluation.common.results import MethodResults, ScoreRecord, che
 from relocbench.files import plain_file, remove_parts
 from relocbench.metrics import PairSetSummary, align_predictions, pose_errors
 
-Array = NDArray[np.float64]
 FORMULAS = 1
 """Version of the formulas: a change by which the same predictions and truth get other scores increases it."""
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Mask
 from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.tracking.cells import DAGGER
 from relocbench.leaderboard.tracking.doubt import doubts_of
@@ -77,7 +77,7 @@ class ConditionRecall:
 
     share: float | None
     """the mean over the column's pair sets, each counting the same; None where the result on one is missing"""
-    right: NDArray[np.bool_]
+    right: Mask
     """(N,) whether each pair is found, by time of the query and then of the keyframe; empty without a share"""
 
 

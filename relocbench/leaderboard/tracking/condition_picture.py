@@ -9,20 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
-from numpy.typing import NDArray
 
+from relocbench.arrays import Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_rgb
 from relocbench.files import write_bytes
 from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall
 from relocbench.metrics import CORRECT
-
-Image = NDArray[np.uint8]
 
 _FOUND, _MISSED, _TEXT, _FAINT, _BAND = "#0072B2", "#8A8A8A", "#1A1A1A", "#5F5F5F", "#F3F3F3"
 """a found pair is a full disc or a long stroke, a missed one an empty ring or a short stroke: colours are not needed"""

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Mask
 from relocbench.leaderboard.tracking.model import DatasetEntry
 from relocbench.metrics import CORRECT
 
@@ -50,7 +50,7 @@ def finer_thresholds(entry: DatasetEntry) -> FinerThresholds | None:
         return None
 
     def still(metres: float, degrees: float) -> float:
-        right: NDArray[np.bool_] = (distance <= metres) & (angle <= degrees)
+        right: Mask = (distance <= metres) & (angle <= degrees)
         return float(right.mean())
 
     if still(*CORRECT) < _HALF:
