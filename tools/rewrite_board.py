@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Write the Markdown of a published board again from its CSV files, where only the layout of pages has changed.
+"""Write the Markdown of a published board again from its CSV files, where the layout of pages or a metric is new.
 
     tools/rewrite_board.py leaderboard
 
 A board takes hours to evaluate; its tables hold every error and all that pages show. Before anything is
 written, every number of ``leaderboard.csv`` is computed again from ``errors.csv`` and compared to twelve digits (the
-order in which pair sets were added up is not published). CSV files stay as they are.
+order in which pair sets were added up is not published). CSV files stay as they are, but that ``leaderboard.csv``
+gets the columns of metrics that did not exist when it was written.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable, PairErrors
 from relocbench.evaluation.common.matching_table import ALL, MatchingRow, OffsetCounts
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
+from relocbench.evaluation.common.tables import write_rows
 from relocbench.leaderboard.common.text import cell
 from relocbench.leaderboard.tracking.doubt import TruthCheck
 from relocbench.leaderboard.tracking.long_form import leaderboard_rows
@@ -49,7 +51,9 @@ def main() -> None:
         by_dataset[row["dataset"]].append(row)
     entries = [_entry(folder, rows, errors, matching, truth) for rows in by_dataset.values()]
     board = make_board(entries, metric=published[0]["ranked_by"])
-    _compare(board, published)
+    columns = _compare(board, published)
+    if list(published[0]) != columns[0]:
+        write_rows(folder / "leaderboard.csv", columns)
     write_pages(board, folder)
 
 
@@ -183,10 +187,10 @@ def _method(
     return Method(row["method"], run, own, missing, matching=matched, rescored=row["rescored"] == "yes")
 
 
-def _compare(board: Board, published: Rows) -> None:
-    """Exit unless every value of the published rows that is computed follows from the errors."""
+def _compare(board: Board, published: Rows) -> list[list[str]]:
+    """The header and the published rows with new columns; exits unless all published values follow from the errors."""
     made = {tuple(str(row[key]) for key in _KEY): row for row in leaderboard_rows(board)}
-    wrong = []
+    wrong, rows = [], [list(next(iter(made.values())))]
     for row in published:
         key = tuple(row[name] for name in _KEY)
         again = made.pop(key, None)
@@ -194,10 +198,12 @@ def _compare(board: Board, published: Rows) -> None:
         wrong += [
             (key, name, row[name], values.get(name)) for name in row if not _same(values.get(name, ""), row[name])
         ]
+        rows.append(list((values | row).values()))
     if wrong or made:
         for key, name, was, now in wrong[:20]:
             print(f"{' '.join(key)}: {name} is {now}, published as {was}", file=sys.stderr)
         sys.exit(f"{len(wrong)} values and {len(made)} rows are not those that were published: nothing was written")
+    return rows
 
 
 def _same(made: str, published: str) -> bool:

@@ -356,6 +356,22 @@ def test_predictions_without_scores_are_refused_with_the_command_that_scores_the
     assert bad.value.path == path
 
 
+def test_a_metric_that_is_younger_than_the_scores_follows_from_the_errors(
+    two_sets: MadeResults, tmp_path: Path
+) -> None:
+    path = two_sets.folder / "good" / "scores.yaml"
+    before = board_csv(two_sets, tmp_path / "before")
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if "recall@(0.05m,0.5deg)" not in line))
+    assert path.read_text() != "".join(lines)
+    assert board_csv(two_sets, tmp_path / "after") == before
+
+
+def board_csv(results: MadeResults, out: Path) -> bytes:
+    write_leaderboard(results.root, out)
+    return (out / "leaderboard.csv").read_bytes()
+
+
 def test_results_of_another_dataset_are_refused(two_sets: MadeResults) -> None:
     run = two_sets.folder / "good" / "run.yaml"
     run.write_text(run.read_text().replace(FINGERPRINT, "f" * 64))

@@ -107,14 +107,17 @@ def matching_of_pair_set(
 def faults_of_summary(
     folder: MethodResults, name: str, rows: ErrorTable, scores: ScoreRecord, again: str
 ) -> Iterator[PredictionError]:
-    """The first score of each group that is not the summary of the table of errors."""
+    """The first score of each group that is not the summary of the table of errors.
+
+    Metrics that are not recorded are younger than the file: they follow from the table.
+    """
     for group in groups_of(rows):
-        recorded = scores.pair_sets[name].get(group, {})
+        recorded = scores.pair_sets[name].get(group)
+        if recorded is None:
+            yield PredictionError(f"no scores of '{name}' ({group}); {again}", folder.scores_yaml)
+            continue
         for metric, value in summarize_rows(rows, group).to_dict().items():
-            if metric not in recorded:
-                yield PredictionError(f"no {metric} of '{name}' ({group}); {again}", folder.scores_yaml)
-                break
-            if not _same(value, recorded[metric]):
+            if metric in recorded and not _same(value, recorded[metric]):
                 message = f"{metric} ({group}) is {value} here and {recorded[metric]} in {folder.scores_yaml.name}"
                 yield PredictionError(f"{message}; {again}", folder.errors(name))
                 break
