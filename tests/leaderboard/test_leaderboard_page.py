@@ -108,7 +108,7 @@ def test_a_gain_that_cannot_be_tested_is_not_called_insignificant(
     assert level_with_identity(dataset, replace(of_all, rows=rows)) == named
 
 
-@pytest.mark.parametrize(("sigma", "marked"), [(0.04, False), (0.06, True), (None, False)])
+@pytest.mark.parametrize(("sigma", "marked"), [(0.02, False), (0.06, True), (None, False)])
 def test_thresholds_finer_than_two_sigma_have_a_dagger(tmp_path: Path, sigma: float | None, marked: bool) -> None:
     results = MadeResults(tmp_path / "results", {WINTER: 50}, sigma_m=sigma)
     results.write_dataset()

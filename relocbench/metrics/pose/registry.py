@@ -299,6 +299,7 @@ METRICS: tuple[Metric, ...] = (
     _shown(_rotation_auc(0.5), "set page", "first page", "paper", with_interval=True),
     _rotation_auc(1),
     _shown(_pose_auc(0.5, 4), with_interval=True),
+    _shown(_recall(0.05, 0.5), "set page"),
     _shown(_recall(0.1, 1), "set page"),
     _shown(_recall(0.25, 2), "set page", "terminal", with_interval=True),
     _shown(_recall(0.5, 5), "set page", with_interval=True),
