@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from relocbench.arrays import Array, Floats, Image, Mask
@@ -23,6 +19,7 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.inspect.drawing import match_brightness
 from relocbench.datasets.inspect.overlay import warp_image
 from relocbench.geometry import invert
+from relocbench.pages.figures import png_of
 from relocbench.tracking import Query, Reference
 from relocbench.viewer.answers import ShownAnswer
 from relocbench.viewer.pictures import keyframe_points
@@ -120,15 +117,8 @@ def draw_pair(dataset: Dataset, pair_set: PairSet, pair: Pair, method: str | Non
     T_answer = np.eye(4) if answer is None else answer.T_query_ref
     title = "" if method is None else _short(method)
     none = "" if answer is None else answer.words
-    with mpl.rc_context(), warnings.catch_warnings():
-        # A sign that the font lacks is drawn as a box.
-        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
-        mpl.rcdefaults()
-        mpl.rcParams.update({"font.size": 9, "text.parse_math": False, "axes.titlesize": 10})
-        figure = Figure(
-            figsize=(15, 3.2 + 9.6 * query.camera.height / query.camera.width), dpi=100, layout="constrained"
-        )
-        FigureCanvasAgg(figure)
+
+    def draw(figure: Figure) -> None:
         panels = figure.subplots(3, 3)
         _show(panels[0, 0], reference.image, _titled(f"keyframe, {dataset.traversal(pair_set.reference).condition}"))
         _show(panels[0, 1], query.image, _titled(f"query, {dataset.traversal(pair_set.query).condition}"))
@@ -139,9 +129,9 @@ def draw_pair(dataset: Dataset, pair_set: PairSet, pair: Pair, method: str | Non
         _draw_plan(panels[0, 2], reference, pair.T_query_ref, T_answer if answer is not None else None, title)
         _draw_from_side(panels[1, 2], reference, pair.T_query_ref, T_answer if answer is not None else None)
         _write_numbers(panels[2, 2], pair_set, pair, method, answer, truth, found)
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", metadata={"Software": None})
-    return picture.getvalue()
+
+    size = 15, 3.2 + 9.6 * query.camera.height / query.camera.width
+    return png_of(size, draw, dpi=100, font_size=9, title_size=10)
 
 
 def _show(axes: Axes, image: Image, title: str) -> None:

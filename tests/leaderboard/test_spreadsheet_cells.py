@@ -1,4 +1,4 @@
-"""What others wrote is shown in tables, and nothing of it acts."""
+"""What others wrote is shown in tables and pictures, and nothing of it acts."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import csv
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 from test_leaderboard import WINTER, MadeResults, made
 
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import load_results, write_leaderboard
 from relocbench.leaderboard.common.text import cell, json_text
+from relocbench.pages.figures import png_of
 
 FORMULAS = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", " =1", "'=1", '"=1', "＝1", "-", "=HYPERLINK()"]
 
@@ -53,3 +55,10 @@ def test_what_json_does_not_know_stands_as_text() -> None:
     shown = json_text({1: datetime.date(2024, 1, 2), "huge": 16**5000, None: float("nan"), "deep": circle})
     assert '"1": "2024-01-02"' in shown
     assert "..." in shown
+
+
+def test_a_picture_shows_names_that_would_be_formulas() -> None:
+    def draw(figure: Figure) -> None:
+        figure.suptitle("_$\\frac{$")
+
+    assert png_of((2, 1), draw, dpi=50).startswith(b"\x89PNG")

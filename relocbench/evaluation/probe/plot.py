@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from relocbench.evaluation.probe.table import ACROSS, SAME, Line
 from relocbench.evaluation.probe.tally import What
+from relocbench.pages.figures import png_of
 
 # Okabe and Ito, "Color Universal Design" (2008), without the yellow, which is faint on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
@@ -61,19 +59,15 @@ def _picture(
     *,
     floor: bool = True,
 ) -> bytes:
-    with mpl.rc_context():
-        mpl.rcdefaults()  # the user's own settings must not change the picture
-        mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
-        figure = Figure(figsize=(4.6 * columns, 0.4 + 3.2 * rows), dpi=130, layout="constrained")
-        FigureCanvasAgg(figure)
+    def draw(figure: Figure) -> None:
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, (name, what, looks) in zip(grid.flat, panels, strict=True):
             _panel(axes, what, looks, floor=floor)
             axes.set_title(name, fontsize=9)
         figure.suptitle(title, fontsize=11)
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", metadata={"Software": None})
-    return picture.getvalue()
+
+    size = 4.6 * columns, 0.4 + 3.2 * rows
+    return png_of(size, draw, dpi=130, font_size=9, spines=False)
 
 
 def _panel(axes: Axes, what: What, looks: Sequence[tuple[Line, str, str]], *, floor: bool) -> None:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
@@ -20,6 +16,7 @@ from relocbench.datasets.core.images import as_rgb
 from relocbench.files import write_bytes
 from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall
 from relocbench.metrics import CORRECT
+from relocbench.pages.figures import png_of
 
 _FOUND, _MISSED, _TEXT, _FAINT, _BAND = "#0072B2", "#8A8A8A", "#1A1A1A", "#5F5F5F", "#F3F3F3"
 """a found pair is a full disc or a long stroke, a missed one an empty ring or a short stroke: colours are not needed"""
@@ -77,28 +74,24 @@ def condition_picture(results: ByCondition, dataset: Dataset) -> ConditionPictur
 
 
 def draw(picture: ConditionPicture) -> bytes:
-    """The picture as PNG, the same bytes in any process."""
-    stream = io.BytesIO()
-    with mpl.rc_context(), warnings.catch_warnings():
-        # Names may contain letters that the font lacks.
-        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
-        mpl.rcdefaults()  # the user's own settings must not change the picture
-        mpl.rcParams["text.parse_math"] = False  # a $ in a name is not a formula
-        # A twentieth larger than at the default level, and drawn in seven eighths of the time.
-        _figure(picture).savefig(stream, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 1})
-    return stream.getvalue()
-
-
-def _figure(picture: ConditionPicture) -> Figure:
+    """The picture as PNG."""
     results = picture.results
     count = len(results.columns) + 1
     wide = (_WIDTH - 2 * _EDGE - (count - 1) * _GAP) / count
     high = wide * picture.keyframe.shape[0] / picture.keyframe.shape[1]
     below_images = _EDGE + _HEADING + high + _UNDER_IMAGES
     tall = below_images + _LINE * len(results.lines) + _LEGEND
-    figure = Figure(figsize=(_WIDTH, tall), dpi=160, facecolor="white")
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1))
+
+    def fill(figure: Figure) -> None:
+        _fill(figure.add_axes((0, 0, 1, 1)), picture, (wide, high, below_images, tall))
+
+    return png_of((_WIDTH, tall), fill, dpi=160, layout=None, compress_level=1)
+
+
+def _fill(axes: Axes, picture: ConditionPicture, sizes: tuple[float, float, float, float]) -> None:
+    """Draw images, names and marks; ``sizes`` are of an image, of what is above the lines, and of all."""
+    results, (wide, high, below_images, tall) = picture.results, sizes
+    count = len(results.columns) + 1
     lefts = [_EDGE + i * (wide + _GAP) for i in range(count)]
     headings = [(results.columns[0].map_condition, "the map"), *((c.condition, _role(c)) for c in results.columns)]
     for left, image, (condition, role) in zip(lefts, (picture.keyframe, *picture.queries), headings, strict=True):
@@ -119,7 +112,6 @@ def _figure(picture: ConditionPicture) -> Figure:
     axes.set_xlim(0, _WIDTH)
     axes.set_ylim(tall, 0)
     axes.set_axis_off()
-    return figure
 
 
 def _cell(axes: Axes, found: ConditionRecall, left: float, wide: float, y: float) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import matplotlib as mpl
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from relocbench.files import write_bytes
+from relocbench.pages.figures import png_of
 
 # Okabe and Ito, "Color Universal Design" (2008).
 REFERENCE, QUERY, ACCEPTED = "#0072B2", "#D55E00", "#009E73"
@@ -25,16 +23,8 @@ def reason_colours(kinds: Iterable[str]) -> dict[str, str]:
 
 
 def write_figure(path: Path, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
-    """Write a PNG of ``size`` inches, independent of the user's settings of matplotlib."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
-        figure = Figure(figsize=size, dpi=120, layout="constrained")
-        FigureCanvasAgg(figure)
-        draw(figure)
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", metadata={"Software": None})
-    write_bytes(path, picture.getvalue())
+    """Write a PNG of ``size`` inches."""
+    write_bytes(path, png_of(size, draw, dpi=120, spines=False))
 
 
 def shortened(text: str, length: int = 90) -> str:
