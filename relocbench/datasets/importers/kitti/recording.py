@@ -85,7 +85,6 @@ def read_kitti(
     motion: ScanMotion | Literal["auto"] = "compensated",
     elevation_deg: float = 0.0,
     rate_hz: float = 10.0,
-    condition: Condition | None = None,
     reporter: Reporter | None = None,
     from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
@@ -125,7 +124,7 @@ def read_kitti(
     return FieldRecording(
         name=name or files.traversal,
         folder=files.folder,
-        condition=condition or Condition(),
+        condition=Condition(),
         odometry=_poses(files, times) if odometry == "poses" else from_lidar(lidar, report),
         lidars=(lidar,),
         cameras=streams,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.datasets.core.schema import Condition
@@ -17,15 +16,15 @@ def season_of(month: int) -> str:
     return _SEASONS[month % 12 // 3] if 1 <= month <= 12 else "unknown"
 
 
-def dated(month: int | None, folder: Path, tags: Sequence[str] = ()) -> Condition:
+def dated(month: int | None, folder: Path) -> Condition:
     """The condition of a drive that states nothing but its date, whose season follows from the month.
 
     The date of a simulated drive means nothing; its condition becomes a tag.
     """
     simulated = simulated_condition(folder)
     if simulated is not None:
-        return Condition(tags=(*tags, simulated) if simulated else tuple(tags))
-    return Condition(season="unknown" if month is None else season_of(month), tags=tuple(tags))
+        return Condition(tags=(simulated,) if simulated else ())
+    return Condition(season="unknown" if month is None else season_of(month))
 
 
 def simulated_condition(folder: Path) -> str | None:

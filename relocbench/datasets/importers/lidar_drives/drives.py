@@ -107,9 +107,7 @@ def _start(prior: Trajectory) -> Array:
     return np.asarray(np.floor(prior.T_odom_rig[0, :3, 3] / 1000.0) * 1000.0)
 
 
-def trajectory_of(
-    times: Sequence[int] | Times, T_map_body: Array, T_body_rig: Array, path: Path, max_gap_ns: int = 1_000_000_000
-) -> Trajectory:
+def trajectory_of(times: Sequence[int] | Times, T_map_body: Array, T_body_rig: Array, path: Path) -> Trajectory:
     """Poses of the rig from those of another body on it.
 
     Args:
@@ -122,7 +120,7 @@ def trajectory_of(
     unique, first = np.unique(np.asarray(times, dtype=np.int64), return_index=True)
     if len(unique) < 2:
         raise DatasetError(f"holds {len(unique)} poses; a trajectory has at least 2", path)
-    return Trajectory(unique, T_map_body[first] @ T_body_rig, max_gap_ns)
+    return Trajectory(unique, T_map_body[first] @ T_body_rig)
 
 
 def chosen_of(asked: Sequence[str], known: Sequence[str], default: Sequence[str], what: str, dataset: str) -> list[str]:
