@@ -47,6 +47,22 @@ def test_parameters_are_the_constructors_keywords_with_their_types() -> None:
     assert names == {"metres": ("float", 0.1), "steps": ("int", 3), "loud": ("bool", False), "seed": ("int", 0)}
 
 
+def test_the_fields_of_a_dataclass_have_the_types_of_the_modules_that_they_are_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    head = "from __future__ import annotations\nfrom dataclasses import dataclass\n"
+    (tmp_path / "its_base.py").write_text(
+        f"{head}from typing import Literal as Word\n\n@dataclass\nclass Base:\n    mode: Word['near', 'far'] = 'near'\n"
+    )
+    (tmp_path / "its_tracker.py").write_text(
+        f"{head}from its_base import Base\n\n@dataclass\nclass Tracker(Base):\n    steps: int = 3\n\n"
+        "    def track(self, reference, query, prior=None): ...\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    found = {p.name: p.type_name for p in parameters_of("its_tracker:Tracker")}
+    assert found == {"mode": "'near' | 'far'", "steps": "int"}
+
+
 @pytest.mark.parametrize(
     ("annotation", "said"),
     [
