@@ -30,8 +30,8 @@ from ground_truth_judging import figures, reasons, table, worst, write_rows
 from ground_truth_work import decide, register_drive
 from ground_truth_world import DrivePair, World, judge, rounded, say
 
+from relocbench.datasets.groundtruth.odometry.files import kept_in
 from relocbench.datasets.importers.boreas.recording import read_boreas
-from relocbench.datasets.importers.lidar_drives.building import finish
 from relocbench.datasets.importers.lidar_drives.drives import on_one_map
 from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.drives.routes import route
@@ -74,7 +74,8 @@ def read_legs(folders: Sequence[Path], from_lidar: bool, out: Path, spoken: Spok
         (leg, folder) for leg, folder in zip(LEGS, folders, strict=True) if not from_lidar or leg.number in PAIRS[-1]
     ]
     drives = [read_boreas(folder, folder.name, "lidar" if from_lidar else "auto") for _, folder in wanted]
-    recordings = finish(on_one_map(drives, spoken), out, spoken)
+    kept = out / "groundtruth" / "odometry"
+    recordings = [d.recording(kept_in(kept / f"{d.name}.csv"), spoken) for d in on_one_map(drives, spoken)]
     return {leg.number: taken_from(leg, found) for (leg, _), found in zip(wanted, recordings, strict=True)}
 
 

@@ -131,7 +131,7 @@ def _colmap(kind: str) -> Read:
 def _colmap_list(name: str) -> Read:
     def run(place: Place) -> None:
         from relocbench.datasets.core.named_poses import read_named_poses
-        from relocbench.datasets.importers.colmap.lists import listed_cameras
+        from relocbench.datasets.importers.colmap.dataset import listed_cameras
         from relocbench.datasets.importers.photos.lists import listed_pairs
 
         readers: dict[str, Callable[[Path], object]] = {

@@ -16,23 +16,27 @@ from relocbench.files import check_distinct, plain_name, read_rows, seconds_to_n
 QuaternionOrder = Literal["xyzw", "wxyz"]
 
 
-def traversal_names(sources: Sequence[Path]) -> list[str]:
+def traversal_names(sources: Sequence[Path], endings: Sequence[str] = ()) -> list[str]:
     """A name for each source, that of its folder; characters that pair-set file names cannot hold become ``-``.
+
+    Args:
+        endings: of files that are recordings too, named without them; where there are any, nothing has to exist.
 
     Raises:
         DatasetError: there is no source, a source is not a folder, or two have the same name.
     """
     if not sources:
-        raise DatasetError("no recording was given; expected one or more folders")
+        raise DatasetError(f"no recording was given; expected one or more folders{' or files' if endings else ''}")
     names: dict[str, Path] = {}
     for source in sources:
-        if not source.is_dir():
+        found = source.resolve()
+        if not endings and not source.is_dir():
             raise DatasetError("no such folder; expected a recording", source)
         try:
-            name = plain_name(source.resolve().name, "traversal name")
+            name = plain_name(found.stem if found.suffix in endings else found.name, "traversal name")
         except ValueError:
-            raise DatasetError("the folder's name cannot name a traversal; rename or link it", source) from None
-        if name in names and names[name].resolve() == source.resolve():
+            raise DatasetError("its name cannot name a traversal; rename or link it", source) from None
+        if name in names and names[name].resolve() == found:
             raise DatasetError("is given twice; expected different recordings", source)
         if name in names:
             raise DatasetError(f"is the second recording called '{name}' (first: {names[name]})", source)

@@ -26,10 +26,9 @@ from relocbench.datasets.synthetic.drives.rig import RIGS
 from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent, duration
-from relocbench.datasets.synthetic.jobs.extras import extra_path
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import make_plans
-from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate
+from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate, extra_path
 from relocbench.datasets.synthetic.renderer.render import Renderer
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.town import compose

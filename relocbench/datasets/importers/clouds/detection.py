@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.npy import parse_npy
+from relocbench.datasets.importers.generic.scans import USUAL_COLUMNS
 from relocbench.datasets.sensors.binary_layout import Number, decode_points, detect_layout
 from relocbench.datasets.sensors.point_clouds import read_point_cloud
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
@@ -21,13 +22,6 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 TimeFrom = Literal["scan", "epoch"]
 
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "timestamps", "offset_time", "time_offset", "time_offset_ns")
-_USUAL: dict[int, tuple[str, ...]] = {
-    3: ("x", "y", "z"),
-    4: ("x", "y", "z", "intensity"),
-    5: ("x", "y", "z", "intensity", "ring"),
-    6: ("x", "y", "z", "intensity", "ring", "time"),
-}
-"""what columns without names usually are, by their number"""
 _UNITS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _SHORTEST_S, _LONGEST_S = 0.004, 0.6
 """a scan takes so long"""
@@ -82,7 +76,7 @@ def layout_of_scan(path: Path, time_ns: int, columns: tuple[str, ...] = ()) -> S
 
 
 def _usual(count: int, path: Path) -> tuple[str, ...]:
-    names = _USUAL.get(count)
+    names = USUAL_COLUMNS.get(count)
     if names is None:
         raise DatasetError(f"has {count} columns, whose meaning is not known; give them with --columns", path)
     return names

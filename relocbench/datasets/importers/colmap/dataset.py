@@ -17,11 +17,11 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.named_poses import read_named_poses
+from relocbench.datasets.core.named_poses import read_named_poses, read_words
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
-from relocbench.datasets.importers.colmap.lists import listed_cameras
 from relocbench.datasets.importers.colmap.model import read_model
+from relocbench.datasets.importers.photos.cameras import camera_of
 from relocbench.datasets.importers.photos.collection import (
     CAMERA,
     MAP,
@@ -41,7 +41,8 @@ from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import ConfigError, DatasetError, quoted
 from relocbench.execution import Run
-from relocbench.files import fitting_name
+from relocbench.files import fitting_name, parse_floats, whole_number
+from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 _SOURCE = "COLMAP model"
@@ -166,3 +167,26 @@ class _DepthImages:
             units = images.read_raw_depth(path, 1.0 / self.options.depth_scale, photo.size)
             depth = undistort(units, photo.camera, nearest=True) if photo.camera.distortion else units
             writer.depth(traversal, CAMERA, photo.time, depth * self.options.metres_per_unit)
+
+
+def listed_cameras(path: Path) -> dict[str, Camera]:
+    """Cameras by image name, from a list of visuallocalization.net or hloc: ``name MODEL width height params...``.
+
+    Raises:
+        DatasetError: with file and line.
+    """
+    found: dict[str, Camera] = {}
+    for line, fields in read_words(path, "queries with intrinsics (name MODEL width height params...)", DatasetError):
+        sizes = [whole_number(text) for text in fields[2:4]]
+        if len(fields) < 5 or None in sizes:
+            raise DatasetError("expected name MODEL width height params...", path, line)
+        numbers = parse_floats(fields[4:], path, line, " ".join(["parameter"] * len(fields[4:])), DatasetError)
+        if fields[0] in found:
+            raise DatasetError(f"image {quoted(fields[0])} occurs again", path, line)
+        try:
+            found[fields[0]] = camera_of(fields[1], sizes[0] or 0, sizes[1] or 0, numbers)
+        except ValueError as bad:
+            raise DatasetError(str(bad), path, line) from None
+    if not found:
+        raise DatasetError("holds no image; expected lines 'name MODEL width height params...'", path)
+    return found

@@ -16,23 +16,17 @@ from relocbench.datasets.importers.generic.dataset import (
     CameraFolder,
     read_folder,
 )
-from relocbench.datasets.importers.generic.scans import LIDAR_FILE, read_lidar_file, read_lidars
+from relocbench.datasets.importers.generic.scans import LIDAR_FILE, T_NEW_RIG, read_lidar_file, read_lidars
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
 from relocbench.errors import DatasetError
-from relocbench.geometry import invert, make_transform
+from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
 
 OdometrySource = Literal["auto", "poses", "lidar"]
 
 PRIOR_FILE = "prior.txt"
-_T_NEW_RIG: dict[str, Array] = {
-    "forward-left-up": np.eye(4),
-    "right-down-forward": make_transform(
-        np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.0, 0.0, 0.0]
-    ),
-}
 
 
 def read_generic(
@@ -60,7 +54,7 @@ def read_generic(
     report = reporter or Silent()
     title = name or traversal_names([folder])[0]
     header = read_lidar_file(folder)
-    T_new_rig = _T_NEW_RIG[header.rig_axes]
+    T_new_rig = T_NEW_RIG[header.rig_axes]
     lidars = read_lidars(folder, T_new_rig, report)
     max_gap_ns = round(max_gap_s * 1e9)
     cameras: dict[str, CameraStream] = {}

@@ -20,6 +20,7 @@ from relocbench.datasets.sensors.recording import Scan
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import check_distinct, check_name, load_yaml, read_bytes
+from relocbench.geometry import make_transform
 from relocbench.progress import Reporter, Silent
 
 LIDAR_FILE = "lidar.yaml"
@@ -31,6 +32,14 @@ USUAL_COLUMNS: dict[int, tuple[str, ...]] = {
     6: ("x", "y", "z", "intensity", "ring", "time"),
 }
 """columns of a point by their number, where they are not named"""
+RigAxes = Literal["forward-left-up", "right-down-forward"]
+T_NEW_RIG: dict[RigAxes, Array] = {
+    "forward-left-up": np.eye(4),
+    "right-down-forward": make_transform(
+        np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.0, 0.0, 0.0]
+    ),
+}
+"""(4, 4) from rig axes of a file to x forward, y left, z up"""
 _FAR_NS = 1_000_000_000
 _FLOAT_NS = 4096
 """more than the spacing of float64 at the largest times"""
@@ -72,7 +81,7 @@ class LidarFile(Strict):
     """The content of ``lidar.yaml``."""
 
     lidars: dict[str, GenericLidar] = Field(min_length=1)
-    rig_axes: Literal["forward-left-up", "right-down-forward"] = "forward-left-up"
+    rig_axes: RigAxes = "forward-left-up"
     """rig axes of poses.txt and of all extrinsics in the folder; right-down-forward are those of a camera"""
 
     @model_validator(mode="after")

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
-from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.importers.assembly import check_folder, open_writer
-from relocbench.errors import ConfigError
+from relocbench.datasets.importers.lidar_drives.options import SequenceOptions
 from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.progress import Reporter
@@ -19,12 +18,9 @@ if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
 
 
-class Options(FieldOptions, LinkingOptions):
+class Options(SequenceOptions):
     """Options of ``relocbench build-dataset kitti-lidar``."""
 
-    sequence: tuple[str, ...] = Field(
-        (), description="two or more sequences, such as 00,01: the reference first, then the queries"
-    )
     odometry: Literal["lidar", "poses"] = Field(
         "lidar", description="motion between scans: by registering them, or from poses/NN.txt (KITTI's own have jumps)"
     )
@@ -35,13 +31,6 @@ class Options(FieldOptions, LinkingOptions):
         0.0, gt=-5, lt=5, description="degrees by which to turn the beams up; the real KITTI lidar needs 0.205"
     )
     rate_hz: float = Field(10.0, gt=0, description="frames per second if times.txt is missing")
-
-    @field_validator("sequence")
-    @classmethod
-    def _each_once(cls, sequence: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(sequence)) != len(sequence):
-            raise ValueError("names a sequence twice")
-        return sequence
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -57,20 +46,16 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.importers.kitti.recording import read_kitti
 
     assert isinstance(options, Options)
-    if len(sources) != 1:
-        raise ConfigError(f"kitti-lidar takes one folder with sequences/ in it, got {len(sources)}; see --sequence")
-    check_folder(sources[0], "KITTI odometry (sequences, poses)")
-    if len(options.sequence) < 2:
-        raise ConfigError("--sequence: ground truth across drives needs two or more sequences, such as 00,01")
+    root = options.check_source("kitti-lidar", sources, "KITTI odometry (sequences, poses)")
     for sequence in options.sequence:
-        check_folder(sources[0] / "sequences" / sequence, "a sequence of KITTI odometry")
+        check_folder(root / "sequences" / sequence, "a sequence of KITTI odometry")
     names = [f"kitti_{sequence}" for sequence in options.sequence]
     options.check_conditions(names)
     default_name = fitting_name(f"kitti_lidar_{'_'.join(options.sequence)}")
     writer = open_writer("kitti-lidar", sources, options, out, default_name)
     recordings = [
         read_kitti(
-            sources[0],
+            root,
             sequence,
             name=title,
             odometry=options.odometry,

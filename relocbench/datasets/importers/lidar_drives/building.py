@@ -10,10 +10,8 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.deferred import later
-from relocbench.datasets.groundtruth.odometry.files import kept_in
 from relocbench.datasets.importers.assembly import check_folder, open_writer
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, on_one_map
-from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
@@ -74,9 +72,3 @@ def build_from(
     # Odometry that is missing is computed by the build, after it has checked all drives.
     recordings = [drive.recording(later, reporter) for drive in on_one_map(drives, reporter)]
     return build_ground_truth(recordings, Build(writer, options, reporter, run))
-
-
-def finish(drives: Sequence[DriveFiles], out: Path, reporter: Reporter) -> list[FieldRecording]:
-    """The recordings of drives; odometry that is computed from lidar is kept in ``OUT/groundtruth/odometry``."""
-    kept = out / "groundtruth" / "odometry"
-    return [drive.recording(kept_in(kept / f"{drive.name}.csv"), reporter) for drive in drives]

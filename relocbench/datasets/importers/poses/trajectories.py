@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,13 +18,12 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
-from relocbench.datasets.importers.poses.names import names_of_files
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
-from relocbench.files import check_name, fitting_name
+from relocbench.files import check_distinct, check_name, fitting_name, plain_name
 from relocbench.geometry import rotation_angle
 from relocbench.progress import Reporter
 
@@ -217,3 +217,55 @@ def sigma_of_pair(pair: Pair, sigma_m: float | None, sigma_deg: float | None) ->
         translation = float(np.sqrt(2 * sigma_m**2 + 2 / 3 * lever**2))
     rotation = None if sigma_deg is None else float(np.sqrt(2) * sigma_deg)
     return replace(pair, sigma_translation_m=translation, sigma_rotation_deg=rotation)
+
+
+def names_of_files(sources: Sequence[Path], given: Sequence[str], what: str) -> list[str]:
+    """A name for each file: its stem, or where files share one, as ``poses.csv`` do, that of its folder.
+
+    Args:
+        given: names that replace these, one for each file; empty for none.
+        what: what the files are, for messages.
+
+    Raises:
+        DatasetError: there is no file, it is none, one is given twice, or two have the same name.
+        ConfigError: ``given`` does not fit.
+    """
+    if not sources:
+        raise DatasetError(f"no file was given; expected one or more {what}")
+    for number, source in enumerate(sources):
+        if source.is_dir() or not source.exists():
+            raise DatasetError(f"{'is a folder' if source.is_dir() else 'no such file'}; expected {what}", source)
+        if source.resolve() in [earlier.resolve() for earlier in sources[:number]]:
+            raise DatasetError("is given twice; expected different files", source)
+    if given:
+        return _checked(given, len(sources))
+    stems = Counter(source.stem.casefold() for source in sources)
+    names: dict[str, Path] = {}
+    for source in sources:
+        text = source.stem if stems[source.stem.casefold()] == 1 else source.resolve().parent.name
+        try:
+            name = plain_name(text, "traversal name")
+        except ValueError:
+            raise DatasetError(
+                "the file's name cannot name a traversal; give names: --traversals A,B", source
+            ) from None
+        if name in names:
+            raise DatasetError(f"is called '{name}' like {names[name]}; give names: --traversals A,B", source)
+        names[name] = source
+    try:
+        check_distinct(names, "traversals")
+    except ValueError as bad:
+        raise DatasetError(f"{bad}; give names: --traversals A,B") from None
+    return list(names)
+
+
+def _checked(given: Sequence[str], wanted: int) -> list[str]:
+    if len(given) != wanted:
+        raise ConfigError(f"--traversals gives {len(given)} names for {wanted} files")
+    if len(set(given)) < len(given):
+        raise ConfigError("--traversals gives a name twice")
+    try:
+        check_distinct(given, "traversals")
+        return [check_name(name, "traversal name") for name in given]
+    except ValueError as bad:
+        raise ConfigError(f"--traversals: {bad}") from None

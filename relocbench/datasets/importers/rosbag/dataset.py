@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -11,10 +10,11 @@ from pydantic import Field, field_validator
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.importers.assembly import open_writer
+from relocbench.datasets.importers.rosbag.bag import SUFFIXES
 from relocbench.datasets.importers.rosbag.point_times import parse_point_times
+from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError, DatasetError, raise_all
 from relocbench.execution import Run
-from relocbench.files import check_distinct, plain_name
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.importers.rosbag.recording import camera_names, open_bag, read_bag
 
     assert isinstance(options, Options)
-    names = drive_names(sources)
+    names = traversal_names(sources, SUFFIXES)
     if len(names) < 2:
         raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(names)}")
     options.check_conditions(names)
@@ -130,34 +130,3 @@ def settings_of(options: Options) -> BagSettings:
         stamps=options.stamps,
         max_gap_ns=round(options.max_pose_gap * 1e9),
     )
-
-
-def drive_names(sources: Sequence[Path]) -> list[str]:
-    """A name for each recording: that of its file without the ending, or of its folder.
-
-    Raises:
-        DatasetError: there is no source, or two have the same name.
-    """
-    from relocbench.datasets.importers.rosbag.bag import SUFFIXES
-
-    if not sources:
-        raise DatasetError("no recording was given; expected one or more bags")
-    names: dict[str, Path] = {}
-    for source in sources:
-        found = source.resolve()
-        try:
-            name = plain_name(found.stem if found.suffix in SUFFIXES else found.name, "traversal name")
-        except ValueError:
-            raise DatasetError("its name cannot name a traversal; rename or link it", source) from None
-        if name in names:
-            again = names[name].resolve() == found
-            message = (
-                "is given twice; expected different recordings" if again else f"is the second recording called '{name}'"
-            )
-            raise DatasetError(message if again else f"{message} (first: {names[name]})", source)
-        names[name] = source
-    try:
-        check_distinct(names, "recordings")
-    except ValueError as bad:
-        raise DatasetError(str(bad)) from None
-    return list(names)

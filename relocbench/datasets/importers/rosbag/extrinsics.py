@@ -6,24 +6,15 @@ The conventions are those of the generic folder's ``camera.yaml`` and ``lidar.ya
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import CameraEntry, Strict, Transform
+from relocbench.datasets.importers.generic.scans import T_NEW_RIG, RigAxes
 from relocbench.datasets.importers.rosbag.roles import CameraTopic, Roles
 from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.files import load_yaml
-from relocbench.geometry import make_transform
-
-_T_NEW_RIG: dict[str, Array] = {
-    "forward-left-up": np.eye(4),
-    "right-down-forward": make_transform(
-        np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.0, 0.0, 0.0]
-    ),
-}
 
 
 class LidarEntry(Strict):
@@ -41,7 +32,7 @@ class PoseOnly(Strict):
 class Extrinsics(Strict):
     """The content of the file. Keys are topics, or the names that the table of topics gives to cameras and lidars."""
 
-    rig_axes: Literal["forward-left-up", "right-down-forward"] = "forward-left-up"
+    rig_axes: RigAxes = "forward-left-up"
     lidars: dict[str, LidarEntry] = Field(default={})
     cameras: dict[str, CameraEntry | PoseOnly] = Field(default={})
     T_rig_odometry: Transform | None = None
@@ -52,7 +43,7 @@ class Extrinsics(Strict):
     @property
     def T_new_rig(self) -> Array:
         """(4, 4) from the file's rig axes to x forward, y left, z up."""
-        return _T_NEW_RIG[self.rig_axes]
+        return T_NEW_RIG[self.rig_axes]
 
     def lidar(self, name: str, topic: str) -> Array | None:
         """``T_rig_lidar`` (4, 4), if the file tells it."""

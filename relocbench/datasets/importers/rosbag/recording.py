@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from relocbench.datasets.core.schema import Condition
+import numpy as np
+
+from relocbench.datasets.core.schema import CameraEntry, Condition
 from relocbench.datasets.groundtruth.odometry.deferred import Pending, with_prior
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.importers.rosbag.bag import parts_of
-from relocbench.datasets.importers.rosbag.cameras import camera_stream
 from relocbench.datasets.importers.rosbag.lidars import lidar_stream
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin
+from relocbench.datasets.importers.rosbag.pictures import calibration_of
 from relocbench.datasets.importers.rosbag.reading import Opened, Reading
-from relocbench.datasets.importers.rosbag.roles import TABLE, Roles, Wanted, choose, table
+from relocbench.datasets.importers.rosbag.roles import TABLE, CameraTopic, Roles, Wanted, choose, table
 from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.importers.rosbag.stamps import check_clocks
+from relocbench.datasets.importers.rosbag.streams import BagCamera, read_picture
 from relocbench.datasets.importers.rosbag.survey import Survey, survey
 from relocbench.datasets.importers.rosbag.tracks import fix_times, odometry, prior
-from relocbench.datasets.sensors.recording import FieldRecording
-from relocbench.errors import DatasetError
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.geometry import make_transform
 from relocbench.progress import Reporter, Silent
 
 
@@ -106,3 +110,54 @@ def camera_names(opened: Opened, asked: Sequence[str]) -> tuple[str, ...]:
     """Names of cameras that were given as names or topics."""
     by_topic = {camera.images: name for name, camera in opened.roles.cameras.items()}
     return tuple(dict.fromkeys(by_topic.get(one) or by_topic.get(f"/{one}") or one for one in asked))
+
+
+_UPRIGHT = float(np.cos(np.radians(30)))
+"""of the angle between the optical axis and the vertical: nearer to it, no camera of a car looks"""
+
+
+def camera_stream(reading: Reading, camera: CameraTopic) -> CameraStream | None:
+    """A camera; None if it cannot be read and nobody asked for it, which is reported."""
+    try:
+        return _read_camera(reading, camera)
+    except (DatasetError, ConfigError) as bad:
+        if {camera.name, camera.images} & set(reading.settings.wanted.cameras):
+            raise
+        reading.note(f"the camera '{camera.name}' is not read: {bad}")
+        return None
+
+
+def _read_camera(reading: Reading, camera: CameraTopic) -> CameraStream:
+    """A camera whose images can be read.
+
+    Raises:
+        DatasetError: it is not calibrated, or nothing tells its pose on the rig.
+    """
+    topic, known = camera.images, reading.settings.extrinsics.camera(camera)
+    messages, times = reading.messages(topic)
+    first, path = read_picture(messages, 0)
+    size = first.shape[1], first.shape[0]
+    entry, pose = known if known is not None else (None, None)
+    if isinstance(entry, CameraEntry):
+        if entry.camera.size != size:
+            expected = "x".join(map(str, entry.camera.size))
+            raise DatasetError(f"{topic} has images of {size[0]}x{size[1]}, expected {expected} (--extrinsics)", path)
+        assert pose is not None
+        return BagCamera(camera.name, messages, entry.camera, pose, times)
+    if not camera.info:
+        raise DatasetError(f"{topic} has no CameraInfo; give its intrinsics by --extrinsics", reading.source)
+    try:
+        found = calibration_of(reading.survey.first(camera.info), size, camera.rectified)
+    except ValueError as bad:
+        raise DatasetError(f"{camera.info}: {bad}", reading.source) from None
+    if pose is None:
+        frame = reading.survey.topics[topic].frame
+        pose = reading.frames.transform(reading.base, frame)
+        if abs(pose[2, 2]) > _UPRIGHT and "optical" not in frame:
+            raise DatasetError(
+                f"{topic} would look {'up' if pose[2, 2] > 0 else 'down'}: its frame {frame!r} seems to have x "
+                "forward, where images need z forward, x right, y down; give the pose of the camera by --extrinsics",
+                reading.source,
+            )
+        pose = pose @ make_transform(found.R_optical_camera, [0.0, 0.0, 0.0])
+    return BagCamera(camera.name, messages, found.camera, pose, times)

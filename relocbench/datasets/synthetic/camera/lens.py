@@ -1,6 +1,8 @@
-"""The lens: defocus, and light that falls off towards the corners."""
+"""The lens: dirt on it, scattered light, defocus, and light that falls off towards the corners."""
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -41,3 +43,79 @@ def vignette(height: int, width: int, loss: float) -> Floats:
     r2 = (y[:, None] ** 2 + x[None] ** 2) / max(y[-1] ** 2 + x[-1] ** 2, 1e-9)
     k = 1 / np.sqrt(1 - loss) - 1
     return np.asarray(1 / (1 + k * r2) ** 2, dtype=np.float32)
+
+
+_NARROW, _WIDE = 0.006, 0.025
+"""standard deviations of the bloom's two parts, as shares of the image's width"""
+_VEIL = 0.25
+"""standard deviation of the part of the veil that follows the light, as a share of the width"""
+_BRIGHTEST = 300.0
+"""times the mean; brighter light is scattered as if it was that bright"""
+
+
+def scatter(light: Floats, bloom: float, veil: float) -> Floats:
+    """The light (H, W, 3) of which the lens scatters some.
+
+    The glare spread function is a point and three Gaussians and a constant, ``(1 - bloom - veil) I + bloom B + veil V``
+    (Talvala et al., "Veiling glare in high dynamic range imaging", 2007, measure such functions). No light is added or
+    lost, except that of lights beyond a bound.
+    """
+    if bloom <= 0 and veil <= 0:
+        return light
+    width = light.shape[1]
+    bounded = np.minimum(light, np.float32(_BRIGHTEST) * light.mean(dtype=np.float64).astype(np.float32))
+    near = 0.6 * _blurred(bounded, _NARROW * width) + 0.4 * _blurred(bounded, _WIDE * width)
+    mean = bounded.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
+    far = 0.5 * _blurred(bounded, _VEIL * width) + 0.5 * mean
+    return np.asarray((1 - bloom - veil) * light + bloom * near + veil * far, dtype=np.float32)
+
+
+def _blurred(light: Floats, sigma_px: float) -> Floats:
+    """A Gaussian blur, of a smaller image where that shows no difference."""
+    height, width = light.shape[:2]
+    shrink = max(1, int(sigma_px / 3))
+    size = max(1, width // shrink), max(1, height // shrink)
+    small = cv2.resize(light, size, interpolation=cv2.INTER_AREA) if shrink > 1 else light
+    sigma = max(sigma_px * size[0] / width, 1e-3)
+    small = cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    if shrink == 1:
+        return np.asarray(small, dtype=np.float32)
+    return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+_MOST_SPOTS = 70
+_SPOT_WIDTHS = (0.006, 0.05)
+"""radius of spots, as shares of the image's width"""
+_DARKEST = 0.65
+"""share of light that a spot takes away in its middle"""
+_FILM = 0.25
+"""share of light that the film takes away where it is thickest"""
+_SCATTERED = 0.55
+"""share of the light taken away that arrives elsewhere; the rest is absorbed"""
+
+
+@lru_cache(maxsize=8)
+def clearness(height: int, width: int, amount: float, seed: int, lens: int) -> Floats:
+    """Share (H, W) of light that passes the dirt of a lens, at most 1.
+
+    Spots lie anywhere. More dirt adds spots and leaves the others where they are.
+    """
+    rng = np.random.default_rng([seed, 41, lens])
+    film = cv2.resize(rng.uniform(0, 1, (5, 7)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
+    passing = 1 - np.float32(_FILM * amount) * np.clip(2 * film - 0.8, 0, 1)
+    u, v = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
+    low, high = _SPOT_WIDTHS
+    for at_x, at_y, size, strength in rng.uniform(size=(_MOST_SPOTS, 4))[: round(_MOST_SPOTS * amount)]:
+        radius = width * low * (high / low) ** (size**2)
+        x, y = (u - at_x * width) / radius, (v - at_y * height) / radius
+        soft = np.clip(1.5 - np.sqrt(x[None] ** 2 + y[:, None] ** 2), 0, 1)
+        passing *= 1 - np.float32(_DARKEST * strength) * soft**2 * (3 - 2 * soft)
+    passing.setflags(write=False)
+    return np.asarray(passing, dtype=np.float32)
+
+
+def behind_dirt(light: Floats, clear: Floats) -> Floats:
+    """The light (H, W, 3) behind dirt of a clearness (H, W): what it takes away is scattered in part, as mean light."""
+    passing = clear[..., None]
+    mean = light.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
+    return np.asarray(passing * light + (1 - passing) * np.float32(_SCATTERED) * mean, dtype=np.float32)

@@ -6,14 +6,10 @@ import numpy as np
 
 from relocbench.arrays import Floats, Image
 from relocbench.datasets.synthetic.camera import processing
-from relocbench.datasets.synthetic.camera.compression import through_jpeg
-from relocbench.datasets.synthetic.camera.dirt import behind_dirt, clearness
-from relocbench.datasets.synthetic.camera.drift import Drifting, drift
 from relocbench.datasets.synthetic.camera.drops import sliding_drops, through_drops
-from relocbench.datasets.synthetic.camera.glare import scatter
-from relocbench.datasets.synthetic.camera.lens import defocus, vignette
-from relocbench.datasets.synthetic.camera.sensor import with_noise
-from relocbench.datasets.synthetic.camera.shot import Shot
+from relocbench.datasets.synthetic.camera.lens import behind_dirt, clearness, defocus, scatter, vignette
+from relocbench.datasets.synthetic.camera.sensor import through_jpeg, with_noise
+from relocbench.datasets.synthetic.camera.shot import Drifting, Shot, drift
 
 
 def through_lens(light: Floats, shot: Shot) -> Floats:

@@ -6,27 +6,26 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from relocbench.arrays import Array
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.arrays import Array, Floats, Mask
 from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
-from relocbench.datasets.synthetic.jobs import extras, scenes
-from relocbench.datasets.synthetic.jobs.estimates import (
-    Spent,
-    duration,
-    rate,
-    remaining,
-    split_pilots,
-    workers_text,
-)
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, rate, remaining, split_pilots, workers_text
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Frame
 from relocbench.execution import Run, chunks, run_units
+from relocbench.files import write_bytes
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
@@ -113,7 +112,7 @@ def missing_steps(
         frames = []
         for c, (name, (camera, T_rig_cam)) in enumerate(cameras.items()):
             files = {"image": target.image(name, timestamp), "depth": target.depth(name, timestamp)}
-            files |= {k: extras.extra_path(layout.root, plan.name, k, name, timestamp) for k in kinds}
+            files |= {k: extra_path(layout.root, plan.name, k, name, timestamp) for k in kinds}
             missing = {kind: path for kind, path in files.items() if not images.is_whole(path)}
             if missing:
                 number = scenes.frame_seed(seed, plan.number, i, c)
@@ -146,14 +145,14 @@ def render_unit(unit: RenderUnit) -> Spent:
 
 
 def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) -> None:
-    extras.write_mask(path, scenes.changed_since(unit.place, unit.reference, frame, work.camera, work.T_world_cam))
+    write_mask(path, scenes.changed_since(unit.place, unit.reference, frame, work.camera, work.T_world_cam))
 
 
 _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
     "image": lambda path, frame, work, unit: images.write_image(path, frame.rgb),
     "depth": lambda path, frame, work, unit: images.write_depth(path, frame.depth),
-    "normals": lambda path, frame, work, unit: extras.write_normals(path, frame.normal),
-    "instance": lambda path, frame, work, unit: extras.write_instance(path, frame.instance),
+    "normals": lambda path, frame, work, unit: write_normals(path, frame.normal),
+    "instance": lambda path, frame, work, unit: write_instance(path, frame.instance),
     "semantic": lambda path, frame, work, unit: images.write_image(path, frame.semantic),
     "changed": _write_changed,
 }
@@ -174,3 +173,34 @@ def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -
 
 def _scene(unit: RenderUnit) -> tuple[DistrictSpec, Factors]:
     return unit.place, unit.factors
+
+
+def extra_path(root: Path, traversal: str, kind: str, camera: str, timestamp_ns: int) -> Path:
+    """Path of an extra image below the dataset's folder, ``extras/TRAVERSAL/KIND/CAMERA/TIMESTAMP.png``.
+
+    No score depends on extra images, so neither the manifest nor the fingerprint covers them.
+    """
+    return root / "extras" / traversal / kind / camera / f"{timestamp_ns}.png"
+
+
+def write_normals(path: Path, normal: Floats) -> None:
+    """Write unit normals (H, W, 3) in world axes as 16-bit RGB ``(n + 1) 32767.5``; the sky, (0, 0, 0), is mid grey."""
+    _write_png(path, np.rint((np.clip(normal, -1, 1) + 1) * 32767.5).astype(np.uint16)[..., ::-1])
+
+
+def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
+    """Write object numbers (H, W) as 8-bit RGB: ``R + 256 G + 65536 B``."""
+    parts = [(instance >> shift & 255).astype(np.uint8) for shift in (0, 8, 16)]
+    images.write_image(path, np.stack(parts, axis=-1))
+
+
+def write_mask(path: Path, mask: Mask) -> None:
+    """Write a mask (H, W) as 8-bit grey, 255 where it is true."""
+    images.write_image(path, np.where(mask, 255, 0).astype(np.uint8))
+
+
+def _write_png(path: Path, image: NDArray[Any]) -> None:
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 4])
+    if not done:
+        raise ValueError(f"cannot encode an image of {image.dtype} {image.shape}")
+    write_bytes(path, bytes(data))

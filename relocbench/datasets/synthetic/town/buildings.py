@@ -107,16 +107,16 @@ def terrace_for_rows(rng: np.random.Generator) -> House:
     return replace(house, floors=2, dormers=False, chimneys=1, door_at=0.0, front=replace(house.front, bay_m=2.4))
 
 
-def house_shape(house: House, width: float, left: float = 0.0, right: float = 0.0, depth: float = DEPTH_M) -> Shape:
+def house_shape(house: House, width: float, left: float = 0.0, right: float = 0.0) -> Shape:
     """The geometry of a house ``width`` metres wide.
 
     The two ends of its back are shifted along x by ``left`` and ``right`` relative to its front, which mitres corner
     houses. All faces point outward.
     """
     rng = np.random.default_rng(house.seed)
-    parts = [*_front(house, width, rng), *_back(house, left, width + right, depth)]
-    parts += _ends(house, width, left, right, depth)
-    parts += {"gable": _gable, "mansard": _mansard, "flat": _flat_roof}[house.roof](house, width, left, right, depth)
+    parts = [*_front(house, width, rng), *_back(house, left, width + right)]
+    parts += _ends(house, width, left, right)
+    parts += {"gable": _gable, "mansard": _mansard, "flat": _flat_roof}[house.roof](house, width, left, right)
     return join(parts)
 
 
@@ -209,11 +209,11 @@ def _ground_windows(house: House, edge: Array, columns: list[int]) -> list[Shape
     ]
 
 
-def _back(house: House, x0: float, x1: float, depth: float) -> list[Shape]:
+def _back(house: House, x0: float, x1: float) -> list[Shape]:
     """The wall to the yard with plain windows, made as a front and turned by half a turn."""
     width = x1 - x0
     if width < 2.0:
-        wall = [[(x1, depth, 0), (x0, depth, 0), (x0, depth, house.wall_m), (x1, depth, house.wall_m)]]
+        wall = [[(x1, DEPTH_M, 0), (x0, DEPTH_M, 0), (x0, DEPTH_M, house.wall_m), (x1, DEPTH_M, house.wall_m)]]
         return [quads(wall, house.front.wall)]
     columns = max(1, round(width / 3.4))
     edge = np.linspace(0, width, columns + 1)
@@ -226,22 +226,22 @@ def _back(house: House, x0: float, x1: float, depth: float) -> list[Shape]:
     names = _names(house, len(cells), 1000)
     parts = openings(cells, holes, house.front, Material.WINDOW, names, plain=True)
     turn = np.array([-1.0, -1.0, 1.0])
-    return [replace(p, vertices=p.vertices * turn + np.array([x1, depth, 0.0])) for p in parts]
+    return [replace(p, vertices=p.vertices * turn + np.array([x1, DEPTH_M, 0.0])) for p in parts]
 
 
-def _ends(house: House, width: float, left: float, right: float, depth: float) -> list[Shape]:
+def _ends(house: House, width: float, left: float, right: float) -> list[Shape]:
     """The two party walls, up to the eaves."""
     top = house.wall_m
     walls = [
-        [(left, depth, 0), (0, 0, 0), (0, 0, top), (left, depth, top)],
-        [(width, 0, 0), (width + right, depth, 0), (width + right, depth, top), (width, 0, top)],
+        [(left, DEPTH_M, 0), (0, 0, 0), (0, 0, top), (left, DEPTH_M, top)],
+        [(width, 0, 0), (width + right, DEPTH_M, 0), (width + right, DEPTH_M, top), (width, 0, top)],
     ]
     return [quads(walls, house.front.wall)]
 
 
-def _along(house: House, width: float, left: float, right: float, depth: float, y: float, z: float) -> Array:
+def _along(house: House, width: float, left: float, right: float, y: float, z: float) -> Array:
     """The two ends (2, 3) of a line along the house at depth y and height z."""
-    return np.array([(left * y / depth, y, z), (width + right * y / depth, y, z)])
+    return np.array([(left * y / DEPTH_M, y, z), (width + right * y / DEPTH_M, y, z)])
 
 
 def _cornice(house: House, width: float, height: float = 0.22, reach: float = 0.22) -> Shape:
@@ -249,20 +249,20 @@ def _cornice(house: House, width: float, height: float = 0.22, reach: float = 0.
     return boxes([0.0, -reach, z - height], [width, 0.0, z], house.front.trim, without="back")
 
 
-def _gable(house: House, width: float, left: float, right: float, depth: float) -> list[Shape]:
+def _gable(house: House, width: float, left: float, right: float) -> list[Shape]:
     """A gable roof: two slopes with overhanging eaves and gutters, gable ends, chimneys, and possibly dormers."""
     z, over = house.wall_m, 0.3
-    rise = house.pitch * depth / 2
-    ends = (house, width, left, right, depth)
-    ridge = _along(*ends, depth / 2, z + rise)
+    rise = house.pitch * DEPTH_M / 2
+    ends = (house, width, left, right)
+    ridge = _along(*ends, DEPTH_M / 2, z + rise)
     eave = _along(*ends, -over, z - over * house.pitch)
-    back = _along(*ends, depth + over, z - over * house.pitch)
+    back = _along(*ends, DEPTH_M + over, z - over * house.pitch)
     slopes = [[eave[0], eave[1], ridge[1], ridge[0]], [back[1], back[0], ridge[0], ridge[1]]]
     low = [[p - (0, 0, 0.12) for p in row] for row in (eave, back)]
     edges = [[low[0][0], low[0][1], eave[1], eave[0]], [low[1][1], low[1][0], back[0], back[1]]]
-    foot = [_along(*ends, y, z - 0.12 - over * house.pitch) for y in (0.0, depth)]
+    foot = [_along(*ends, y, z - 0.12 - over * house.pitch) for y in (0.0, DEPTH_M)]
     soffit = [[foot[0][0], foot[0][1], low[0][1], low[0][0]], [low[1][0], low[1][1], foot[1][1], foot[1][0]]]
-    front_wall, back_wall = _along(*ends, 0.0, z), _along(*ends, depth, z)
+    front_wall, back_wall = _along(*ends, 0.0, z), _along(*ends, DEPTH_M, z)
     gables = triangle_shape(np.concatenate([front_wall, back_wall, ridge]), [[2, 0, 4], [1, 3, 5]], house.front.wall)
     caps = [
         [foot[0][0], low[0][0], eave[0], front_wall[0]], [low[0][1], foot[0][1], front_wall[1], eave[1]],
@@ -279,7 +279,7 @@ def _gable(house: House, width: float, left: float, right: float, depth: float) 
     if house.dormers and width - abs(left) - abs(right) > 5:
         count = max(1, int((width - max(left, 0) + min(right, 0)) / 3.6))
         for x in np.linspace(max(left, 0) / 2, width + min(right, 0) / 2, count + 2)[1:-1]:
-            parts.append(moved(_dormer(house, house.pitch), x, 0.25 * depth / 2, z + 0.25 * rise))
+            parts.append(moved(_dormer(house, house.pitch), x, 0.25 * DEPTH_M / 2, z + 0.25 * rise))
     return parts
 
 
@@ -315,11 +315,11 @@ def _dormer(house: House, pitch: float) -> Shape:
     return join([*openings(cell, hole, style, Material.WINDOW, _names(house, 1, 1500)), sides, top])
 
 
-def _mansard(house: House, width: float, left: float, right: float, depth: float) -> list[Shape]:
+def _mansard(house: House, width: float, left: float, right: float) -> list[Shape]:
     """A mansard roof: steep lower slopes with dormers below a flat top."""
     z, inset, rise = house.wall_m, 0.9, 2.3
-    ends = (house, width, left, right, depth)
-    lines = [_along(*ends, y, h) for y, h in ((0.0, z), (inset, z + rise), (depth - inset, z + rise), (depth, z))]
+    ends = (house, width, left, right)
+    lines = [_along(*ends, y, h) for y, h in ((0.0, z), (inset, z + rise), (DEPTH_M - inset, z + rise), (DEPTH_M, z))]
     faces = [[a[0], a[1], b[1], b[0]] for a, b in pairwise(lines)]
     caps = [[lines[3][0], lines[0][0], lines[1][0], lines[2][0]], [lines[0][1], lines[3][1], lines[2][1], lines[1][1]]]
     material = [house.roof_material, Material.ROOF_FLAT, house.roof_material]
@@ -333,15 +333,15 @@ def _mansard(house: House, width: float, left: float, right: float, depth: float
     for x in (edge[:-1] + edge[1:]) / 2:
         if max(left, 0) * 0.2 + 0.7 < x < width + min(right, 0) * 0.2 - 0.7:
             parts.append(moved(_dormer(house, rise / inset), x, 0.16, z + 0.4))
-    return parts + _chimneys(house, _along(*ends, depth / 2, z + rise))
+    return parts + _chimneys(house, _along(*ends, DEPTH_M / 2, z + rise))
 
 
-def _flat_roof(house: House, width: float, left: float, right: float, depth: float) -> list[Shape]:
+def _flat_roof(house: House, width: float, left: float, right: float) -> list[Shape]:
     """A flat roof with a parapet and a cornice, and for some houses a plant room."""
     z, high, thick = house.wall_m, 0.55, 0.25
-    ends = (house, width, left, right, depth)
-    outer = np.array([*_along(*ends, 0.0, z), *_along(*ends, depth, z)[::-1]])
-    inner = np.array([*_along(*ends, thick, z), *_along(*ends, depth - thick, z)[::-1]])
+    ends = (house, width, left, right)
+    outer = np.array([*_along(*ends, 0.0, z), *_along(*ends, DEPTH_M, z)[::-1]])
+    inner = np.array([*_along(*ends, thick, z), *_along(*ends, DEPTH_M - thick, z)[::-1]])
     inner += np.array([(thick, 0, 0), (-thick, 0, 0), (-thick, 0, 0), (thick, 0, 0)])
     up = np.array([0, 0, high])
     rows = [(i, (i + 1) % 4) for i in range(4)]
@@ -357,6 +357,6 @@ def _flat_roof(house: House, width: float, left: float, right: float, depth: flo
         _cornice(house, width),
     ]
     if house.chimneys:
-        x, y = width / 2, depth * 0.6
+        x, y = width / 2, DEPTH_M * 0.6
         parts.append(boxes([x - 1.0, y - 1.0, z], [x + 1.0, y + 1.0, z + 2.3], Material.PLASTER, without="bottom"))
     return parts

@@ -149,8 +149,8 @@ def boxes_of(rows: ArrayLike, material: ArrayLike, without: str = "", variant: A
     return boxes(corners[:, :3], corners[:, 3:], material, without, variant)
 
 
-def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bool = True) -> Shape:
-    """A tube along a polyline (P, 3) with a radius at each point; along a straight line, a solid of revolution.
+def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int) -> Shape:
+    """A closed tube along a polyline (P, 3) with a radius at each point; along a straight line, a solid of revolution.
 
     Surface coordinates are the arc lengths around and along it.
     """
@@ -177,8 +177,6 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bo
     u = np.stack([np.stack([j, j + 1, j + 1], -1), np.stack([j, j + 1, j], -1)], axis=2) * arc
     v = np.stack([length[np.stack([i, i, i + 1], -1)], length[np.stack([i, i + 1, i + 1], -1)]], axis=2)
     wall = triangle_shape(vertices, rows, material, np.stack([u, v], axis=-1).reshape(-1, 3, 2))
-    if not cap:
-        return wall
     fan = np.array([[0, k + 1, k] for k in range(1, sides - 1)])
     ends = np.concatenate([fan, fan[:, ::-1] + (len(axis) - 1) * sides])
     return join([wall, triangle_shape(vertices, ends, material)])
