@@ -10,10 +10,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import Pair
 from relocbench.geometry import invert, rotation_angle
 
 _ALIKE_M = 0.5
@@ -37,7 +35,8 @@ def world_of_traversals(dataset: Dataset, pair_sets: Iterable[PairSet]) -> dict[
 def share_a_world(dataset: Dataset, pair_set: PairSet) -> bool:
     """Whether the poses of both traversals agree with the true poses of their pairs, in the median."""
     ref, query = dataset.traversal(pair_set.reference), dataset.traversal(pair_set.query)
-    known = [p for p in pair_set.pairs if _posed(p, ref.poses, query.poses)]
+    posed = [p for p in pair_set.pairs if p.ref_timestamp_ns in ref.poses and p.query_timestamp_ns in query.poses]
+    known = [p for p in posed if p.T_query_ref is not None]
     if not known:
         return False
     chosen = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, min(_MOST, len(known))).astype(int))]
@@ -51,7 +50,3 @@ def share_a_world(dataset: Dataset, pair_set: PairSet) -> bool:
         apart.append((float(np.linalg.norm(difference[:3, 3])), float(rotation_angle(difference[:3, :3]))))
     metres, radians = np.median(np.array(apart), axis=0)
     return bool(metres <= _ALIKE_M and radians <= _ALIKE_RAD)
-
-
-def _posed(pair: Pair, ref: dict[int, Array], query: dict[int, Array]) -> bool:
-    return pair.T_query_ref is not None and pair.ref_timestamp_ns in ref and pair.query_timestamp_ns in query

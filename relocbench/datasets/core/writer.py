@@ -155,7 +155,8 @@ class DatasetWriter:
         version = ELSEWHERE_VERSION if elsewhere else FORMAT_VERSION
         if any(self.layout.traversals.glob("*/intrinsics/*.csv")):
             version = INTRINSICS_VERSION
-        if any(Traversal(self.layout.traversal(name)).frames for name in self._traversal_names()):
+        names = sorted(path.parent.name for path in self.layout.traversals.glob("*/traversal.yaml"))
+        if any(Traversal(self.layout.traversal(name)).frames for name in names):
             version = POSES_VERSION
         file = DatasetFile(
             format_version=version,
@@ -167,9 +168,6 @@ class DatasetWriter:
         )
         write_text(self.layout.dataset_yaml, dump_yaml(file.model_dump(mode="json")))
         return Dataset(self.layout.root)
-
-    def _traversal_names(self) -> list[str]:
-        return sorted(path.parent.name for path in self.layout.traversals.glob("*/traversal.yaml"))
 
     def _claim_folder(self) -> None:
         root, mark = self.layout.root, self.layout.build_yaml

@@ -63,7 +63,8 @@ def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOpt
     folder = job.writer.layout.root / "groundtruth"
     if not options.use_prior:
         large = [replace(recording, prior=None) for recording in large]
-    first = _enlarged_pose(first, scale)
+    if first is not None:
+        first = (*first[:2], scale.enlarged(first[2]))
     aligned = (
         None
         if options.recipe == "open3d"
@@ -149,11 +150,6 @@ def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> 
             names = ", ".join(r.name for r in drives)
             raise ConfigError(f"--first-pose: {time} (nanoseconds) is outside the times of {names}")
     return ref_ns, query_ns, pose
-
-
-def _enlarged_pose(first: FirstPose | None, scale: SceneScale) -> FirstPose | None:
-    """The pose given by hand, in enlarged metres."""
-    return None if first is None else (first[0], first[1], scale.enlarged(first[2]))
 
 
 def _cut(

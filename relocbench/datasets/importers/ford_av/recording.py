@@ -95,7 +95,7 @@ def read_ford(log: Log, how: ReadingOptions, reporter: Reporter, kept: Path | No
     for line in table_lines(found, roles):
         reporter.note(line)
     files = {
-        topic: log.calibration / f"lidar{_colour(topic).capitalize()}_body.yaml" for topic in roles.lidars.values()
+        topic: log.calibration / f"lidar{topic.split('_')[1].capitalize()}_body.yaml" for topic in roles.lidars.values()
     }
     entries = {topic: LidarEntry(T_rig_lidar=Transform.of(read_lidar_pose(path))) for topic, path in files.items()}
     settings = BagSettings(
@@ -122,10 +122,6 @@ def read_ford(log: Log, how: ReadingOptions, reporter: Reporter, kept: Path | No
         prior=poses,
         prior_sigma_m=_PRIOR_SIGMA_M,
     )
-
-
-def _colour(topic: str) -> str:
-    return topic.split("_")[1]
 
 
 def _roles(found: Survey, log: Log, how: ReadingOptions) -> Roles:

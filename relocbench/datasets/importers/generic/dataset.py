@@ -27,7 +27,6 @@ from relocbench.datasets.sensors.undistortion import undistort, undistort_points
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.files import check_distinct, check_name, fitting_name, load_yaml, load_yaml_values
-from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
@@ -208,7 +207,10 @@ def _write_traversal(job: Build[Options], folder: GenericFolder) -> None:
             condition=options.conditions.get(folder.name, folder.condition),
             location=folder.location,
             rate_hz=folder.rate_hz,
-            cameras={name: _undistorted_entry(c.camera) for name, c in folder.cameras.items()},
+            cameras={
+                name: CameraEntry.of(c.camera.camera.pinhole(), c.camera.T_rig_cam.matrix, c.camera.depth_sigma)
+                for name, c in folder.cameras.items()
+            },
             source=f"generic folder {folder.name}",
         ),
         poses,
@@ -241,7 +243,7 @@ def _write_frame(unit: _FrameUnit) -> None:
     """Import a frame: link images of a pinhole camera, undistort those of other cameras."""
     where = unit.traversal, unit.camera_name, unit.timestamp_ns
     camera, writer = unit.camera.camera, unit.writer
-    distorted, size = camera.model != "pinhole", expected_size(camera)
+    distorted, size = camera.model != "pinhole", images.ExpectedSize(camera.size, CAMERA_FILE)
     if not distorted:
         images.read_image(unit.image, size)
         writer.link_image(*where, unit.image, copy=unit.options.copy_images)
@@ -258,15 +260,6 @@ def _write_frame(unit: _FrameUnit) -> None:
         if outside.size:
             raise DatasetError("the point lies outside the image", unit.points, int(outside[0]) + 2)
         writer.points(*where, undistort_points(points, camera) if distorted else points)
-
-
-def _undistorted_entry(camera: GenericCamera) -> CameraEntry:
-    return CameraEntry.of(camera.camera.pinhole(), camera.T_rig_cam.matrix, camera.depth_sigma)
-
-
-def expected_size(camera: Camera) -> images.ExpectedSize:
-    """The size of the camera's images by ``camera.yaml``."""
-    return images.ExpectedSize(camera.size, CAMERA_FILE)
 
 
 def _why_no_pose(folder: GenericFolder) -> str:

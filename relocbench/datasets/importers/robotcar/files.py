@@ -52,7 +52,8 @@ def read_timestamps(path: Path) -> Times:
         if len(fields) > 2:
             raise DatasetError(f"expected a time in microseconds and a chunk, found {len(fields)} columns", path, line)
         times.append(microseconds_to_ns(fields[0], path, line))
-        _check_order(times, fields[0], path, line)
+        if len(times) > 1 and times[-1] <= times[-2]:
+            raise DatasetError(f"time {fields[0]} is not later than the previous one", path, line)
     return np.array(times, dtype=np.int64)
 
 
@@ -201,8 +202,3 @@ def condition_of(tags: Sequence[str], month: int | None = None) -> Condition:
         time_of_day=time_of_day or by_default,
         tags=tuple(tag for tag in tags if tag not in (weather, time_of_day)),
     )
-
-
-def _check_order(times: Sequence[int], text: str, path: Path, line: int) -> None:
-    if len(times) > 1 and times[-1] <= times[-2]:
-        raise DatasetError(f"time {text} is not later than the previous one", path, line)

@@ -142,7 +142,9 @@ class Part:
     def decode(self, topic: str, raw: bytes, received_ns: int) -> Any:
         """A message as an object with the fields of its type. Raises DatasetError with file, topic and time."""
         try:
-            return _decoded(self.types[topic], raw, self.is_ros1(topic))
+            name, ros1 = _alias(self.types[topic]), self.is_ros1(topic)
+            store = typestore(ros1)
+            return store.deserialize_ros1(raw, name) if ros1 else store.deserialize_cdr(raw, name)
         except Exception as bad:  # noqa: BLE001  what a damaged message raises in the library's generated code is open
             raise self.fault(topic, received_ns, f"cannot be decoded ({raised(bad)})") from None
 
@@ -309,12 +311,6 @@ def typestore(ros1: bool) -> Any:
 
 def _alias(message_type: str) -> str:
     return kinds.TRANSFORMS if message_type == kinds.OLD_TRANSFORMS else message_type
-
-
-def _decoded(message_type: str, raw: bytes, ros1: bool) -> Any:
-    store = typestore(ros1)
-    name = _alias(message_type)
-    return store.deserialize_ros1(raw, name) if ros1 else store.deserialize_cdr(raw, name)
 
 
 @contextmanager
