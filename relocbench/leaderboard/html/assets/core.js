@@ -76,9 +76,6 @@
     return out;
   }
 
-  const DIGITS = { m: 3, deg: 3, s: 3 };
-  const UNITS = { share: "%", m: "m", deg: "°", s: "s" };
-
   /** Ties go to the even digit, as on the pages that relocbench itself fills. */
   function rounded(value, digits) {
     const scaled = Math.abs(value) * 10 ** digits;
@@ -93,7 +90,7 @@
     const plain = Number(value);
     if (Number.isNaN(plain)) return "";
     if (!Number.isFinite(plain)) return "inf";
-    return unit === "share" ? rounded(100 * plain, 1) : rounded(plain, DIGITS[unit] ?? 3);
+    return unit === "share" ? rounded(100 * plain, 1) : rounded(plain, 3);
   }
 
   /** The state in the address, key=value&key=value behind the #. */
@@ -191,7 +188,7 @@
 
   window.relocbench = {
     QUALITY, STATUS, thumbs, verdict, errorText,
-    load, script, bytes, escape, breakable, element, number, state, DIGITS, UNITS,
+    load, script, bytes, escape, breakable, element, number, state,
     printing: false,
     get isDark() { return document.documentElement.dataset.theme === "dark"; },
     /** A payload that is loaded already. */
