@@ -9,12 +9,11 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import parse_pose
+from relocbench.datasets.sensors.matrices import parse_matrix
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import parse_floats, read_rows
-from relocbench.geometry import is_rotation, make_transform, project_to_rotation
+from relocbench.files import read_rows
 
 _FORMATS = "TUM (t tx ty tz qx qy qz qw), KITTI (12 numbers), or a graph (v0 x y z qx qy qz qw; VERTEX_SE3:QUAT)"
-_MATRIX = "r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
 _VERTEX = re.compile(r"v?([0-9]{1,9})")
 
 
@@ -32,7 +31,7 @@ def read_cloud_poses(path: Path, count: int) -> Array:
             fields = fields[1:]
             number = _number(fields, path, line)
         elif len(fields) == 12:
-            poses.append((len(poses), _matrix(fields, path, line)))
+            poses.append((len(poses), parse_matrix(fields, path, line)))
             continue
         elif len(fields) == 8 and fields[0].startswith("v"):
             number = _number(fields, path, line)
@@ -57,10 +56,3 @@ def _number(fields: list[str], path: Path, line: int) -> int:
             f"expected the number of a vertex, found {quoted(fields[0] if fields else '', 30)}", path, line
         )
     return int(found[1])
-
-
-def _matrix(fields: list[str], path: Path, line: int) -> Array:
-    m = np.array(parse_floats(fields, path, line, _MATRIX, DatasetError)).reshape(3, 4)
-    if not is_rotation(m[:, :3], 1e-3):
-        raise DatasetError("the left 3x3 of the pose is not a rotation", path, line)
-    return make_transform(project_to_rotation(m[:, :3]), m[:, 3])

@@ -20,16 +20,14 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.traversal import POSE_COLUMNS, read_poses
+from relocbench.datasets.sensors.matrices import parse_matrix
 from relocbench.datasets.sensors.trajectories import QuaternionOrder, parse_time, read_trajectory
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, read_rows
-from relocbench.geometry import is_rotation, make_transform, project_to_rotation
+from relocbench.files import read_rows
 
-_MATRIX = "r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
 _EXPECTED = (
     "expected 8 columns (t tx ty tz and a quaternion), 12 (the upper three rows of a pose) or 13 (a time before them)"
 )
-_ROTATION_TOLERANCE = 1e-3
 """of rotations that are printed with few digits"""
 _STEADY = 0.97
 _WANDERS = 0.99
@@ -87,11 +85,7 @@ def _matrices(path: Path, columns: int, times: Path | None) -> dict[int, Array]:
             time = listed[row]
         else:
             break
-        values = parse_floats(fields[-12:], path, number, _MATRIX, DatasetError)
-        matrix = np.array(values, dtype=np.float64).reshape(3, 4)
-        if not is_rotation(matrix[:, :3], _ROTATION_TOLERANCE):
-            raise DatasetError("the left 3x3 of the pose is not a rotation", path, number)
-        poses[time] = make_transform(project_to_rotation(matrix[:, :3]), matrix[:, 3])
+        poses[time] = parse_matrix(fields[-12:], path, number)
         last = time
     if listed is not None:
         _check_count(path, listed, times)

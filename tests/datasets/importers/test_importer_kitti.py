@@ -191,10 +191,10 @@ def test_a_calibration_without_names_is_read_in_order(recording: Path, tmp_path:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("1 0 0 nan 0 1 0 0 0 0 1 0", ("03.txt", 3, "m03")),
+        ("1 0 0 nan 0 1 0 0 0 0 1 0", ("03.txt", 3, "tx")),
         ("1 0 0 0 0 1 0 0 0 0 1", ("03.txt", 3, "12 numbers", "found 11")),
         ("1 0 0 0 0 1 0 0 0 0 2 0", ("03.txt", 3, "3x3")),
-        ("1 0 0 0 0 one 0 0 0 0 1 0", ("03.txt", 3, "one", "m11")),
+        ("1 0 0 0 0 one 0 0 0 0 1 0", ("03.txt", 3, "one", "r22")),
     ],
 )
 def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line: str, said: ErrorData) -> None:

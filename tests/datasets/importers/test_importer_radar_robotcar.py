@@ -13,7 +13,7 @@ from projected_depth import agrees
 from recorded_street import StreetDrive, errors_of, record_street
 from refusals import Notes, noted, refused
 
-from relocbench.datasets.importers.robotcar.files import transform_from_xyzrpy
+from relocbench.datasets.importers.lidar_drives.texts import transform_from_xyzrpy
 from relocbench.datasets.importers.robotcar.recording import read_robotcar
 from relocbench.datasets.importers.robotcar.track import T_RIG_VEHICLE
 from relocbench.datasets.sensors.image_files import ImageFiles

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from refusals import ErrorData, refused
 
+from relocbench.datasets.importers.lidar_drives.texts import transform_from_xyzrpy
 from relocbench.datasets.importers.robotcar import files
 from relocbench.datasets.importers.robotcar.sensors import present_times
 from relocbench.datasets.importers.robotcar.track import MapOrigin, map_trajectory, visual_trajectory
@@ -40,7 +41,7 @@ def test_six_numbers_turn_about_fixed_x_first_and_z_last() -> None:
     x = np.array([[1, 0, 0], [0, c(roll), -s(roll)], [0, s(roll), c(roll)]])
     y = np.array([[c(pitch), 0, s(pitch)], [0, 1, 0], [-s(pitch), 0, c(pitch)]])
     z = np.array([[c(yaw), -s(yaw), 0], [s(yaw), c(yaw), 0], [0, 0, 1]])
-    found = files.transform_from_xyzrpy([1, 2, 3, roll, pitch, yaw])
+    found = transform_from_xyzrpy([1, 2, 3, roll, pitch, yaw])
     np.testing.assert_allclose(found, make_transform(z @ y @ x, [1, 2, 3]), atol=1e-15)
 
 
@@ -217,7 +218,7 @@ def test_interpolation_agrees_with_the_chain_at_every_step(tmp_path: Path) -> No
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     pose = np.eye(4)
     for i, row in enumerate(values):
-        pose = pose @ files.transform_from_xyzrpy(row)
+        pose = pose @ transform_from_xyzrpy(row)
         at = interpolate_trajectory(track.times_ns, track.T_odom_rig, np.array([(i + 1) * 62_500_000]))[0]
         np.testing.assert_allclose(at, flip @ pose @ flip, atol=1e-9)
 

@@ -24,21 +24,20 @@ from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, 
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
 from relocbench.datasets.importers.lidar_drives.files import check_file
-from relocbench.datasets.importers.lidar_drives.texts import as_transform
 from relocbench.datasets.sensors.derived_lidar import DerivedLidar
 from relocbench.datasets.sensors.image_files import ImageFiles
+from relocbench.datasets.sensors.matrices import parse_matrix
 from relocbench.datasets.sensors.recording import CameraStream, Scan, Trajectory
 from relocbench.datasets.sensors.scan_files import swept
 from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, read_rows
+from relocbench.files import read_rows
 from relocbench.progress import Reporter
 
 OdometrySource = Literal["auto", "poses", "lidar"]
 
 POSE_FILES = ("poses.txt", "poses.csv", "poses.tum")
 _TURN_NS = 100_000_000
-_MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))
 _IDENTITY = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
 
 
@@ -165,10 +164,7 @@ def _trajectory(path: Path, times: Times) -> Trajectory:
     if len(first[1]) != 12:
         found = read_trajectory(path)
         return trajectory_of(list(found), np.array(list(found.values())), np.eye(4), path)
-    poses = []
-    for line, fields in (first, *rows):
-        matrix = np.array(parse_floats(fields, path, line, _MATRIX, DatasetError)).reshape(3, 4)
-        poses.append(as_transform(matrix, path, line))
+    poses = [parse_matrix(fields, path, line) for line, fields in (first, *rows)]
     if len(poses) != len(times):
         raise DatasetError(f"holds {len(poses)} poses without times for {len(times)} clouds", path)
     return trajectory_of(times, np.array(poses), np.eye(4), path)

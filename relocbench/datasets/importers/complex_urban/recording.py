@@ -27,8 +27,9 @@ from relocbench.datasets.importers.complex_urban.images import BayerImages, T_le
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of
 from relocbench.datasets.importers.lidar_drives.files import files_by_time
-from relocbench.datasets.importers.lidar_drives.texts import as_transform, nanoseconds
+from relocbench.datasets.importers.lidar_drives.texts import nanoseconds
 from relocbench.datasets.importers.mulran.recording import read_matrix_rows
+from relocbench.datasets.sensors.matrices import as_transform
 from relocbench.datasets.sensors.recording import CameraStream
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns
 from relocbench.errors import DatasetError

@@ -10,14 +10,14 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
+from relocbench.datasets.sensors.matrices import parse_matrix
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, parse_seconds, read_rows, read_text, whole_number
-from relocbench.geometry import Camera, is_rotation, make_transform, project_to_rotation
+from relocbench.geometry import Camera, make_transform, project_to_rotation
 from relocbench.progress import Reporter
 
 _CALIBRATION_LINES = ("P0", "P1", "P2", "P3", "Tr")
 _MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))
-_ROTATION_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -111,15 +111,8 @@ class KittiSequence:
 
     def poses(self) -> list[Array]:
         """``T_world_cam0`` (4, 4) of frames 0, 1, 2, ... Raises DatasetError with file and line."""
-        poses = []
-        for number, fields in read_rows(
-            self.poses_file, f"poses of sequence {self.name} (12 numbers a line)", DatasetError
-        ):
-            m = np.array(parse_floats(fields, self.poses_file, number, _MATRIX, DatasetError)).reshape(3, 4)
-            if not is_rotation(m[:, :3], _ROTATION_TOLERANCE):
-                raise DatasetError("the left 3x3 of the pose is not a rotation", self.poses_file, number)
-            poses.append(make_transform(project_to_rotation(m[:, :3]), m[:, 3]))
-        return poses
+        rows = read_rows(self.poses_file, f"poses of sequence {self.name} (12 numbers a line)", DatasetError)
+        return [parse_matrix(fields, self.poses_file, number) for number, fields in rows]
 
     def times(self, rate_hz: float, frames: int, reporter: Reporter) -> list[int]:
         """Times of frames 0, 1, 2, ... in nanoseconds, from ``times.txt`` or ``rate_hz``.

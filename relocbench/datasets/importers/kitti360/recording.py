@@ -28,7 +28,8 @@ from relocbench.arrays import Array, Times
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
 from relocbench.datasets.importers.lidar_drives.files import check_file, pinhole_files
-from relocbench.datasets.importers.lidar_drives.texts import as_transform, read_transform
+from relocbench.datasets.importers.lidar_drives.texts import read_transform
+from relocbench.datasets.sensors.matrices import as_transform, parse_matrix
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns, swept
 from relocbench.errors import DatasetError, quoted
@@ -39,7 +40,6 @@ OdometrySource = Literal["lidar", "poses"]
 
 CAMERAS = ("image_00", "image_01")
 _TURN_NS = 100_000_000
-_MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))
 _TIME = re.compile(r"([0-9]{4}-[0-9]{2}-[0-9]{2})[ T]([0-9]{2}:[0-9]{2}:[0-9]{2})(?:\.([0-9]{1,9}))?")
 _PRIOR_SIGMA_M = 5.0
 _NAMED = re.compile(r"[0-9]{4}_([0-9]{2})_[0-9]{2}_drive_.*")
@@ -159,8 +159,7 @@ class Calibration:
         if len(rows) != 1:
             return read_transform(path, "the transform from camera 0 to the lidar")
         line, fields = rows[0]
-        matrix = np.array(parse_floats(fields, path, line, _MATRIX, DatasetError)).reshape(3, 4)
-        return as_transform(matrix, path, line)
+        return parse_matrix(fields, path, line)
 
     def _T_imu_cam(self, camera: str) -> Array:
         path = self.folder / "calib_cam_to_pose.txt"
@@ -182,9 +181,8 @@ def read_poses(path: Path, times: Times, calibration: Calibration) -> Trajectory
         number = parse_count(frame, "frame", path, line, DatasetError)
         if number >= len(times):
             raise DatasetError(f"frame {number} has no time; there are {len(times)}", path, line)
-        matrix = np.array(parse_floats(fields, path, line, _MATRIX, DatasetError)).reshape(3, 4)
         at.append(int(times[number]))
-        poses.append(as_transform(matrix, path, line))
+        poses.append(parse_matrix(fields, path, line))
     if not at:
         raise DatasetError("holds no pose", path)
     return trajectory_of(at, np.array(poses), invert(calibration.T_velo_imu()), path)

@@ -6,13 +6,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from relocbench.arrays import Array
+from relocbench.datasets.sensors.matrices import as_transform
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import lines_of, parse_floats, read_rows, read_text, seconds_to_ns, whole_number
-from relocbench.geometry import is_rotation, make_transform, project_to_rotation
+from relocbench.geometry import make_transform
 
-_ROTATION_TOLERANCE = 1e-3
 _MOST_US = (2**63 - 1) // 1000
 
 
@@ -53,15 +55,12 @@ def read_transform(path: Path, what: str) -> Array:
     return as_transform(read_matrix(path, what), path)
 
 
-def as_transform(matrix: Array, path: Path, line: int | None = None) -> Array:
-    """The transform (4, 4) of a matrix (3 or 4, 4) that was read from ``path``.
-
-    Raises:
-        DatasetError: its upper left part is not a rotation.
-    """
-    if not is_rotation(matrix[:3, :3], _ROTATION_TOLERANCE):
-        raise DatasetError("the upper left 3x3 of the matrix is not a rotation", path, line)
-    return make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
+def transform_from_xyzrpy(values: ArrayLike) -> Array:
+    """Transforms (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6) in metres and radians."""
+    v = np.asarray(values, dtype=np.float64)
+    # Lower-case axes are fixed (extrinsic): about x first, about z last.
+    rotation = Rotation.from_euler("xyz", v[..., 3:].reshape(-1, 3)).as_matrix()
+    return make_transform(rotation.reshape(*v.shape[:-1], 3, 3), v[..., :3])
 
 
 def microseconds_to_ns(text: str, path: Path, line: int | None = None) -> int:

@@ -24,11 +24,12 @@ from scipy.spatial.transform import Rotation
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
 from relocbench.datasets.importers.lidar_drives.files import files_by_time
-from relocbench.datasets.importers.lidar_drives.texts import as_transform, nanoseconds
+from relocbench.datasets.importers.lidar_drives.texts import nanoseconds
+from relocbench.datasets.sensors.matrices import parse_matrix
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, read_rows
+from relocbench.files import read_rows
 from relocbench.geometry import make_transform
 
 OdometrySource = Literal["lidar", "poses"]
@@ -40,7 +41,6 @@ T_BASE_OUSTER = make_transform(
 """``calib_base2ouster.txt``: metres, and roll, pitch, yaw in degrees about fixed axes"""
 _BEAMS = 64
 _TURN_NS = 100_000_000
-_MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))
 _PRIOR_SIGMA_M = 5.0
 """the published poses are those of a pose graph with GNSS of a few metres"""
 
@@ -99,9 +99,8 @@ def read_matrix_rows(path: Path, parse: Callable[[str, Path, int], int]) -> Traj
     """
     times, poses = [], []
     for line, (time, *fields) in read_rows(path, "poses (time and 12 numbers a line)", DatasetError):
-        matrix = np.array(parse_floats(fields, path, line, _MATRIX, DatasetError)).reshape(3, 4)
         times.append(parse(time, path, line))
-        poses.append(as_transform(matrix, path, line))
+        poses.append(parse_matrix(fields, path, line))
     if not poses:
         raise DatasetError("holds no pose", path)
     return trajectory_of(times, np.array(poses), np.eye(4), path)

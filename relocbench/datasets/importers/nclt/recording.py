@@ -23,20 +23,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from relocbench.arrays import Array
 from relocbench.datasets.core.image_header import MOST_FILE_BYTES
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
 from relocbench.datasets.importers.lidar_drives.files import camera_of, files_by_time
-from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns, read_matrix
+from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns, read_matrix, transform_from_xyzrpy
 from relocbench.datasets.importers.nclt.images import LadybugImages, tiff_size
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, records
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_bytes, read_rows
-from relocbench.geometry import make_transform
 
 OdometrySource = Literal["lidar", "wheels", "poses"]
 
@@ -50,13 +47,7 @@ _NAME = re.compile(r"[0-9]{4}-([0-9]{2})-[0-9]{2}")
 _PRIOR_SIGMA_M = 3.0
 
 
-def from_xyzrpy(values: Array) -> Array:
-    """Transforms (..., 4, 4) of x, y, z in metres and roll, pitch, yaw in radians (..., 6), about fixed axes."""
-    rotation = Rotation.from_euler("xyz", values[..., 3:].reshape(-1, 3)).as_matrix()
-    return make_transform(rotation.reshape(*values.shape[:-1], 3, 3), values[..., :3])
-
-
-T_BODY_LB3 = from_xyzrpy(np.array([0.035, 0.002, -1.23, *np.radians([-179.93, -0.23, 0.50])]))
+T_BODY_LB3 = transform_from_xyzrpy([0.035, 0.002, -1.23, *np.radians([-179.93, -0.23, 0.50])])
 """the Ladybug on the body, by ``project_vel_to_cam.py``"""
 
 
@@ -125,7 +116,7 @@ def read_poses(path: Path) -> Trajectory:
         times.append(microseconds_to_ns(time, path, line))
     if not times:
         raise DatasetError("holds no pose", path)
-    T_map_rig = T_RIG_BODY @ from_xyzrpy(np.array(values)) @ T_RIG_BODY
+    T_map_rig = T_RIG_BODY @ transform_from_xyzrpy(values) @ T_RIG_BODY
     return trajectory_of(times, T_map_rig, np.eye(4), path)
 
 
@@ -143,7 +134,7 @@ def _cameras(folder: Path, calibration: Path | None) -> dict[str, CameraStream]:
         pose = where / f"x_lb3_c{number}.csv"
         rows = list(read_rows(pose, f"the camera's pose ({_SIX})", DatasetError))
         six = np.array(parse_floats([f for _, fields in rows for f in fields], pose, 1, _SIX, DatasetError))
-        T_lb3_cam = from_xyzrpy(np.concatenate([six[:3], np.radians(six[3:])]))
+        T_lb3_cam = transform_from_xyzrpy([*six[:3], *np.radians(six[3:])])
         size = tiff_size(read_bytes(found[0][0], "a TIFF image", DatasetError, MOST_FILE_BYTES), found[0][0])
         intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
         camera = camera_of("pinhole", size, intrinsics, (), path)

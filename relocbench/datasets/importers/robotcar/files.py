@@ -12,33 +12,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.importers.lidar_drives.conditions import season_of
-from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns, read_named_columns
+from relocbench.datasets.importers.lidar_drives.texts import (
+    microseconds_to_ns,
+    read_named_columns,
+    transform_from_xyzrpy,
+)
+from relocbench.datasets.sensors.matrices import as_transform
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml_value, parse_floats, read_rows
-from relocbench.geometry import is_rotation, make_transform, project_to_rotation
 
 POSE_COLUMNS = "x y z roll pitch yaw"
 VO_COLUMNS = ("source_timestamp", "destination_timestamp", *POSE_COLUMNS.split())
 INS_COLUMNS = ("timestamp", "ins_status", "northing", "easting", "down", "utm_zone", "roll", "pitch", "yaw")
 _GOOD_STATUS = ("INS_SOLUTION_GOOD", "INS_ALIGNMENT_COMPLETE")
-_ROTATION_TOLERANCE = 1e-3
 _WEATHER = {"snow": "snow", "rain": "rain", "overcast": "overcast", "clouds": "cloudy", "sun": "sunny"}
 """tag -> weather; the first of these that is among a traversal's tags determines its weather"""
 _TIMES_OF_DAY = ("night", "dusk")
-
-
-def transform_from_xyzrpy(values: ArrayLike) -> Array:
-    """Transforms (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6) in metres and radians."""
-    v = np.asarray(values, dtype=np.float64)
-    # Lower-case axes are fixed (extrinsic): about x first, about z last.
-    rotation = Rotation.from_euler("xyz", v[..., 3:].reshape(-1, 3)).as_matrix()
-    return make_transform(rotation.reshape(*v.shape[:-1], 3, 3), v[..., :3])
 
 
 def read_timestamps(path: Path) -> Times:
@@ -170,10 +163,7 @@ def read_lens_model(path: Path) -> LensModel:
     line, fields = rows[0]
     fx, fy, cx, cy = parse_floats(fields, path, line, "fx fy cx cy", DatasetError)
     matrix = np.array([parse_floats(f, path, n, "m0 m1 m2 m3", DatasetError) for n, f in rows[1:]])
-    if not is_rotation(matrix[:3, :3], _ROTATION_TOLERANCE):
-        raise DatasetError("the upper left 3x3 of the matrix is not a rotation", path)
-    pose = make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
-    return LensModel(path, (fx, fy, cx, cy), pose)
+    return LensModel(path, (fx, fy, cx, cy), as_transform(matrix, path))
 
 
 def read_tags(path: Path) -> tuple[str, ...]:

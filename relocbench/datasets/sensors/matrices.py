@@ -1,0 +1,32 @@
+"""Transforms as the numbers of a matrix, which several recording formats have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.errors import DatasetError
+from relocbench.files import parse_floats
+from relocbench.geometry import is_rotation, make_transform, project_to_rotation
+
+_POSE = "r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
+_ROTATION_TOLERANCE = 1e-3
+
+
+def as_transform(matrix: Array, path: Path, line: int | None = None) -> Array:
+    """The transform (4, 4) of a matrix (3 or 4, 4) that was read from ``path``.
+
+    Raises:
+        DatasetError: its upper left part is not a rotation.
+    """
+    if not is_rotation(matrix[:3, :3], _ROTATION_TOLERANCE):
+        raise DatasetError("the upper left 3x3 of the matrix is not a rotation", path, line)
+    return make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
+
+
+def parse_matrix(fields: list[str], path: Path, line: int) -> Array:
+    """The transform (4, 4) whose upper three rows are twelve fields. Raises DatasetError with file and line."""
+    matrix = np.array(parse_floats(fields, path, line, _POSE, DatasetError)).reshape(3, 4)
+    return as_transform(matrix, path, line)
