@@ -123,9 +123,9 @@ def trajectory_of(times: Sequence[int] | Times, T_map_body: Array, T_body_rig: A
     return Trajectory(unique, T_map_body[first] @ T_body_rig)
 
 
-def chosen_of(asked: Sequence[str], known: Sequence[str], default: Sequence[str], what: str, dataset: str) -> list[str]:
-    """The sensors that were asked for, else the default ones. Raises ConfigError if there is no such sensor."""
+def chosen_of(asked: Sequence[str], known: Sequence[str], default: Sequence[str], dataset: str) -> list[str]:
+    """The lidars that were asked for, else the default ones. Raises ConfigError if there is no such lidar."""
     for name in asked:
         if name not in known:
-            raise ConfigError(f"{dataset} has no {what} '{name}'{available(name, known)}")
+            raise ConfigError(f"{dataset} has no lidar '{name}'{available(name, known)}")
     return list(dict.fromkeys(asked or default))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import struct
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -97,24 +97,28 @@ class Part:
     def __init__(self, path: Path) -> None:
         """Open it. Raises DatasetError with the file if it is damaged, ConfigError if rosbags is not installed."""
         self.path = path
-        with _faults_of(path):
-            self._reader: Any = _reader(path)
-            weakref.finalize(self, _close, self._reader)
-            self._reader.open()
-        with _faults_of(path):
-            self._ros1: set[str] = set()
-            self.counts: dict[str, int] = {}
-            self.types: dict[str, str] = {}
-            for connection in self._reader.connections:
-                name = connection.topic
-                if not (isinstance(name, str) and isinstance(connection.msgtype, str)):
-                    raise DatasetError(f"{quoted(name)} is not the name of a topic, or its type is invalid", path)
-                if self.types.setdefault(name, connection.msgtype) != connection.msgtype:
-                    raise DatasetError(f"topic {name} has messages of several types", path)
-                if path.suffix == ".bag" or getattr(connection, "encoding", "") == "ros1":
-                    self._ros1.add(name)
-                self.counts[name] = self.counts.get(name, 0) + int(connection.msgcount)
-            self.begin_ns, self.end_ns = int(self._reader.start_time), int(self._reader.end_time)
+        self._ros1: set[str] = set()
+        self.counts: dict[str, int] = {}
+        self.types: dict[str, str] = {}
+        try:
+            self._open()
+        except Exception as bad:  # noqa: BLE001  a damaged file raises whatever its bytes lead to
+            raise _fault(path, bad) from None
+
+    def _open(self) -> None:
+        self._reader: Any = _reader(self.path)
+        weakref.finalize(self, _close, self._reader)
+        self._reader.open()
+        for connection in self._reader.connections:
+            name = connection.topic
+            if not (isinstance(name, str) and isinstance(connection.msgtype, str)):
+                raise DatasetError(f"{quoted(name)} is not the name of a topic, or its type is invalid", self.path)
+            if self.types.setdefault(name, connection.msgtype) != connection.msgtype:
+                raise DatasetError(f"topic {name} has messages of several types", self.path)
+            if self.path.suffix == ".bag" or getattr(connection, "encoding", "") == "ros1":
+                self._ros1.add(name)
+            self.counts[name] = self.counts.get(name, 0) + int(connection.msgcount)
+        self.begin_ns, self.end_ns = int(self._reader.start_time), int(self._reader.end_time)
 
     def messages(self, topics: Sequence[str], start_ns: int | None = None) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of receipt in nanoseconds and serialised bytes of each message, ordered by time.
@@ -126,14 +130,11 @@ class Part:
         if not chosen:
             return
         last = start_ns
-        found = iter(self._reader.messages(connections=chosen, start=start_ns))
-        while True:
-            with _faults_of(self.path, "" if last is None else f" after the time {last} ns"):
-                following = next(found, None)
-            if following is None:
-                return
-            connection, last, raw = following
-            yield connection.topic, int(last), raw
+        try:
+            for connection, last, raw in self._reader.messages(connections=chosen, start=start_ns):
+                yield connection.topic, int(last), raw
+        except Exception as bad:  # noqa: BLE001  a damaged file raises whatever its bytes lead to
+            raise _fault(self.path, bad, "" if last is None else f" after the time {last} ns") from None
 
     def is_ros1(self, topic: str) -> bool:
         """Whether the messages of a topic are serialised as in ROS 1."""
@@ -313,14 +314,10 @@ def _alias(message_type: str) -> str:
     return kinds.TRANSFORMS if message_type == kinds.OLD_TRANSFORMS else message_type
 
 
-@contextmanager
-def _faults_of(path: Path, where: str = "") -> Iterator[None]:
-    """What the library raises about a damaged file, as one line."""
-    try:
-        yield
-    except (DatasetError, ConfigError):
-        raise
-    except Exception as bad:  # noqa: BLE001  a damaged file raises whatever its bytes lead to
-        message = raised(bad).replace(str(path), path.name)
-        hint = next((f"; {hint}" for words, hint in _HINTS if words in message), "")
-        raise DatasetError(f"cannot be read as a bag{where} ({message}){hint}", path) from None
+def _fault(path: Path, bad: Exception, where: str = "") -> Exception:
+    """What the library raised about a damaged file, as one line."""
+    if isinstance(bad, DatasetError | ConfigError):
+        return bad
+    message = raised(bad).replace(str(path), path.name)
+    hint = next((f"; {hint}" for words, hint in _HINTS if words in message), "")
+    return DatasetError(f"cannot be read as a bag{where} ({message}){hint}", path)
