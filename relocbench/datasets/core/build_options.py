@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from relocbench.datasets.core.schema import Condition, Strict
 from relocbench.errors import ConfigError, available
@@ -127,6 +127,10 @@ def plain_size(text: str) -> str:
     if not sides or not all(32 <= side <= 4096 for side in sides):
         raise ValueError("size is WIDTHxHEIGHT or one number, 32 to 4096 pixels")
     return f"{sides[0]}x{sides[-1]}"
+
+
+ImageSize = Annotated[str, AfterValidator(plain_size)]
+"""an option with a size in pixels"""
 
 
 def width_height(size: str) -> tuple[int, int]:

@@ -10,10 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from relocbench.datasets.core.build_options import ImportOptions, RuleOptions, plain_size, width_height
+from relocbench.datasets.core.build_options import ImageSize, ImportOptions, RuleOptions, width_height
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import (
     PRESETS,
@@ -71,7 +71,7 @@ class Options(RuleOptions):
         "noise, blur, glare, dirt on the lens, sharpening, compression; 'ideal': all have the same clean camera",
     )
     cameras: Literal["front", "stereo", "wide-stereo", "six"] = Field("front", description="the rig")
-    size: str = Field("320x240", description="pixels, WIDTHxHEIGHT, or one number for both")
+    size: ImageSize = Field("320x240", description="pixels, WIDTHxHEIGHT, or one number for both")
     steps: int = Field(
         16,
         ge=2,
@@ -137,11 +137,6 @@ class Options(RuleOptions):
         _refuse_what_has_no_effect(values)
         frames = {"steps": _RECORDING_FRAMES} if values.get("recording") else {}
         return {**frames, **PRESETS.get(str(values.get("preset", "demo")), {}), **values}
-
-    @field_validator("size")
-    @classmethod
-    def _plain_size(cls, size: str) -> str:
-        return plain_size(size)
 
     @model_validator(mode="after")
     def _one_thing_varies(self) -> Self:

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from relocbench.datasets.core.build_options import ImportOptions, plain_size, width_height
+from relocbench.datasets.core.build_options import ImageSize, ImportOptions, width_height
 from relocbench.datasets.moved_views.kinds import SURFACES, WORDS, Change, SurfaceKind
 from relocbench.execution import Run
 from relocbench.files import fitting_name
@@ -31,7 +31,9 @@ class Options(ImportOptions):
 
     name: str = Field("", description="name of the dataset; default: made from the folders")
     licence: str = Field("unknown", description="licence of the photographs, kept in dataset.yaml")
-    size: str = Field("512x384", description="pixels of keyframes and queries, WIDTHxHEIGHT, or one number for both")
+    size: ImageSize = Field(
+        "512x384", description="pixels of keyframes and queries, WIDTHxHEIGHT, or one number for both"
+    )
     keyframes: int = Field(
         1, ge=1, le=100, description="keyframes of each photograph, each a part with a surface and motions of its own"
     )
@@ -54,11 +56,6 @@ class Options(ImportOptions):
         0.1, ge=0, lt=1, description="share of each folder's photographs in the split 'validation', by name before test"
     )
     test: float = Field(0.0, ge=0, lt=1, description="share of each folder's photographs in the split 'test', the last")
-
-    @field_validator("size")
-    @classmethod
-    def _plain_size(cls, size: str) -> str:
-        return plain_size(size)
 
     @model_validator(mode="after")
     def _something_of_each(self) -> Self:
