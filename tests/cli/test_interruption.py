@@ -140,7 +140,7 @@ def test_one_ctrl_c_ends_a_leaderboard_and_the_same_command_writes_it_later(data
     program = (
         "import pathlib, sys, time\n"
         "def stop(event, arguments):\n"
-        "    if event == 'os.rename' and str(arguments[1]).endswith('.png') and not pathlib.Path('mark').exists():\n"
+        "    if event == 'os.rename' and str(arguments[1]).endswith('.csv') and not pathlib.Path('mark').exists():\n"
         "        pathlib.Path('mark').touch()\n"
         "        time.sleep(1000)\n"
         "sys.addaudithook(stop)\n"
