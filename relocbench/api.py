@@ -169,7 +169,7 @@ def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequ
     """
     import pandas as pd
 
-    from relocbench.evaluation.common.error_table import ERROR_COLUMNS
+    from relocbench.evaluation.common.error_table import NUMBERS
 
     frames = []
     for entry in _entries(Path(results), split, datasets):
@@ -184,7 +184,7 @@ def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequ
                         "query_timestamp_ns": table.keys[:, 1],
                         "group": table.groups,
                         "status": table.statuses,
-                        **{column: table.column(column) for column in ERROR_COLUMNS[4:]},
+                        **{column: table.column(column) for column in NUMBERS},
                     }
                     frames.append(pd.DataFrame(columns))
     return pd.concat(frames, ignore_index=True)

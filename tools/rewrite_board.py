@@ -21,8 +21,8 @@ from collections import defaultdict
 from pathlib import Path
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable, PairErrors
-from relocbench.evaluation.common.matching_table import ALL, MatchingRow, OffsetCounts
+from relocbench.evaluation.common.error_table import NUMBERS, ErrorTable, PairErrors
+from relocbench.evaluation.common.matching_table import ALL, MatchingRow
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
 from relocbench.evaluation.common.tables import write_rows
 from relocbench.leaderboard.common.text import cell
@@ -69,9 +69,9 @@ def _errors(path: Path) -> dict[tuple[str, str, str], ErrorTable]:
     found: dict[tuple[str, str, str], list[PairErrors]] = defaultdict(list)
     for row in _read(path):
         key = int(row["ref_timestamp_ns"]), int(row["query_timestamp_ns"])
-        numbers = [float(row[name]) if row[name] else None for name in ERROR_COLUMNS[4:]]
+        numbers = [float(row[name]) if row[name] else None for name in NUMBERS]
         place = row["dataset"], row["pair_set"], row["method"]
-        found[place].append(PairErrors(key, row["group"], row["status"], *numbers))  # type: ignore[arg-type]
+        found[place].append(PairErrors(*key, row["group"], row["status"], *numbers))  # type: ignore[arg-type]
     return {place: ErrorTable.of(rows) for place, rows in found.items()}
 
 
@@ -86,13 +86,12 @@ def _matching(path: Path) -> dict[tuple[str, str, str], tuple[MatchingRow, ...]]
         named = [row for row in rows if row["group"] != ALL] or rows
         out[place] = tuple(
             MatchingRow(
-                (0, number),
+                0,
+                number,
                 "" if row["group"] == ALL else row["group"],
-                OffsetCounts(
-                    int(row["start"].removesuffix("px")),
-                    int(row["count"]),
-                    *(round(float(row[name] or 0) * int(row["count"])) for name in _COUNTS),
-                ),
+                int(row["start"].removesuffix("px")),
+                int(row["count"]),
+                *(round(float(row[name] or 0) * int(row["count"])) for name in _COUNTS),
             )
             for number, row in enumerate(named)
         )

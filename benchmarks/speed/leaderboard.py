@@ -110,7 +110,7 @@ def _write_method(
     for name in names:
         rows = _rows(rng, pairs, scale)
         write_pose_lines(folder.predictions(name), [PoseLine(*row.key, pose) for row in rows if row.status == "ok"])
-        write_answers(folder.answers(name), [Answer(row.key, row.status, row.seconds) for row in rows])
+        write_answers(folder.answers(name), [Answer(*row.key, row.status, row.seconds) for row in rows])
         write_errors(folder.errors(name), rows)
         hashes[name], errors[name] = predictions_hash(folder, name), errors_hash(folder, name)
         scores[name] = {group: summarize_rows(rows, group).to_dict() for group in groups_of(rows)}
@@ -139,7 +139,8 @@ def _rows(rng: np.random.Generator, pairs: int, scale: float) -> list[PairErrors
         answered = metre < np.inf
         rows.append(
             PairErrors(
-                key=(START_NS + STEP_NS * index, START_NS + 10**17 + STEP_NS * index),
+                ref_timestamp_ns=START_NS + STEP_NS * index,
+                query_timestamp_ns=START_NS + 10**17 + STEP_NS * index,
                 group="",
                 status="ok" if answered else "failed",
                 rotation_error_deg=degree if answered else np.inf,

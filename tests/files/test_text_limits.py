@@ -27,7 +27,7 @@ from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.robotcar import files as robotcar_files
 from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError, RelocbenchError, quoted
-from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS
+from relocbench.evaluation.common.answer_table import ANSWERS
 from relocbench.evaluation.common.answer_table import read_answers as read_pair_answers
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import read_matching
@@ -124,7 +124,7 @@ def test_rows_are_counted_by_the_lines_of_the_file_and_keep_their_characters(tmp
 def test_a_message_with_any_line_break_comes_back_from_a_table_of_answers(tmp_path: Path) -> None:
     path = tmp_path / "set.csv"
     message = "first\x0bsecond\x85third\u2028fourth\nfifth"
-    path.write_text(f'{",".join(ANSWER_COLUMNS)}\n1,2,error,,,"{message}",\n')
+    path.write_text(f'{",".join(ANSWERS.columns)}\n1,2,error,,,"{message}",\n')
     assert read_pair_answers(path)[1, 2].message == message
 
 

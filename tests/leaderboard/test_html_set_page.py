@@ -16,7 +16,7 @@ from test_leaderboard import MadeResults, made
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.common.matching_table import OFFSETS_PX, MatchingRow, OffsetCounts
+from relocbench.evaluation.common.matching_table import OFFSETS_PX, MatchingRow
 from relocbench.evaluation.common.results import dataset_results, write_dataset_record
 from relocbench.evaluation.common.tables import write_rows
 from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS, START_COLUMNS
@@ -57,8 +57,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     add_answers(root / "results", dataset, "wrong", "wrong", wrong)
     _write_probe(root / "results" / "probed", dataset.fingerprint)
     (entry,) = load_results(root / "results", datasets=DatasetLookup(root / "results"))
-    counts = [OffsetCounts(offset, 10, 10, 12 // offset // 2, 12 // offset // 2, 0, 0) for offset in OFFSETS_PX]
-    rows = tuple(MatchingRow((1, 2), "", each) for each in counts)
+    near = {offset: 12 // offset // 2 for offset in OFFSETS_PX}
+    rows = tuple(MatchingRow(1, 2, "", offset, 10, 10, count, count, 0, 0) for offset, count in near.items())
     methods = tuple(replace(m, matching={ACROSS: rows}) if m.label == "wrong" else m for m in entry.methods)
     board = make_board([replace(entry, methods=methods)])
     return write_site(Boards(board), root / "html", pairs=0).parent

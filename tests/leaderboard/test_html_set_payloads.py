@@ -17,7 +17,7 @@ from relocbench.arrays import Array, Floats, Indices
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors, sweep
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.matching_table import OFFSETS_PX, MatchingRow, OffsetCounts
+from relocbench.evaluation.common.matching_table import OFFSETS_PX, MatchingRow
 from relocbench.evaluation.common.results import PairSetRecord, dataset_results, write_dataset_record
 from relocbench.evaluation.common.tables import write_rows
 from relocbench.evaluation.probe.read import read_probe
@@ -187,10 +187,10 @@ def test_factors_have_words_and_units() -> None:
 
 def test_matching_is_told_by_the_offset_of_starts() -> None:
     def rows(found: int) -> tuple[MatchingRow, ...]:
-        counts = [
-            OffsetCounts(offset, 10, 10, found, 9, 10 * (offset == 1), 10 * (offset <= 2)) for offset in OFFSETS_PX
-        ]
-        return tuple(MatchingRow((1, 2), "", each) for each in counts)
+        return tuple(
+            MatchingRow(1, 2, "", offset, 10, 10, found, 9, 10 * (offset == 1), 10 * (offset <= 2))
+            for offset in OFFSETS_PX
+        )
 
     methods = [SimpleNamespace(label=label, matching={"a": rows(n)}) for label, n in (("good", 8), ("bad", 2))]
     methods.append(SimpleNamespace(label="none", matching={}))

@@ -94,7 +94,7 @@ class MadeResults:
             rows = [self._row(i, made) for i in range(self.pair_sets[name])]
             lines = [PoseLine(*r.key, np.eye(4)) for r in rows if r.status == "ok"]
             write_pose_lines(folder.predictions(name), lines)
-            write_answers(folder.answers(name), [Answer(r.key, r.status, r.seconds) for r in rows])
+            write_answers(folder.answers(name), [Answer(*r.key, r.status, r.seconds) for r in rows])
             write_errors(folder.errors(name), rows)
             hashes[name], errors[name] = predictions_hash(folder, name), errors_hash(folder, name)
             scores[name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
@@ -134,7 +134,8 @@ class MadeResults:
     def _row(self, i: int, made: Made) -> PairErrors:
         answered = bool(np.isfinite(made.translation_m[i]))
         return PairErrors(
-            key=(1_600_000_000_000_000_000 + 100_000_000 * i, 1_700_000_000_000_000_000 + 100_000_000 * i),
+            ref_timestamp_ns=1_600_000_000_000_000_000 + 100_000_000 * i,
+            query_timestamp_ns=1_700_000_000_000_000_000 + 100_000_000 * i,
             group=self.groups[i % len(self.groups)] if self.groups else "",
             status="ok" if answered else "error" if i in made.broke else "failed",
             rotation_error_deg=float(made.rotation_deg[i]) if answered else np.inf,

@@ -32,7 +32,7 @@ def add_answers(
         poses = {pair.key: answer(pair) for pair in pair_set.evaluated}
         lines = [PoseLine(*key, pose) for key, pose in poses.items() if pose is not None]
         write_pose_lines(folder.predictions(pair_set.name), lines)
-        failed = [Answer(key, "failed", 0.5, None, message, info) for key, pose in poses.items() if pose is None]
-        answered = [Answer(key, "ok", 0.5, 0.9, "", info) for key, pose in poses.items() if pose is not None]
+        failed = [Answer(*key, "failed", 0.5, None, message, info) for key, pose in poses.items() if pose is None]
+        answered = [Answer(*key, "ok", 0.5, 0.9, "", info) for key, pose in poses.items() if pose is not None]
         write_answers(folder.answers(pair_set.name), sorted([*failed, *answered], key=lambda one: one.key))
     score_method(dataset, dataset.pair_sets(), folder)

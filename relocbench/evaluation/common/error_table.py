@@ -8,52 +8,39 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, overload
+from typing import Annotated, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Indices
-from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey
-from relocbench.errors import PredictionError
+from relocbench.datasets.core.pairfile import ELSEWHERE
 from relocbench.evaluation.common.matching_table import ALL
-from relocbench.evaluation.common.tables import KEY_COLUMNS, STATUSES, TableRow, read_chunks, write_rows
+from relocbench.evaluation.common.schema import ERROR, NUMBER, STATUS, TEXT, PairRecord, Schema
+from relocbench.evaluation.common.tables import STATUSES, read_chunks, write_rows
 from relocbench.metrics import CORRECT, DifferentPlaces, PairSetSummary, PoseErrors, summarize, within
-
-ERROR_COLUMNS = (
-    *KEY_COLUMNS,
-    "group",
-    "status",
-    "rotation_error_deg",
-    "translation_error_m",
-    "mlad_translation_error_m",
-    "confidence",
-    "seconds",
-    "distance_m",
-    "angle_deg",
-    "sigma_translation_m",
-    "sigma_rotation_deg",
-)
-_ERRORS = ERROR_COLUMNS[4:7]
-_OPTIONAL = ERROR_COLUMNS[7:]
 
 
 @dataclass(frozen=True)
-class PairErrors:
+class PairErrors(PairRecord):
     """One row of ``PAIRSET.errors.csv``."""
 
-    key: PairKey
-    group: str
-    status: str
-    rotation_error_deg: float
-    translation_error_m: float
-    mlad_translation_error_m: float
-    confidence: float | None
-    seconds: float | None
-    distance_m: float | None
-    angle_deg: float | None
-    sigma_translation_m: float | None
-    sigma_rotation_deg: float | None
+    group: Annotated[str, TEXT]
+    status: Annotated[str, STATUS]
+    rotation_error_deg: Annotated[float, ERROR]
+    translation_error_m: Annotated[float, ERROR]
+    mlad_translation_error_m: Annotated[float, ERROR]
+    confidence: Annotated[float | None, NUMBER]
+    seconds: Annotated[float | None, NUMBER]
+    distance_m: Annotated[float | None, NUMBER]
+    angle_deg: Annotated[float | None, NUMBER]
+    sigma_translation_m: Annotated[float | None, NUMBER]
+    sigma_rotation_deg: Annotated[float | None, NUMBER]
+
+
+ERRORS = Schema(PairErrors)
+NUMBERS = ERRORS.columns[4:]
+_ERRORS, _OPTIONAL = NUMBERS[:3], NUMBERS[3:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +56,7 @@ class ErrorTable(Sequence[PairErrors]):
     status_index: NDArray[np.int8]
     """(N,) index into :data:`STATUSES`"""
     numbers: Array
-    """(9, N) the columns of :data:`ERROR_COLUMNS` from the rotation error on; NaN where there is no value"""
+    """(9, N) the columns :data:`NUMBERS`; NaN where there is no value"""
 
     @classmethod
     def of(cls, rows: Sequence[PairErrors]) -> ErrorTable:
@@ -83,9 +70,9 @@ class ErrorTable(Sequence[PairErrors]):
             tuple(names),
             np.array([STATUSES.index(row.status) for row in rows], dtype=np.int8),
             np.array(
-                [[getattr(row, name) for row in rows] for name in (*_ERRORS, *_OPTIONAL)],
+                [[getattr(row, name) for row in rows] for name in NUMBERS],
                 dtype=np.float64,  # None becomes NaN
-            ).reshape(len(_ERRORS) + len(_OPTIONAL), len(rows)),
+            ).reshape(len(NUMBERS), len(rows)),
         )
 
     def __len__(self) -> int:
@@ -103,8 +90,9 @@ class ErrorTable(Sequence[PairErrors]):
     def __iter__(self) -> Iterator[PairErrors]:
         columns = [self.numbers[i].tolist() for i in range(len(self.numbers))]
         optional = [[None if v != v else v for v in column] for column in columns[len(_ERRORS) :]]
-        keys = map(tuple, self.keys.tolist())
-        for row in zip(keys, self.groups, self.statuses, *columns[: len(_ERRORS)], *optional, strict=True):
+        for row in zip(
+            *self.keys.T.tolist(), self.groups, self.statuses, *columns[: len(_ERRORS)], *optional, strict=True
+        ):
             yield PairErrors(*row)
 
     @property
@@ -124,7 +112,7 @@ class ErrorTable(Sequence[PairErrors]):
 
     def column(self, name: str) -> Array:
         """(N,) a column of numbers by name, NaN where a row has none."""
-        out: Array = self.numbers[ERROR_COLUMNS.index(name) - 4]
+        out: Array = self.numbers[NUMBERS.index(name)]
         return out
 
     def with_status(self, status: str) -> int:
@@ -172,7 +160,7 @@ class ErrorTable(Sequence[PairErrors]):
         return self if np.array_equal(order, np.arange(len(self))) else self.take(order)
 
     def texts(self) -> list[list[Any]]:
-        """The columns as texts, in the order of :data:`ERROR_COLUMNS`; floats with all their digits."""
+        """The columns as texts, in the order of the file; floats with all their digits."""
         values = [[repr(v) for v in column.tolist()] for column in self.numbers[: len(_ERRORS)]]
         optional = [["" if v != v else repr(v) for v in column.tolist()] for column in self.numbers[len(_ERRORS) :]]
         return [*self.keys.T.tolist(), self.groups, self.statuses, *values, *optional]
@@ -189,7 +177,7 @@ def groups_in(group_names: Sequence[str]) -> list[str]:
 
 def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
     """Write ``PAIRSET.errors.csv``: one row for each pair of the set; the errors of a failed pair are ``inf``."""
-    write_rows(path, itertools.chain([ERROR_COLUMNS], zip(*ErrorTable.of(rows).texts(), strict=True)))
+    write_rows(path, itertools.chain([ERRORS.columns], zip(*ErrorTable.of(rows).texts(), strict=True)))
 
 
 def read_errors(path: Path) -> ErrorTable:
@@ -198,31 +186,37 @@ def read_errors(path: Path) -> ErrorTable:
     Raises:
         PredictionError: with file and line: a wrong column, a number or status that is not valid.
     """
+    parts = []
+    for lines, rows in read_chunks(path, ERRORS.columns):
+        part = _fast(list(zip(*rows, strict=True)))
+        if part is None:
+            part = ErrorTable.of([ERRORS.row(path, line, texts) for line, texts in zip(lines, rows, strict=True)])
+        parts.append(part)
+    return _joined(parts)
+
+
+def _joined(parts: Sequence[ErrorTable]) -> ErrorTable:
+    """The rows of all parts, one after the other."""
+    if len(parts) < 2:
+        return parts[0] if parts else ErrorTable.of([])
     names: dict[str, int] = {}
-    keys, groups, statuses, numbers = [], [], [], []
-    for lines, rows in read_chunks(path, ERROR_COLUMNS):
-        columns = list(zip(*rows, strict=True))
-        converted = _fast(columns)
-        keys_of, numbers_of = converted if converted is not None else _one_by_one(rows, path, lines)
-        keys.append(keys_of)
-        numbers.append(numbers_of)
-        groups.append(np.array([names.setdefault(name, len(names)) for name in columns[2]], dtype=np.int64))
-        statuses.append(_status_index(columns[3], path, lines))
-    if not keys:
-        return ErrorTable.of([])
+    groups = []
+    for part in parts:
+        of_part = [names.setdefault(name, len(names)) for name in part.group_names]
+        groups.append(np.array(of_part, dtype=np.int64)[part.group_index])
     return ErrorTable(
-        np.concatenate(keys),
+        np.concatenate([part.keys for part in parts]),
         np.concatenate(groups),
         tuple(names),
-        np.concatenate(statuses),
-        np.concatenate(numbers, axis=1),
+        np.concatenate([part.status_index for part in parts]),
+        np.concatenate([part.numbers for part in parts], axis=1),
     )
 
 
-def _fast(columns: Sequence[Sequence[str]]) -> tuple[Indices, Array] | None:
-    """Convert whole columns to keys (n, 2) and numbers (9, n); None where a field needs a closer look."""
+def _fast(columns: Sequence[Sequence[str]]) -> ErrorTable | None:
+    """The table of whole columns; None where a field needs a closer look."""
     times = "".join(columns[0]) + "".join(columns[1])
-    if not (times.isascii() and times.isdecimal()):
+    if not (times.isascii() and times.isdecimal()) or not set(columns[3]) <= set(STATUSES):
         return None
     try:
         keys = np.array([list(map(int, texts)) for texts in columns[:2]], dtype=np.int64).T
@@ -238,25 +232,9 @@ def _fast(columns: Sequence[Sequence[str]]) -> tuple[Indices, Array] | None:
     blanks = sum(texts.count("") for texts in columns[7:])
     infinite = sum(texts.count("inf") for texts in columns[4:7])
     odd = np.count_nonzero(~np.isfinite(numbers))
-    usual = odd == blanks + infinite and not np.isnan(numbers[:3]).any() and (numbers[:3] >= 0).all()
-    return (keys, numbers) if usual else None
-
-
-def _one_by_one(rows: Sequence[Sequence[str]], path: Path, lines: Sequence[int]) -> tuple[Indices, Array]:
-    """Convert as :func:`_fast`, but field by field. Raises PredictionError with the line."""
-    keys, numbers = [], []
-    for line, fields in zip(lines, rows, strict=True):
-        row = TableRow(path, line, dict(zip(ERROR_COLUMNS, fields, strict=True)))
-        keys.append(row.key())
-        numbers.append([*map(row.error, _ERRORS), *(row.number(n) if row[n] else math.nan for n in _OPTIONAL)])
-    return np.array(keys, dtype=np.int64), np.array(numbers, dtype=np.float64).T
-
-
-def _status_index(statuses: Sequence[str], path: Path, lines: Sequence[int]) -> NDArray[np.int8]:
-    place = {status: index for index, status in enumerate(STATUSES)}
-    indices = [place.get(status, -1) for status in statuses]
-    if -1 in indices:
-        wrong = indices.index(-1)
-        message = f"status is '{statuses[wrong][:60]}', expected {', '.join(STATUSES)}"
-        raise PredictionError(message, path, lines[wrong])
-    return np.array(indices, dtype=np.int8)
+    if odd != blanks + infinite or np.isnan(numbers[:3]).any() or not (numbers[:3] >= 0).all():
+        return None
+    names: dict[str, int] = {}
+    groups = np.array([names.setdefault(name, len(names)) for name in columns[2]], dtype=np.int64)
+    statuses = np.array(list(map(STATUSES.index, columns[3])), dtype=np.int8)
+    return ErrorTable(keys, groups, tuple(names), statuses, numbers)

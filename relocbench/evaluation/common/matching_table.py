@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow, read_rows, write_rows
+from relocbench.evaluation.common.schema import COUNT, TEXT, PairRecord, Schema
 from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 
 ALL = "all"
@@ -21,55 +22,47 @@ Summary = dict[str, dict[str, float | int | None]]
 
 
 @dataclass(frozen=True)
-class OffsetCounts:
+class MatchingRow(PairRecord):
     """How many pixels of a pair, those that were started at one offset, the method brought near the truth."""
 
-    offset_px: int
-    pixels: int
+    group: Annotated[str, TEXT]
+    offset_px: Annotated[int, COUNT]
+    pixels: Annotated[int, COUNT]
     """number of pixels that started at this offset; every pixel starts at one offset only"""
-    answered: int
-    within_1px: int
-    within_3px: int
-    start_within_1px: int
+    answered: Annotated[int, COUNT]
+    within_1px: Annotated[int, COUNT]
+    within_3px: Annotated[int, COUNT]
+    start_within_1px: Annotated[int, COUNT]
     """starts that are that near already, which a method that does not move would get"""
-    start_within_3px: int
-
-
-@dataclass(frozen=True)
-class MatchingRow:
-    """A row of ``PAIRSET.matching.csv``."""
-
-    key: PairKey
-    group: str
-    found: OffsetCounts
-    message: str = ""
+    start_within_3px: Annotated[int, COUNT]
+    message: Annotated[str, TEXT] = ""
     """how the method crashed, in which case it answered no pixel"""
 
+    @property
+    def named(self) -> str:
+        return ""  # a pair has a row for each offset
 
-_COUNTS = tuple(field.name for field in fields(OffsetCounts))
-MATCHING_COLUMNS = (*KEY_COLUMNS, "group", *_COUNTS, "message")
+    def contradiction(self) -> str | None:
+        if self.within_1px <= self.within_3px <= self.answered <= self.pixels:
+            return None
+        return "expected within_1px <= within_3px <= answered <= pixels"
+
+
+MATCHING = Schema(MatchingRow)
 
 
 def write_matching(path: Path, rows: Sequence[MatchingRow]) -> None:
     """Write ``PAIRSET.matching.csv``, in the order given."""
-    write_rows(path, [MATCHING_COLUMNS, *([*r.key, r.group, *astuple(r.found), r.message] for r in rows)])
+    MATCHING.write(path, rows)
 
 
 def read_matching(path: Path) -> list[MatchingRow]:
-    """Read ``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
-    out = []
-    for row in _rows(path):
-        key, counts = row.key(), OffsetCounts(*map(row.count, _COUNTS))
-        if not counts.within_1px <= counts.within_3px <= counts.answered <= counts.pixels:
-            raise row.fault("expected within_1px <= within_3px <= answered <= pixels")
-        out.append(MatchingRow(key, row["group"], counts, row["message"]))
-    return out
+    """Read ``PAIRSET.matching.csv``; one of earlier versions, which started each pixel at every offset, is refused.
 
-
-def _rows(path: Path) -> Iterator[TableRow]:
-    """The rows of the table; one of earlier versions, which started each pixel at every offset, is refused."""
+    Raises PredictionError with file and line.
+    """
     try:
-        yield from read_rows(path, MATCHING_COLUMNS)
+        return MATCHING.read(path)
     except PredictionError as bad:
         if bad.line != 1:
             raise
@@ -78,7 +71,7 @@ def _rows(path: Path) -> Iterator[TableRow]:
 
 def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: Path) -> None:
     """Raise PredictionError unless there is one row for each pair of the set and each offset."""
-    present = sorted((row.key, row.found.offset_px) for row in rows)
+    present = sorted((row.key, row.offset_px) for row in rows)
     if present != sorted((key, offset) for key in keys for offset in OFFSETS_PX):
         raise PredictionError(
             f"expected one row for each of the {len(keys)} pairs and each offset "
@@ -89,14 +82,14 @@ def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: P
 
 def summarize_matching(rows: Sequence[MatchingRow], group: str = ALL) -> Summary:
     """Shares of all correspondences of a group's pairs, over all offsets and by offset; None where there are none."""
-    chosen = [row.found for row in rows if group in (ALL, row.group)]
+    chosen = [row for row in rows if group in (ALL, row.group)]
     return {
         ALL: _shares(chosen),
-        **{f"{offset}px": _shares([f for f in chosen if f.offset_px == offset]) for offset in OFFSETS_PX},
+        **{f"{offset}px": _shares([row for row in chosen if row.offset_px == offset]) for offset in OFFSETS_PX},
     }
 
 
-def _shares(rows: Sequence[OffsetCounts]) -> dict[str, float | int | None]:
+def _shares(rows: Sequence[MatchingRow]) -> dict[str, float | int | None]:
     count = sum(row.pixels for row in rows)
 
     def share(name: str) -> float | None:

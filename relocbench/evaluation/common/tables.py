@@ -56,11 +56,11 @@ class TableRow:
         """A finite number, or None for a blank field."""
         return self.number(name) if self[name] else None
 
-    def seconds_or_none(self) -> float | None:
-        """The seconds of an answer, from 0 to a year, or None for a blank field."""
-        seconds = self.number_or_none("seconds")
+    def seconds_or_none(self, name: str) -> float | None:
+        """A time that a method took, from 0 to a year, or None for a blank field."""
+        seconds = self.number_or_none(name)
         if seconds is not None and not is_duration(seconds):
-            raise self.fault(f"seconds is {self['seconds'][:60]}, expected a time of at least 0 and at most a year")
+            raise self.fault(f"{name} is {self[name][:60]}, expected a time of at least 0 and at most a year")
         return seconds
 
     def error(self, name: str) -> float:

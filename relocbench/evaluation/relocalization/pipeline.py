@@ -46,7 +46,7 @@ def keyframe_poses(truth: MapTruth, retrieved: Sequence[Retrieved]) -> Tracked:
         for time, one in zip(truth.query_times, retrieved, strict=True)
         if one.keyframes
     ]
-    return Tracked({key: Answer(key, "ok") for key in keys}, {key: np.eye(4) for key in keys})
+    return Tracked({key: Answer(*key, "ok") for key in keys}, {key: np.eye(4) for key in keys})
 
 
 def pipeline_answers(

@@ -6,42 +6,63 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.common.tables import TableRow, read_rows, seconds_text, write_rows
+from relocbench.evaluation.common.schema import COUNT, SECONDS, STATUS, TEXT, Kind, Record, Schema
+from relocbench.evaluation.common.tables import TableRow
 from relocbench.files import atomic_write, lines_of, read_text, whole_number
 from relocbench.metrics import NEVER, Ranking
 
-COLUMNS = ("query", "group", "status", "positives", "ranks", "seconds", "message")
+
+def _read_ranks(row: TableRow, name: str) -> tuple[int, ...]:
+    words = row[name].split()
+    ranks = tuple(rank for word in words if (rank := whole_number(word)))
+    if len(ranks) < len(words):
+        raise row.fault(f"ranks are {quoted(row[name], 60)}, expected positive integers")
+    if any(b <= a for a, b in pairwise(ranks)):
+        raise row.fault("ranks do not increase")
+    return ranks
+
+
+RANKS = Kind(_read_ranks, lambda ranks: " ".join(map(str, ranks)))
 
 
 @dataclass(frozen=True)
-class QueryAnswer:
+class QueryAnswer(Record):
     """A row of ``TASK.csv``."""
 
-    query: str
-    group: str
+    query: Annotated[str, TEXT]
+    group: Annotated[str, TEXT]
     """queries of one group are resampled together; empty along a drive"""
-    status: str
+    status: Annotated[str, STATUS]
     """``ok``; ``failed``: the query has no descriptor, or nothing was retrieved; ``error``: the method broke"""
-    positives: int
+    positives: Annotated[int, COUNT]
     """number of positives in the gallery"""
-    ranks: tuple[int, ...] = ()
+    ranks: Annotated[tuple[int, ...], RANKS] = ()
     """1-based ranks of the retrieved positives, ascending, in the whole ranking without junk"""
-    seconds: float | None = None
+    seconds: Annotated[float | None, SECONDS] = None
     """of describing and reranking, without reading the image and without the search"""
-    message: str = ""
+    message: Annotated[str, TEXT] = ""
+
+    @property
+    def named(self) -> str:
+        return f"query '{self.query}'"
+
+    def contradiction(self) -> str | None:
+        if len(self.ranks) > self.positives:
+            return f"{len(self.ranks)} ranks of {self.positives} positives"
+        return None
+
+
+ANSWERS = Schema(QueryAnswer)
 
 
 def write_answers(path: Path, answers: Sequence[QueryAnswer]) -> None:
     """Write ``TASK.csv``, in the order given."""
-    rows = (
-        [a.query, a.group, a.status, a.positives, " ".join(map(str, a.ranks)), seconds_text(a.seconds), a.message]
-        for a in answers
-    )
-    write_rows(path, [COLUMNS, *rows])
+    ANSWERS.write(path, answers)
 
 
 def read_answers(path: Path) -> list[QueryAnswer]:
@@ -50,17 +71,7 @@ def read_answers(path: Path) -> list[QueryAnswer]:
     Raises:
         PredictionError: with file and line: wrong columns, an invalid status or rank, or a query that occurs twice.
     """
-    out: dict[str, QueryAnswer] = {}
-    for row in read_rows(path, COLUMNS):
-        query = row["query"]
-        if query in out:
-            raise row.fault(f"query '{query}' occurs again")
-        status, ranks, count = row.status(), _ranks(row), row.count("positives")
-        if count < len(ranks):
-            raise row.fault(f"{len(ranks)} ranks of {count} positives")
-        seconds = row.seconds_or_none()
-        out[query] = QueryAnswer(query, row["group"], status, count, ranks, seconds, row["message"])
-    return list(out.values())
+    return ANSWERS.read(path)
 
 
 def ranking_of(answers: Sequence[QueryAnswer], gallery: int) -> Ranking:
@@ -115,13 +126,3 @@ def read_lists(path: Path, queries: Mapping[str, int], gallery: Mapping[str, int
         seen.add((query, gallery[image]))
         lists[query].append(gallery[image])
     return lists
-
-
-def _ranks(row: TableRow) -> tuple[int, ...]:
-    words = row["ranks"].split()
-    ranks = tuple(rank for word in words if (rank := whole_number(word)))
-    if len(ranks) < len(words):
-        raise row.fault(f"ranks are {quoted(row['ranks'], 60)}, expected positive integers")
-    if any(b <= a for a, b in pairwise(ranks)):
-        raise row.fault("ranks do not increase")
-    return ranks

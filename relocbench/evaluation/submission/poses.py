@@ -12,7 +12,7 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, parse_pose
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS, Answer
+from relocbench.evaluation.common.answer_table import ANSWERS, Answer
 from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
 from relocbench.evaluation.submission.resolving import ResolvedDataset
 from relocbench.files import parse_timestamp, read_csv, read_rows
@@ -22,7 +22,7 @@ FARTHEST_M = 1e6
 _LINE_BYTES, _ROW_BYTES, _SPARE_BYTES = 1024, 20_000, 2**16
 """of a line of poses, of a row of a table with its info of 8192 characters, and of comments and headers"""
 _WHAT = "predictions (ref_ts query_ts tx ty tz qx qy qz qw)"
-_OPTIONAL = ANSWER_COLUMNS[len(KEY_COLUMNS) :]
+_OPTIONAL = ANSWERS.columns[len(KEY_COLUMNS) :]
 
 
 @dataclass
@@ -49,7 +49,7 @@ class PairSetAnswers:
 
     def _without_row(self, key: PairKey) -> Answer:
         answered = key in self.poses
-        return Answer(key, "ok" if answered else "failed", message="" if answered else "not in the prediction file")
+        return Answer(*key, "ok" if answered else "failed", message="" if answered else "not in the prediction file")
 
 
 def read_answered(path: Path, pair_set: PairSet, resolved: ResolvedDataset, findings: Findings) -> PairSetAnswers:
@@ -148,7 +148,7 @@ def _read_table(
 
 def _columns(header: list[str], path: Path) -> list[str]:
     """The columns of a table. Raises PredictionError unless they are pairs and what may be said of them."""
-    unknown = [name for name in header if name not in ANSWER_COLUMNS]
+    unknown = [name for name in header if name not in ANSWERS.columns]
     if unknown or header[:2] != list(KEY_COLUMNS) or len(set(header)) != len(header):
         instead = f", found {quoted(unknown[0])}" if unknown else ""
         wanted = f"{','.join(KEY_COLUMNS)} and any of {','.join(_OPTIONAL)}"
@@ -161,7 +161,9 @@ def _answer(row: TableRow, key: PairKey, out: PairSetAnswers) -> Answer:
     for name, most in (("message", 500), ("info", 8192)):
         if len(row[name]) > most:
             raise row.fault(f"{name} has {len(row[name])} characters, expected at most {most}")
-    return Answer(key, status, row.seconds_or_none(), row.number_or_none("confidence"), row["message"], row["info"])
+    return Answer(
+        *key, status, row.seconds_or_none("seconds"), row.number_or_none("confidence"), row["message"], row["info"]
+    )
 
 
 def _compare(path: Path, table: Path, keys: Mapping[PairKey, PairKey], out: PairSetAnswers, findings: Findings) -> None:

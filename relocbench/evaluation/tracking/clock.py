@@ -103,14 +103,14 @@ def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetRe
         pairs = pair_set.evaluated
         truth = [pair.T_query_ref for pair in pairs if pair.T_query_ref is not None]
         lines: list[PoseLine] = []
-        answers = [Answer(pair.key, "failed", message=_WITHHELD) for pair in pairs]
+        answers = [Answer(*pair.key, "failed", message=_WITHHELD) for pair in pairs]
         if pairs and len(truth) == len(pairs):
             ref, query = zip(*(pair.key for pair in pairs), strict=True)
             # Pairs of different places are drawn at random, so that fitting them would only spoil the baseline.
             fitted = np.array([not pair.is_negative for pair in pairs])
             poses = clock_poses(ref, query, np.array(truth), fitted)
             lines = [PoseLine(*pair.key, pose) for pair, pose in zip(pairs, poses, strict=True)]
-            answers = [Answer(pair.key, "ok") for pair in pairs]
+            answers = [Answer(*pair.key, "ok") for pair in pairs]
         folder.root.mkdir(parents=True, exist_ok=True)
         write_pose_lines(folder.predictions(pair_set.name), lines)
         write_answers(folder.answers(pair_set.name), answers)

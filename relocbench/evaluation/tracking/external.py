@@ -95,7 +95,7 @@ def _checked(
             raise PredictionError(f"unknown pair {key[0]} {key[1]}", table)
     lines = [PoseLine(*p.key, poses[p.key]) for p in pair_set.evaluated if p.key in poses]
     answers = [
-        given.get(p.key) or Answer(p.key, "ok" if p.key in poses else "failed", message=_missing(p.key in poses))
+        given.get(p.key) or Answer(*p.key, "ok" if p.key in poses else "failed", message=_missing(p.key in poses))
         for p in pair_set.evaluated
     ]
     return lines, answers

@@ -39,7 +39,7 @@ def run_identity(
     for pair_set in pair_sets:
         folder.root.mkdir(parents=True, exist_ok=True)
         write_pose_lines(folder.predictions(pair_set.name), [PoseLine(*p.key, np.eye(4)) for p in pair_set.evaluated])
-        write_answers(folder.answers(pair_set.name), [Answer(p.key, "ok") for p in pair_set.evaluated])
+        write_answers(folder.answers(pair_set.name), [Answer(*p.key, "ok") for p in pair_set.evaluated])
     record = RunRecord(
         method=spec.label,
         target=spec.target,

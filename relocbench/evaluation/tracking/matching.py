@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.common.matching_table import (
     OFFSETS_PX,
     MatchingRow,
-    OffsetCounts,
     check_complete,
     read_matching,
     write_matching,
@@ -166,12 +165,12 @@ def _collect(pair_set: PairSet, folder: MethodResults) -> None:
     """Turn the journal into ``PAIRSET.matching.csv``, in the pair set's order."""
     journal = folder.matching_journal(pair_set.name)
     entries = {entry["key"]: entry for entry in journal_entries(journal)}
-    rows = [
-        MatchingRow(pair.key, pair.group, OffsetCounts(*counts), entries[pair.key]["message"])
+    rows: list[list[Any]] = [
+        [*pair.key, pair.group, *counts, entries[pair.key]["message"]]
         for pair in pair_set.pairs
         for counts in entries[pair.key]["found"]
     ]
-    write_matching(folder.matching(pair_set.name), rows)
+    write_matching(folder.matching(pair_set.name), [MatchingRow(*row) for row in rows])
     remove_journal(journal)
 
 
@@ -224,21 +223,22 @@ def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None
     counts = [_count(offset, starts, where) for offset in OFFSETS_PX]
     return {
         "key": list(key),
-        "found": [astuple(f) for f in counts],
+        "found": counts,
         "message": one_line(message or ""),
     }
 
 
-def _count(offset: int, starts: Starts, ends: Array) -> OffsetCounts:
+def _count(offset: int, starts: Starts, ends: Array) -> tuple[int, ...]:
+    """The counts of one row of :class:`MatchingRow`, from the offset on."""
     rows = starts.offset_px == offset
     count = int(rows.sum())
     if not count:
-        return OffsetCounts(offset, 0, 0, 0, 0, 0, 0)
+        return offset, 0, 0, 0, 0, 0, 0
     quality = matching_quality(ends[rows], starts.uv_query[rows], starts.uv_start[rows] - starts.uv_query[rows])
     shares = [(share["match@1px"], share["match@3px"]) for share in (quality.share, quality.start_share)]
     (near, nearer_than_3), (start_near, start_3) = [(round(a * count), round(b * count)) for a, b in shares]
     answered = int(np.isfinite(ends[rows]).all(axis=1).sum())
-    return OffsetCounts(offset, count, answered, near, nearer_than_3, start_near, start_3)
+    return offset, count, answered, near, nearer_than_3, start_near, start_3
 
 
 def _write_crash(unit: Unit, key: PairKey, message: str) -> None:

@@ -204,7 +204,7 @@ def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
         if entry["pose"] is not None:
             lines.append(" ".join([*map(str, pair.key), *number_fields(entry["pose"])]) + "\n")
         answers.append(
-            Answer(pair.key, entry["status"], entry["seconds"], entry["confidence"], entry["message"], entry["info"])
+            Answer(*pair.key, entry["status"], entry["seconds"], entry["confidence"], entry["message"], entry["info"])
         )
     write_text(folder.predictions(pair_set.name), "".join(lines))
     write_answers(folder.answers(pair_set.name), answers)

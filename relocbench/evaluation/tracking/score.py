@@ -121,11 +121,11 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
         pairs, distances_and_angles(pairs), values, strict=True
     ):
         # Predictions made elsewhere may come without a table.
-        answer = answers.get(pair.key) or Answer(pair.key, "failed")
+        answer = answers.get(pair.key) or Answer(*pair.key, "failed")
         status = "ok" if math.isfinite(translation) else "failed" if answer.status == "ok" else answer.status
         rows.append(
             PairErrors(
-                key=pair.key,
+                *pair.key,
                 group=pair.group,
                 status=status,
                 rotation_error_deg=rotation,

@@ -11,11 +11,11 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError, available
-from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS
+from relocbench.evaluation.common.answer_table import ANSWERS
 from relocbench.evaluation.common.dataset_lookup import check_record
-from relocbench.evaluation.common.error_table import ERROR_COLUMNS, read_errors
+from relocbench.evaluation.common.error_table import ERRORS, read_errors
 from relocbench.evaluation.common.results import PREDICTIONS, DatasetRecord, MethodResults, RunRecord, ScoreRecord
-from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
+from relocbench.evaluation.common.tables import KEY_COLUMNS
 from relocbench.evaluation.tracking.score import FORMULAS
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
@@ -24,7 +24,7 @@ from relocbench.evaluation.tracking.verification import (
     matching_of_pair_set,
     rescored,
 )
-from relocbench.files import read_csv, read_journal
+from relocbench.files import read_journal
 from relocbench.progress import Reporter
 
 _OTHERS = ("retrieval.yaml", "relocalization.yaml")
@@ -181,33 +181,14 @@ def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], expected:
 def _read_answers(path: Path, findings: Findings) -> dict[PairKey, tuple[str, int]]:
     """Read the status and line number of each pair in ``PAIRSET.csv``."""
     out: dict[PairKey, tuple[str, int]] = {}
-    for row in _rows(path, ANSWER_COLUMNS, findings):
-        with findings.catching():
-            key = row.key()
-            if key in out:
-                raise row.fault(f"pair {key[0]} {key[1]} occurs again (first on line {out[key][1]})")
-            out[key] = row["status"], row.line
-            with findings.catching():
-                row.status()
-            with findings.catching():
-                row.seconds_or_none()
-            with findings.catching():
-                row.number_or_none("confidence")
-    return out
-
-
-def _rows(path: Path, columns: tuple[str, ...], findings: Findings) -> list[TableRow]:
-    """The rows of a table that have as many fields as columns; the other rows are faults."""
-    out = []
-    with findings.catching():
-        rows = read_csv(path, f"a table ({','.join(columns)})", PredictionError)
-        if next(rows, (1, []))[1] != list(columns):
-            raise PredictionError(f"expected the header {','.join(columns)}", path, 1)
-        for number, row in rows:
-            if len(row) != len(columns):
-                findings.fault(f"expected {len(columns)} columns, found {len(row)}", path, number)
-            else:
-                out.append(TableRow(path, number, dict(zip(columns, row, strict=True))))
+    for row, known in ANSWERS.readable(path, findings):
+        if not known.keys() >= set(KEY_COLUMNS):
+            continue
+        ref, query = (known[name] for name in KEY_COLUMNS)
+        if (ref, query) in out:
+            findings.fault(f"pair {ref} {query} occurs again (first on line {out[ref, query][1]})", path, row.line)
+        else:
+            out[ref, query] = row["status"], row.line
     return out
 
 
@@ -267,7 +248,7 @@ def _check_scores(
         elif scores.formulas == FORMULAS:
             _check_scored(folder, name, scores, expected.dataset, findings)
         else:
-            _check_errors(folder.errors(name), findings)
+            ERRORS.check(folder.errors(name), findings)
     unscored = sorted(complete - scores.predictions.keys())
     truth = {n for n, p in expected.record.pair_sets.items() if p.has_truth} if expected.record else set(unscored)
     if truth & set(unscored):
@@ -282,7 +263,7 @@ def _check_scored(
     for fault in faults_of_pair_set(folder, name, scores, _AGAIN):
         findings.fault(fault.expected, fault.path)
     if folder.errors(name).exists():
-        _check_errors(folder.errors(name), findings)
+        ERRORS.check(folder.errors(name), findings)
     if len(findings.faults) > before:
         return  # the file that was changed is named; what else no longer fits follows from it
     with findings.catching():
@@ -295,15 +276,3 @@ def _check_scored(
         with findings.catching():
             keys = list(map(tuple, read_errors(folder.errors(name)).keys.tolist()))
             matching_of_pair_set(folder, name, keys, scores, f"{_AGAIN}, with --matching")
-
-
-def _check_errors(path: Path, findings: Findings) -> None:
-    for row in _rows(path, ERROR_COLUMNS, findings):
-        for name in (*KEY_COLUMNS, *ERROR_COLUMNS[4:]):
-            with findings.catching():
-                if name in KEY_COLUMNS:
-                    row.timestamp(name)
-                elif "_error_" in name:
-                    row.error(name)
-                else:
-                    row.number_or_none(name)

@@ -15,7 +15,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable
+from relocbench.evaluation.common.error_table import NUMBERS, ErrorTable
 from relocbench.evaluation.common.matching_table import (
     MatchingRow,
     check_complete,
@@ -184,7 +184,7 @@ def _first_difference(claimed: ErrorTable, computed: ErrorTable, tolerance: tupl
     if group[row]:
         return f"{place} the group '{words[row][0]}', expected '{words[row][1]}'"
     column = int(np.flatnonzero(differs[:, row])[0])
-    name, values = ERROR_COLUMNS[4 + column], (claimed.numbers[column, row], computed.numbers[column, row])
+    name, values = NUMBERS[column], (claimed.numbers[column, row], computed.numbers[column, row])
     return f"{place} {name} {values[0]:.6g}, expected {values[1]:.6g}"
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import repeat
 
-from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable
+from relocbench.evaluation.common.error_table import ERRORS, ErrorTable
 from relocbench.files import CHUNK_ROWS
 from relocbench.leaderboard.common.columns import Line, records
 from relocbench.leaderboard.common.text import Value, cell
@@ -46,7 +46,7 @@ def error_rows(board: Board) -> Iterator[Sequence[Value]]:
 
     In each pair set, pairs of different places follow those of one place.
     """
-    yield [*ERRORS_HEAD, *ERROR_COLUMNS]
+    yield [*ERRORS_HEAD, *ERRORS.columns]
     for dataset in board.datasets:
         record = dataset.entry.record
         for name in dataset.entry.pair_sets:

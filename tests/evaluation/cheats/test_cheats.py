@@ -298,7 +298,7 @@ def test_frames_of_the_querys_own_drive_are_not_shown_as_neighbours(dataset: Dat
 def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp_path: Path) -> None:
     matched = make_small_dataset(tmp_path / "small", frames=4, correspondences=60, size=(160, 120))
     (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:Trilaterator", matching=True)
-    rows = [row.found for row in read_matching(cheat.matching(ACROSS))]
+    rows = read_matching(cheat.matching(ACROSS))
     assert sum(found.pixels for found in rows) > 100
     for found in rows:
         assert (found.within_1px, found.within_3px) == (found.start_within_1px, found.start_within_3px)
@@ -307,7 +307,7 @@ def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp
 def test_who_fits_a_pose_to_all_starts_gains_as_documented_and_is_found_by_check_method(tmp_path: Path) -> None:
     matched = make_small_dataset(tmp_path / "small", frames=4, correspondences=400, size=(160, 120))
     (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:PoseFitter", matching=True)
-    rows = [row.found for row in read_matching(cheat.matching(ACROSS))]
+    rows = read_matching(cheat.matching(ACROSS))
     assert sum(found.within_3px for found in rows) > 1.5 * sum(found.start_within_3px for found in rows)
     (alone,) = (f for f in check(parse_method(f"{HERE}:PoseFitter")) if "each pixel by itself" in f.check)
     assert not alone.passed

@@ -23,7 +23,7 @@ from relocbench.cli import app as app_module
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, DatasetError, PredictionError
-from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS, read_answers
+from relocbench.evaluation.common.answer_table import ANSWERS, read_answers
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.error_table import PairErrors
 from relocbench.evaluation.common.results import MethodResults
@@ -340,6 +340,6 @@ def test_predictions_hash_covers_the_table_of_answers(results: Path) -> None:
 @pytest.mark.parametrize("seconds", ["-1.0", "1e300", "nan"])
 def test_times_that_cannot_be_are_refused(tmp_path: Path, seconds: str) -> None:
     path = tmp_path / "answers.csv"
-    path.write_text(f"{','.join(ANSWER_COLUMNS)}\n1,2,ok,{seconds},,,{{}}\n")
+    path.write_text(f"{','.join(ANSWERS.columns)}\n1,2,ok,{seconds},,,{{}}\n")
     with refused(PredictionError, "answers.csv", 2, "seconds"):
         read_answers(path)

@@ -10,15 +10,16 @@ from hypothesis import strategies as st
 from refusals import refused
 
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common import answer_table
-from relocbench.evaluation.common.answer_table import ANSWER_COLUMNS, Answer, read_answers, write_answers
+from relocbench.evaluation.common.answer_table import ANSWERS, Answer, read_answers, write_answers
+from relocbench.evaluation.common.schema import Schema
 from relocbench.files import tables
 
 times = st.integers(0, 2**63 - 1)
 optional = st.none() | st.floats(0, 1e6, allow_nan=False).map(lambda value: round(value, 6))
 answers = st.builds(
     Answer,
-    st.tuples(times, times),
+    times,
+    times,
     st.sampled_from(["ok", "failed", "error"]),
     optional,
     optional,
@@ -28,7 +29,7 @@ answers = st.builds(
 
 
 def write(path: Path, rows: str) -> Path:
-    path.write_text(f"{','.join(ANSWER_COLUMNS)}\n{rows}")
+    path.write_text(f"{','.join(ANSWERS.columns)}\n{rows}")
     return path
 
 
@@ -45,7 +46,7 @@ def test_columns_and_fields_give_the_answers_that_were_written(
         assert read_answers(path) == expected
         some = set(list(expected)[::2])
         assert read_answers(path, some) == {key: expected[key] for key in some}
-        patch.setattr(answer_table, "_fast", lambda columns: None)
+        patch.setattr(Schema, "together", lambda schema, rows: None)
         assert read_answers(path) == expected
 
 

@@ -192,7 +192,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     keys = [(times[1][k], times[0][q]) for q in range(4) for k in range(4)]
     off = np.eye(4)
     off[0, 3] = 1.0  # far from any threshold: the identity is 0.25 m wrong to the last digit
-    tracked = Tracked({key: Answer(key, "ok") for key in keys}, dict.fromkeys(keys, off))
+    tracked = Tracked({key: Answer(*key, "ok") for key in keys}, dict.fromkeys(keys, off))
     found = [Retrieved([3]), Retrieved([0]), Retrieved([0, 2]), Retrieved([])]
     got, _ = pipeline_answers(truth, found, tracked, 2, Basin(9.0, 9.0, "given"))
     assert [r.outcome for r in got] == ["unreachable", "tracking", "unreachable", "retrieval"]

@@ -25,7 +25,7 @@ from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.guard import batch_of, guarded, neighbours_of
 from relocbench.evaluation.common.handles import LocalTracker
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
-from relocbench.evaluation.common.matching_table import MATCHING_COLUMNS, read_matching
+from relocbench.evaluation.common.matching_table import MATCHING, read_matching
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import read_answers as read_retrieved
 from relocbench.evaluation.retrieval.describe import Describer
@@ -325,7 +325,7 @@ def test_descriptors_that_overflow_retrieve_nothing_or_something_but_end_nothing
 READERS: dict[str, tuple[Callable[[Path], object], str, int]] = {
     "answers": (read_answers, "ref_timestamp_ns,query_timestamp_ns,status,seconds,confidence,message,info", 7),
     "retrieved": (read_retrieved, "query,group,status,positives,ranks,seconds,message", 7),
-    "matching": (read_matching, ",".join(MATCHING_COLUMNS), len(MATCHING_COLUMNS)),
+    "matching": (read_matching, ",".join(MATCHING.columns), len(MATCHING.columns)),
     "basin": (read_basins, "method,what,conditions,radius", 4),
 }
 

@@ -61,12 +61,12 @@ def confidently(dataset: Dataset, folder: Path, *, right: int = 0) -> Path:
     lines, answers = [], []
     for place, pair in enumerate(pair_set.negative_pairs):
         if place not in confidences:
-            answers.append(Answer(pair.key, "failed"))
+            answers.append(Answer(*pair.key, "failed"))
             continue
         lines.append(PoseLine(*pair.key, pair.T_query_ref if place < right else np.eye(4)))
-        answers.append(Answer(pair.key, "ok", confidence=confidences[place]))
+        answers.append(Answer(*pair.key, "ok", confidence=confidences[place]))
     lines += [PoseLine(*pair.key, pair.T_query_ref) for pair in pair_set.pairs]
-    answers += [Answer(pair.key, "ok", confidence=1.0) for pair in pair_set.pairs]
+    answers += [Answer(*pair.key, "ok", confidence=1.0) for pair in pair_set.pairs]
     write_pose_lines(folder / f"{ACROSS}.txt", lines)
     write_answers(folder / f"{ACROSS}.csv", answers)
     return folder

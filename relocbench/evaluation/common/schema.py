@@ -1,0 +1,219 @@
+"""A table of a results folder, stated once: a typed record, whose fields are the columns of the file.
+
+What the cells of a column are, stands in the annotation of its field::
+
+    @dataclass(frozen=True)
+    class QueryAnswer(Record):
+        query: Annotated[str, TEXT]
+        positives: Annotated[int, COUNT]
+
+    ANSWERS = Schema(QueryAnswer)
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Generic, TypeVar, get_type_hints
+
+from relocbench.datasets.checks.faults import Findings
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.tables import (
+    STATUSES,
+    TableRow,
+    float_text,
+    is_duration,
+    read_chunks,
+    seconds_text,
+    write_rows,
+)
+from relocbench.files import quick_counts, quick_floats, read_csv
+
+T = TypeVar("T")
+
+
+def _as_is(value: object) -> object:
+    return value
+
+
+def _never(texts: Sequence[str]) -> None:
+    return None
+
+
+@dataclass(frozen=True)
+class Kind(Generic[T]):
+    """What the cells of a column are."""
+
+    read: Callable[[TableRow, str], T]
+    """the value of a field of a row, by its name; raises PredictionError with file and line"""
+    text: Callable[[T], object] = _as_is
+    """what is written for a value"""
+    quick: Callable[[Sequence[str]], Sequence[T] | None] = _never
+    """the values of a whole column, many times as fast; None where one of its cells needs a closer look"""
+
+
+def one_of(names: Sequence[str]) -> Kind[Any]:
+    """One of some words."""
+    known = frozenset(names)
+
+    def read(row: TableRow, name: str) -> str:
+        if row[name] not in known:
+            raise row.fault(f"{name} is '{row[name][:60]}', expected {', '.join(names)}")
+        return row[name]
+
+    return Kind(read, quick=lambda texts: texts if known.issuperset(texts) else None)
+
+
+def or_blank(kind: Kind[T]) -> Kind[T | None]:
+    """As another kind, or nothing at all."""
+    return Kind(
+        lambda row, name: kind.read(row, name) if row[name] else None,
+        lambda value: "" if value is None else kind.text(value),
+    )
+
+
+def _quick_optional(texts: Sequence[str]) -> list[float | None] | None:
+    values = quick_floats([text or "0" for text in texts])
+    return None if values is None else [value if text else None for text, value in zip(texts, values, strict=True)]
+
+
+def _quick_seconds(texts: Sequence[str]) -> list[float | None] | None:
+    values = _quick_optional(texts)
+    return None if values is None or not all(v is None or is_duration(v) for v in values) else values
+
+
+TEXT = Kind(TableRow.__getitem__, quick=lambda texts: texts)
+TIMESTAMP = Kind(TableRow.timestamp, quick=quick_counts)
+"""nanoseconds"""
+COUNT = Kind(TableRow.count, quick=quick_counts)
+NUMBER = Kind(TableRow.number_or_none, float_text, _quick_optional)
+"""a finite number with all its digits, or nothing"""
+SECONDS = Kind(TableRow.seconds_or_none, seconds_text, _quick_seconds)
+"""rounded to microseconds, or nothing"""
+ERROR = Kind(TableRow.error, float_text)
+"""a number of at least 0, or ``inf``"""
+STATUS = one_of(STATUSES)
+
+
+@dataclass(frozen=True)
+class Record:
+    """A row of a table."""
+
+    @property
+    def named(self) -> str:
+        """What the row is of, of which a table has one row only; empty where it may have more."""
+        return ""
+
+    def contradiction(self) -> str | None:
+        """What in the row does not fit together, in words."""
+        return None
+
+
+@dataclass(frozen=True)
+class PairRecord(Record):
+    """A row about a pair."""
+
+    ref_timestamp_ns: Annotated[int, TIMESTAMP]
+    query_timestamp_ns: Annotated[int, TIMESTAMP]
+
+    @property
+    def key(self) -> PairKey:
+        """The reference and query timestamp."""
+        return self.ref_timestamp_ns, self.query_timestamp_ns
+
+    @property
+    def named(self) -> str:
+        return f"pair {self.ref_timestamp_ns} {self.query_timestamp_ns}"
+
+
+R = TypeVar("R", bound=Record)
+
+
+class Schema(Generic[R]):
+    """The columns of a table, and its reading and writing, as a record states them."""
+
+    def __init__(self, record: type[R]) -> None:
+        hints = get_type_hints(record, include_extras=True)
+        self._make: Callable[..., R] = record
+        self._kinds: dict[str, Kind[Any]] = {f.name: hints[f.name].__metadata__[0] for f in fields(record)}
+        self.columns: tuple[str, ...] = tuple(self._kinds)
+
+    def write(self, path: Path, rows: Iterable[R]) -> None:
+        """Write the table whole or not at all, in the order given."""
+        texts = ([kind.text(getattr(row, name)) for name, kind in self._kinds.items()] for row in rows)
+        write_rows(path, itertools.chain([self.columns], texts))
+
+    def read(self, path: Path, keep: Callable[[Sequence[str]], bool] | None = None) -> list[R]:
+        """Read the table.
+
+        Args:
+            keep: whether a row with these cells is read and checked, if not all are.
+
+        Raises:
+            PredictionError: with file and line: a wrong header, a field that cannot be read, a row that contradicts
+                itself or occurs again.
+        """
+        out: list[R] = []
+        seen: set[str] = set()
+        for lines, rows in read_chunks(path, self.columns):
+            kept = [place for place, row in enumerate(rows) if keep is None or keep(row)]
+            usual = self.together([rows[place] for place in kept])
+            for number, place in enumerate(kept):
+                row = self.row(path, lines[place], rows[place]) if usual is None else usual[number]
+                named = row.named
+                if named in seen:
+                    raise PredictionError(f"{named} occurs again", path, lines[place])
+                if named:
+                    seen.add(named)
+                out.append(row)
+        return out
+
+    def row(self, path: Path, line: int, texts: Sequence[str]) -> R:
+        """One row. Raises PredictionError with file and line."""
+        cells = self._cells(path, line, texts)
+        row = self._make(*(kind.read(cells, name) for name, kind in self._kinds.items()))
+        wrong = row.contradiction()
+        if wrong is not None:
+            raise cells.fault(wrong)
+        return row
+
+    def together(self, rows: Sequence[Sequence[str]]) -> list[R] | None:
+        """Rows by whole columns, many times as fast as :meth:`row`; None where one of them needs a closer look."""
+        if not rows:
+            return []
+        columns = []
+        for kind, texts in zip(self._kinds.values(), zip(*rows, strict=True), strict=True):
+            values = kind.quick(texts)
+            if values is None:
+                return None
+            columns.append(values)
+        made = list(map(self._make, *columns))
+        return None if any(row.contradiction() is not None for row in made) else made
+
+    def readable(self, path: Path, findings: Findings) -> Iterator[tuple[TableRow, dict[str, Any]]]:
+        """Each row with those of its fields that can be read; all that is wrong with the table becomes a fault."""
+        head = ",".join(self.columns)
+        with findings.catching():
+            rows = read_csv(path, f"a table ({head})", PredictionError)
+            if next(rows, (1, []))[1] != list(self.columns):
+                raise PredictionError(f"expected the header {head}", path, 1)
+            for line, texts in rows:
+                if len(texts) != len(self.columns):
+                    findings.fault(f"expected {len(self.columns)} columns, found {len(texts)}", path, line)
+                    continue
+                cells, values = self._cells(path, line, texts), {}
+                for name, kind in self._kinds.items():
+                    with findings.catching():
+                        values[name] = kind.read(cells, name)
+                yield cells, values
+
+    def check(self, path: Path, findings: Findings) -> None:
+        """Record all that is wrong with the table."""
+        for _ in self.readable(path, findings):
+            pass
+
+    def _cells(self, path: Path, line: int, texts: Sequence[str]) -> TableRow:
+        return TableRow(path, line, dict(zip(self.columns, texts, strict=True)))
