@@ -27,7 +27,16 @@ def _read_ranks(row: TableRow, name: str) -> tuple[int, ...]:
     return ranks
 
 
-RANKS = Kind(_read_ranks, lambda ranks: " ".join(map(str, ranks)))
+def _quick_ranks(texts: Sequence[str]) -> list[tuple[int, ...]] | None:
+    digits = "".join(texts).replace(" ", "")
+    if not (digits.isascii() and digits.isdecimal()):
+        return None
+    out = [tuple(map(int, text.split())) for text in texts]
+    usual = all(ranks[0] > 0 and ranks[-1] < 2**63 for ranks in out if ranks)
+    return out if usual and all(a < b for ranks in out for a, b in pairwise(ranks)) else None
+
+
+RANKS = Kind(_read_ranks, lambda ranks: " ".join(map(str, ranks)), _quick_ranks)
 
 
 @dataclass(frozen=True)

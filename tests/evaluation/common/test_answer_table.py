@@ -12,6 +12,7 @@ from refusals import refused
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.answer_table import ANSWERS, Answer, read_answers, write_answers
 from relocbench.evaluation.common.schema import Schema
+from relocbench.evaluation.retrieval import answers as retrieved
 from relocbench.files import tables
 
 times = st.integers(0, 2**63 - 1)
@@ -78,3 +79,21 @@ def test_a_row_that_names_no_pair_is_read_whichever_are_asked_for(tmp_path: Path
     path = write(tmp_path / "set.csv", "1,2,ok,,,,\nx,2,ok,,,,\n")
     with refused(PredictionError, "set.csv", 3, "x"):
         read_answers(path, {(1, 2)})
+
+
+@pytest.mark.parametrize("ranks", ["", "1 4", " 1  4 ", "4 1", "2 2", "0 1", "1_0", "+1", "٣", "1\t2", str(2**63)])
+def test_ranks_are_read_by_columns_as_they_are_by_fields(
+    ranks: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "task.csv"
+    path.write_text(f"{','.join(retrieved.ANSWERS.columns)}\nq0,,ok,3,1 2,,\nq1,,ok,3,{ranks},,\n", encoding="utf-8")
+
+    def outcome() -> object:
+        try:
+            return retrieved.read_answers(path)
+        except PredictionError as bad:
+            return str(bad)
+
+    by_columns = outcome()
+    monkeypatch.setattr(Schema, "together", lambda schema, rows: None)
+    assert outcome() == by_columns
