@@ -206,6 +206,17 @@ def test_answers_that_changed_since_they_were_scored_are_refused(tmp_path: Path)
         load_board(RETRIEVAL, tmp_path / "results")
 
 
+def test_a_metric_that_is_younger_than_the_scores_follows_from_the_table(tmp_path: Path) -> None:
+    run(make_small_views(tmp_path / "town", places=3), tmp_path / "results", f"t={HERE}:Thumbnail")
+    before = [dict(row.values) for table in board_of(tmp_path / "results").sets[0].tables for row in table.rows]
+    path = sets_in(tmp_path / "results", SetResults)[0].method("t").scores_yaml
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if " AP:" not in line))
+    assert path.read_text() != "".join(lines)
+    again = [dict(row.values) for table in board_of(tmp_path / "results").sets[0].tables for row in table.rows]
+    assert again == before
+
+
 def test_an_average_precision_that_one_positive_does_not_allow_is_refused(results: Path) -> None:
     table = next(t for t in board_of(results).sets[0].tables if t.name == D2S)
     assert has_single_positives(table)

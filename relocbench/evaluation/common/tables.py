@@ -70,12 +70,6 @@ class TableRow:
             raise self.fault(f"{name} is {self[name]}, expected an error of at least 0, or inf")
         return value
 
-    def status(self) -> str:
-        """One of :data:`STATUSES`."""
-        if self["status"] not in STATUSES:
-            raise self.fault(f"status is '{self['status'][:60]}', expected {', '.join(STATUSES)}")
-        return self["status"]
-
 
 def is_duration(seconds: float) -> bool:
     """Whether a method can have taken so many seconds: from 0 to a year."""

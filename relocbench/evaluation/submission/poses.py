@@ -13,6 +13,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, parse_pose
 from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.common.answer_table import ANSWERS, Answer
+from relocbench.evaluation.common.schema import STATUS
 from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
 from relocbench.evaluation.submission.resolving import ResolvedDataset
 from relocbench.files import parse_timestamp, read_csv, read_rows
@@ -157,7 +158,7 @@ def _columns(header: list[str], path: Path) -> list[str]:
 
 
 def _answer(row: TableRow, key: PairKey, out: PairSetAnswers) -> Answer:
-    status = row.status() if row["status"] else "ok" if key in out.poses else "failed"
+    status = STATUS.read(row, "status") if row["status"] else "ok" if key in out.poses else "failed"
     for name, most in (("message", 500), ("info", 8192)):
         if len(row[name]) > most:
             raise row.fault(f"{name} has {len(row[name])} characters, expected at most {most}")

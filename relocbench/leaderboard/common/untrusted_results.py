@@ -10,11 +10,24 @@ import os
 import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Protocol
 
+from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.folders import SetLike
 
 _LONGEST_NAME = 200
 """in bytes; file names of most systems hold 255, and pictures are named after a dataset and a pair set"""
+
+
+class Run(Protocol):
+    """The record of a run."""
+
+    @property
+    def dataset(self) -> str: ...
+
+    @property
+    def fingerprint(self) -> str: ...
 
 
 def check_folder(results: Path) -> None:
@@ -53,6 +66,16 @@ def check_same_questions(tables: Iterable[tuple[str, str, object, Path]]) -> Non
         if asked != expected:
             told = f"answers other questions of '{unit}' than the table of '{other}', or has other facts of them"
             raise PredictionError(f"{told}; score both again", path)
+
+
+def check_made_for(run: Run, record: SetLike, path: Path) -> None:
+    """Raise PredictionError, with the path of its record, unless a run was made for the set that it lies with."""
+    if run.fingerprint != record.fingerprint:
+        raise PredictionError(
+            f"was made for {run.dataset}@{run.fingerprint[:SHORT]}, but lies among the results of "
+            f"{record.name}@{record.fingerprint[:SHORT]}",
+            path,
+        )
 
 
 def check_file_names(names: Iterable[str], what: str, path: Path) -> None:

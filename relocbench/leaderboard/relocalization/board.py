@@ -38,6 +38,7 @@ from relocbench.files import sha256_file
 from relocbench.leaderboard.common.by_query import Board, QueryTask, SetBoard, Table
 from relocbench.leaderboard.common.loading import Plan
 from relocbench.leaderboard.common.model import Row
+from relocbench.leaderboard.common.untrusted_results import check_made_for
 
 SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
 
@@ -107,12 +108,7 @@ class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask,
         truth: PipelineTruth | None,
     ) -> Pipeline:
         run = folder.run_record()
-        if run.fingerprint != record.fingerprint:
-            raise PredictionError(
-                f"was made for {run.dataset}, set {run.fingerprint[:SHORT]}, but lies among the results of "
-                f"{record.name}@{record.fingerprint[:SHORT]}",
-                folder.run_yaml,
-            )
+        check_made_for(run, record, folder.run_yaml)
         answers: dict[str, Sequence[PipelineAnswer]] = {}
         rescored: set[str] = set()
         scores = folder.scores() if folder.scores_yaml.exists() else None

@@ -33,6 +33,7 @@ from relocbench.files import sha256_file
 from relocbench.leaderboard.common.by_query import Board, QueryTask, SetBoard, Table
 from relocbench.leaderboard.common.loading import Plan
 from relocbench.leaderboard.common.model import Row
+from relocbench.leaderboard.common.untrusted_results import check_made_for
 from relocbench.metrics import by_place, single_positive_fault
 from relocbench.metrics.retrieval.measures import RetrievalScores
 
@@ -105,12 +106,7 @@ class RetrievalBoards(QueryTask[RetrieverResults, SetRecord, TaskRecord, Retriev
         self, folder: RetrieverResults, record: SetRecord, tasks: Mapping[str, TaskRecord], truth: RetrievalTruth | None
     ) -> Retriever:
         run = folder.run_record()
-        if run.fingerprint != record.fingerprint:
-            raise PredictionError(
-                f"was made for {run.dataset}@{run.fingerprint[:SHORT]}, but lies among the results of "
-                f"{record.name}@{record.fingerprint[:SHORT]}",
-                folder.run_yaml,
-            )
+        check_made_for(run, record, folder.run_yaml)
         for name in tasks:
             if folder.answers(name).exists() and not folder.predictions(name).exists():
                 raise PredictionError("missing, although its ranks are there", folder.predictions(name))
@@ -265,11 +261,16 @@ def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: Ret
 def _check_summary(
     folder: RetrieverResults, task: str, record: TaskRecord, answers: Sequence[QueryAnswer], scored: RetrieverScores
 ) -> None:
-    """Raise PredictionError unless ``scores.yaml`` has the means of a task's table."""
-    summary = scored.tasks.get(task, {})
+    """Raise PredictionError unless the means in ``scores.yaml`` are those of a task's table.
+
+    Metrics that are not recorded are younger than the file: they follow from the table.
+    """
+    summary = scored.tasks.get(task)
+    if summary is None:
+        raise PredictionError(f"holds no scores of '{task}', which was answered; {_AGAIN}", folder.scores_yaml)
     scores = scores_of(answers, record)
-    for metric in METRICS:
-        mean, claimed = float(np.mean(scores.per_query(metric))), summary.get(metric)
+    for metric in (each for each in METRICS if each in summary):
+        mean, claimed = float(np.mean(scores.per_query(metric))), summary[metric]
         if claimed is None or not math.isclose(mean, claimed, rel_tol=1e-9, abs_tol=1e-12):
             raise PredictionError(
                 f"{metric} of '{task}' is {claimed}, its table gives {mean}; {_AGAIN}", folder.scores_yaml

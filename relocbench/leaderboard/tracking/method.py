@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import ELSEWHERE
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import Truth
@@ -37,6 +36,7 @@ from relocbench.evaluation.tracking.verification import (
 from relocbench.files import read_journal
 from relocbench.leaderboard.common.cards import add_command
 from relocbench.leaderboard.common.commands import method_words
+from relocbench.leaderboard.common.untrusted_results import check_made_for
 
 SEED = "seed"
 
@@ -135,12 +135,7 @@ def read_method(
     folder: MethodResults, dataset: DatasetRecord, pair_sets: Mapping[str, PairSetRecord], truth: Truth | None
 ) -> Method:
     run = folder.run_record()
-    if run.fingerprint != dataset.fingerprint:
-        raise PredictionError(
-            f"was made for {run.dataset}@{run.fingerprint[:SHORT]}, but lies among the results of "
-            f"{dataset.name}@{dataset.fingerprint[:SHORT]}",
-            folder.run_yaml,
-        )
+    check_made_for(run, dataset, folder.run_yaml)
     ran_as, card = run.method, kept_card(folder.root, run)
     run = run.model_copy(update={"method": folder.label})
     errors: dict[str, ErrorTable] = {}
