@@ -12,13 +12,13 @@ from relocbench.pages import render
 
 
 def write_page(path: Path, template: str, **values: object) -> None:
-    """Fill a template that lies beside this module, and write it.
+    """Fill a template of the folder ``templates``, and write it.
 
     Args:
         template: such as ``set.html.j2``.
         values: of the template, besides the version of relocbench.
     """
-    write_text(path, render(__name__, template, version=version.__version__, **values))
+    write_text(path, render(__name__, f"templates/{template}", version=version.__version__, **values))
 
 
 def write_board_page(
