@@ -17,15 +17,15 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.blindness import blind_methods
 from relocbench.evaluation.common.capabilities import capabilities_of
-from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.opening import open_for_evaluation
+from relocbench.evaluation.common.options import ExecutionOptions
 from relocbench.evaluation.common.results import first_crash
+from relocbench.evaluation.common.runs import made_by
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
 from relocbench.evaluation.probe.starts import StartLine
 from relocbench.evaluation.probe.table import Line, result_lines, start_lines
 from relocbench.evaluation.probe.work import PairResult, Task, ask_pairs, task_for
 from relocbench.evaluation.probe.write import write_probe
-from relocbench.evaluation.tracking.run import made_by
 from relocbench.execution import kept_workers, run_limited
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter

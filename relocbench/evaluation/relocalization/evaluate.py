@@ -13,8 +13,8 @@ from pydantic import Field, model_validator
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.common.blindness import check_blind
-from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.opening import open_for_evaluation
+from relocbench.evaluation.common.options import EvaluationOptions, ExecutionOptions
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
 from relocbench.evaluation.relocalization.candidates import read_tracked, track_candidates
@@ -39,7 +39,6 @@ from relocbench.evaluation.relocalization.writing import crashed_queries, write_
 from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
-from relocbench.evaluation.tracking.run import Overwrite
 from relocbench.execution import kept_workers
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
@@ -47,19 +46,11 @@ from relocbench.progress import Reporter
 TOP = 3
 
 
-class RelocalizationOptions(ExecutionOptions):
+class RelocalizationOptions(EvaluationOptions, ExecutionOptions):
     """Fields are options of ``relocbench evaluate-relocalization`` and keys of its YAML file."""
 
-    dataset: Path
     retriever: tuple[str, ...] = ()
-    methods: tuple[str, ...] = ()
-    """the trackers"""
-    set: tuple[str, ...] = ()
-    """parameters, as LABEL.key=value"""
-    out: Path = Path("results")
-    split: str | None = None
-    pair_sets: tuple[str, ...] = ()
-    overwrite: Overwrite = "never"
+    """the retrievers; ``methods`` are the trackers"""
     top: int = Field(TOP, ge=1, le=KEEP)
     """K, the number of keyframes that a tracker is run against"""
     radius: float | None = Field(None, gt=0, allow_inf_nan=False)
@@ -68,7 +59,6 @@ class RelocalizationOptions(ExecutionOptions):
     """degrees of the basin"""
     probe: Path | None = None
     """results of ``relocbench probe``, from which each tracker gets its own basin"""
-    seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:

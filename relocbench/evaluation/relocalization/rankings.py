@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.relocalization.pipeline import Retrieved
 from relocbench.evaluation.relocalization.records import ORACLE
@@ -18,7 +19,6 @@ from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, write_set_record
 from relocbench.evaluation.retrieval.run import run_retriever
 from relocbench.evaluation.retrieval.score import score_retriever
-from relocbench.evaluation.tracking.run import Overwrite
 from relocbench.execution import Run
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.pairs.street_places import Positives
 from relocbench.evaluation.common.blindness import check_blind
-from relocbench.evaluation.common.execution_options import LimitOptions
+from relocbench.evaluation.common.options import AnswerOptions, LimitOptions
 from relocbench.evaluation.common.results import first_crash, predictions_label
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import import_rankings
@@ -18,7 +18,6 @@ from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_
 from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, set_results, write_set_record
 from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
 from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion
-from relocbench.evaluation.tracking.run import Overwrite
 from relocbench.execution import Run, kept_workers
 from relocbench.methods import RETRIEVERS, parse_methods
 from relocbench.progress import Reporter
@@ -26,19 +25,9 @@ from relocbench.progress import Reporter
 KEEP = 100
 
 
-class RetrievalOptions(LimitOptions):
+class RetrievalOptions(AnswerOptions, LimitOptions):
     """Fields are options of ``relocbench evaluate-retrieval`` and keys of its YAML file."""
 
-    dataset: Path
-    methods: tuple[str, ...] = ()
-    set: tuple[str, ...] = ()
-    """parameters, as key=value or LABEL.key=value"""
-    predictions: Path | None = None
-    out: Path = Path("results")
-    split: str | None = None
-    pair_sets: tuple[str, ...] = ()
-    """names of tasks"""
-    overwrite: Overwrite = "never"
     keep: int = Field(KEEP, ge=1)
     radius: float | None = Field(None, gt=0, allow_inf_nan=False)
     """metres within which a keyframe is right"""
@@ -46,7 +35,6 @@ class RetrievalOptions(LimitOptions):
     """degrees within which a keyframe is right"""
     positives: Positives | None = None
     by_condition: bool = False
-    seed: int = Field(0, ge=0)
     workers: int | None = Field(None, ge=0)
     """None: a worker process for the method; 0: this process, without limits"""
 
@@ -58,14 +46,6 @@ class RetrievalOptions(LimitOptions):
     def _one_process(self) -> Self:
         if self.workers:
             raise ValueError("--workers can only be 0, this process: a retriever runs in one worker process")
-        return self
-
-    @model_validator(mode="after")
-    def _something_to_do(self) -> Self:
-        if not self.methods and self.predictions is None:
-            raise ValueError("nothing to evaluate: give --method NAME or --predictions FILE_OR_DIR")
-        if self.predictions is not None and len(self.methods) > 1:
-            raise ValueError("--predictions takes one --method, the label to keep them under")
         return self
 
 

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from relocbench.errors import DatasetError, PredictionError
+from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import write_record
+from relocbench.evaluation.common.runs import clear, made_by, now, refuse_mixture, refuse_submitted
 from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
 from relocbench.evaluation.retrieval.describe import (
@@ -29,9 +31,8 @@ from relocbench.evaluation.retrieval.records import (
     TaskRun,
     write_set_record,
 )
-from relocbench.evaluation.tracking.run import Overwrite, made_by, now, refuse_mixture, refuse_submitted
 from relocbench.execution import Run, default_workers
-from relocbench.files import locked_folder, remove_parts
+from relocbench.files import locked_folder
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalSet, RetrievalTask, Retriever
@@ -82,7 +83,7 @@ def run_retriever(
     if overwrite == "always":
         # A method that cannot be made must not cost answers.
         asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, retrieval_set.fingerprint)
-        _clear(folder, tasks)
+        clear(folder, [task.name for task in tasks])
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
@@ -218,16 +219,6 @@ def _refuse_other_lists(folder: RetrieverResults, record: RetrievalRun) -> None:
             f"give this run a label (LABEL={record.target}) or use --overwrite always",
             folder.run_yaml,
         )
-
-
-def _clear(folder: RetrieverResults, tasks: Sequence[RetrievalTask]) -> None:
-    for task in tasks:
-        folder.predictions(task.name).unlink(missing_ok=True)
-        folder.answers(task.name).unlink(missing_ok=True)
-    # Other tasks that stay keep their record: a mixture is then refused.
-    if folder.root.is_dir() and not any(folder.root.glob("*.txt")):
-        folder.run_yaml.unlink(missing_ok=True)
-        remove_parts(folder.root)
 
 
 def _new_record(retrieval_set: RetrievalSet, spec: MethodSpec, seed: int, keep: int | None) -> RetrievalRun:

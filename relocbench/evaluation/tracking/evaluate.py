@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
@@ -15,9 +15,9 @@ from relocbench.errors import ConfigError
 from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.evaluation.common.blindness import blind_methods
 from relocbench.evaluation.common.capabilities import capabilities_of
-from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.common.opening import open_for_evaluation
+from relocbench.evaluation.common.options import AnswerOptions, ExecutionOptions
 from relocbench.evaluation.common.results import (
     DatasetResults,
     MethodResults,
@@ -30,35 +30,21 @@ from relocbench.evaluation.tracking.clock import CLOCK, run_clock
 from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.identity import is_identity, run_identity
 from relocbench.evaluation.tracking.matching import match_method
-from relocbench.evaluation.tracking.run import Overwrite, run_method
+from relocbench.evaluation.tracking.run import run_method
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.execution import kept_workers
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
 
-class EvaluateOptions(ExecutionOptions):
+class EvaluateOptions(AnswerOptions, ExecutionOptions):
     """Fields are options of ``relocbench evaluate`` and keys of its YAML file."""
 
-    dataset: Path
-    methods: tuple[str, ...] = ()
-    set: tuple[str, ...] = ()
-    """parameters, as key=value or LABEL.key=value"""
-    predictions: Path | None = None
-    out: Path = Path("results")
-    split: str | None = None
-    pair_sets: tuple[str, ...] = ()
-    overwrite: Overwrite = "never"
     matching: bool = False
     """whether to measure matching quality, of methods that have ``match`` and on pair sets with correspondences"""
-    seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
-    def _something_to_do(self) -> Self:
-        if not self.methods and self.predictions is None:
-            raise ValueError("nothing to evaluate: give --method NAME or --predictions DIR")
-        if self.predictions is not None and len(self.methods) > 1:
-            raise ValueError("--predictions takes one --method, the label to keep them under")
+    def _has_methods_to_match(self) -> Self:
         if self.predictions is not None and self.matching:
             raise ValueError("--matching runs a method, and --predictions come without one")
         return self

@@ -31,6 +31,7 @@ from relocbench.evaluation.common.matching_table import (
     write_matching,
 )
 from relocbench.evaluation.common.results import MethodResults
+from relocbench.evaluation.common.runs import refuse_mixture
 from relocbench.evaluation.common.worker import (
     Unit,
     answered_keys,
@@ -48,7 +49,7 @@ from relocbench.evaluation.common.worker import (
     write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
-from relocbench.evaluation.tracking.run import new_record, refuse_mixture
+from relocbench.evaluation.tracking.run import new_record
 from relocbench.execution import Run, step
 from relocbench.files import locked_folder
 from relocbench.geometry import Camera

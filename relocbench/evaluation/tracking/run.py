@@ -6,24 +6,21 @@ pair set are written whole and its journal is removed. Workers get no ground tru
 
 from __future__ import annotations
 
-import datetime
-import json
-import platform
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, number_fields, parse_pose_numbers
-from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.answer_table import Answer, read_answers, write_answers
 from relocbench.evaluation.common.answers import CheckedAnswer, error_answer
 from relocbench.evaluation.common.capabilities import construction_fault
 from relocbench.evaluation.common.handles import TrackerHandle
+from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, RunRecord, write_record
+from relocbench.evaluation.common.runs import clear, has_answers, made_by, now, refuse_mixture, refuse_submitted
 from relocbench.evaluation.common.worker import (
     Unit,
     Visibility,
@@ -42,13 +39,12 @@ from relocbench.evaluation.common.worker import (
     write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
-from relocbench.execution import MANY_TIMES, Run, default_workers, kept_workers, step
-from relocbench.files import locked_folder, read_rows, remove_parts, write_text
-from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
+from relocbench.execution import MANY_TIMES, Run, kept_workers, step
+from relocbench.files import locked_folder, read_rows, write_text
+from relocbench.methods import SUBPROCESS, MethodSpec
 from relocbench.progress import Reporter
 from relocbench.tracking import Query
 
-Overwrite = Literal["never", "failed", "always"]
 _TRACK = "track"
 
 
@@ -84,10 +80,10 @@ def run_method(
     refuse_submitted(folder)
     if overwrite == "always":
         # A method that cannot be made, say because of a mistyped path of weights, must not cost earlier answers.
-        if _has_answers(folder) and (fault := construction_fault(spec, run)):
+        if has_answers(folder) and (fault := construction_fault(spec, run)):
             reporter.note(f"{spec.label} keeps its earlier answers: {fault}")
             return folder
-        _clear(folder, pair_sets)
+        clear(folder, [s.name for s in pair_sets])
     if overwrite == "failed" and (matched := [s.name for s in pair_sets if folder.matching(s.name).exists()]):
         raise PredictionError(
             "matching quality was measured after these answers, with starts around the true pixels; running the failed "
@@ -258,98 +254,3 @@ def new_record(dataset: Dataset, spec: MethodSpec, run: Run, visibility: Visibil
         uses_times=visibility.times,
         **made_by(spec, run.workers, seed),
     )
-
-
-def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
-    """The fields of a run's record that describe the method and the machine; the run begins now."""
-    return {
-        "method": spec.label,
-        "target": spec.target,
-        "parameters": json.loads(json.dumps(dict(spec.parameters), default=str)),
-        "files": spec.files(),
-        "seed": seed,
-        "versions": {**versions(), "method": distribution_version(spec.target, spec.kind)},
-        "machine": machine(),
-        "workers": workers,
-        "start": now(),
-    }
-
-
-def refuse_submitted(folder: MethodResults) -> None:
-    """Raise PredictionError if the folder holds what was handed in with a card, which no run may replace."""
-    if folder.run_yaml.exists() and folder.run_record().submitted:
-        message = f"holds a submission, which no run replaces; give this run another label than '{folder.label}'"
-        raise PredictionError(message, folder.run_yaml)
-
-
-def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:
-    """Raise PredictionError if the folder holds answers of another configuration, which must never be mixed."""
-    if not folder.run_yaml.exists():
-        return
-    if not _has_answers(folder):  # the record of a run that stopped before its first answer does not matter
-        folder.run_yaml.unlink()
-        return
-    before = folder.run_record()
-    if before.fingerprint != record.fingerprint:
-        raise PredictionError(
-            f"was made for a dataset with the fingerprint {before.fingerprint}, and this one has {record.fingerprint}",
-            folder.run_yaml,
-        )
-    way_out = f"give this run a label (LABEL={record.target}) or use --overwrite always"
-    if before.target != record.target:
-        raise PredictionError(
-            f"holds predictions of '{before.target}', this run is '{record.target}'; {way_out}", folder.run_yaml
-        )
-    changed = [
-        f"{k}: {before.parameters.get(k)} there, {record.parameters.get(k)} now"
-        for k in sorted(before.parameters.keys() | record.parameters.keys())
-        if before.parameters.get(k) != record.parameters.get(k)
-    ]
-    changed += [
-        f"{k}: another content of the file there, SHA-256 {before.files[k][:12]}, {record.files[k][:12]} now"
-        for k in sorted(before.files.keys() & record.files.keys())
-        if before.files[k] != record.files[k] and not any(line.startswith(f"{k}: ") for line in changed)
-    ]
-    if before.files and record.files and not changed:
-        changed = [f"{k}: a file of one of the two only" for k in sorted(before.files.keys() ^ record.files.keys())][:3]
-    if work_left and not changed:
-        changed = [
-            f"{k} {before.versions.get(k)} there, {v} now"
-            for k, v in record.versions.items()
-            if before.versions.get(k) != v
-        ]
-    if changed:
-        raise PredictionError(
-            f"holds predictions made with other settings ({'; '.join(changed)}); {way_out}", folder.run_yaml
-        )
-
-
-def _has_answers(folder: MethodResults) -> bool:
-    return any(folder.root.glob("*.txt")) or any(folder.root.glob(".journal*/*/*.jsonl"))
-
-
-def _clear(folder: MethodResults, pair_sets: Sequence[PairSet]) -> None:
-    for pair_set in pair_sets:
-        for path in (folder.predictions, folder.answers, folder.errors, folder.matching):
-            path(pair_set.name).unlink(missing_ok=True)
-        for journal in (folder.journal, folder.matching_journal):
-            shutil.rmtree(journal(pair_set.name), ignore_errors=True)
-    # Pair sets that stay keep their record, so that a mixture is refused later.
-    if folder.root.is_dir() and not any(folder.root.glob("*__*__*.txt")):
-        folder.run_yaml.unlink(missing_ok=True)
-        remove_parts(folder.root)
-
-
-def machine() -> dict[str, Any]:
-    """A description of the machine that seconds are measured on."""
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
-        model = names[0] if names else model
-    return {"cpu": model, "cores": default_workers(), "system": f"{platform.system()} {platform.machine()}"}
-
-
-def now() -> str:
-    """The current time as records have it: UTC, to the second."""
-    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -1,13 +1,17 @@
-"""Options shared by all commands that run methods: where they run, and their limits."""
+"""Options shared by the commands that run methods: on what, where they run, and their limits."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from relocbench.datasets.core.schema import Strict
 from relocbench.execution import TIME_LIMIT_S, Limits, Run, Scheduler, default_workers, parse_size
+
+Overwrite = Literal["never", "failed", "always"]
+"""answers to compute again: none, those that failed, or all"""
 
 
 def _size(value: Any) -> Any:
@@ -48,4 +52,33 @@ class ExecutionOptions(LimitOptions):
                 "--workers 0 asks in this process" if self.scheduler is None else "--scheduler has workers of its own"
             )
             raise ValueError(f"{' and '.join(given)} cannot be enforced: {where}")
+        return self
+
+
+class EvaluationOptions(Strict):
+    """What is evaluated on which part of a dataset; fields are options of the command line and keys of YAML files."""
+
+    dataset: Path
+    methods: tuple[str, ...] = ()
+    set: tuple[str, ...] = ()
+    """parameters, as key=value or LABEL.key=value"""
+    out: Path = Path("results")
+    split: str | None = None
+    pair_sets: tuple[str, ...] = ()
+    """or tasks of retrieval"""
+    overwrite: Overwrite = "never"
+    seed: int = Field(0, ge=0)
+
+
+class AnswerOptions(EvaluationOptions):
+    """The same, of methods that are run or of predictions that were made elsewhere."""
+
+    predictions: Path | None = None
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> Self:
+        if not self.methods and self.predictions is None:
+            raise ValueError("nothing to evaluate: give --method NAME or --predictions PATH")
+        if self.predictions is not None and len(self.methods) > 1:
+            raise ValueError("--predictions takes one --method, the label to keep them under")
         return self

@@ -1,0 +1,115 @@
+"""How the answers in a method's folder were made, and whether a run may add to them."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import platform
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from relocbench.datasets.core.writer import versions
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.results import MethodResults, RunRecord
+from relocbench.execution import default_workers
+from relocbench.files import remove_parts
+from relocbench.methods import MethodSpec, distribution_version
+
+
+def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
+    """The fields of a run's record that describe the method and the machine; the run begins now."""
+    return {
+        "method": spec.label,
+        "target": spec.target,
+        "parameters": json.loads(json.dumps(dict(spec.parameters), default=str)),
+        "files": spec.files(),
+        "seed": seed,
+        "versions": {**versions(), "method": distribution_version(spec.target, spec.kind)},
+        "machine": machine(),
+        "workers": workers,
+        "start": now(),
+    }
+
+
+def refuse_submitted(folder: MethodResults) -> None:
+    """Raise PredictionError if the folder holds what was handed in with a card, which no run may replace."""
+    if folder.run_yaml.exists() and folder.run_record().submitted:
+        message = f"holds a submission, which no run replaces; give this run another label than '{folder.label}'"
+        raise PredictionError(message, folder.run_yaml)
+
+
+def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:
+    """Raise PredictionError if the folder holds answers of another configuration, which must never be mixed."""
+    if not folder.run_yaml.exists():
+        return
+    if not has_answers(folder):  # the record of a run that stopped before its first answer does not matter
+        folder.run_yaml.unlink()
+        return
+    before = folder.run_record()
+    if before.fingerprint != record.fingerprint:
+        raise PredictionError(
+            f"was made for a dataset with the fingerprint {before.fingerprint}, and this one has {record.fingerprint}",
+            folder.run_yaml,
+        )
+    way_out = f"give this run a label (LABEL={record.target}) or use --overwrite always"
+    if before.target != record.target:
+        raise PredictionError(
+            f"holds predictions of '{before.target}', this run is '{record.target}'; {way_out}", folder.run_yaml
+        )
+    changed = [
+        f"{k}: {before.parameters.get(k)} there, {record.parameters.get(k)} now"
+        for k in sorted(before.parameters.keys() | record.parameters.keys())
+        if before.parameters.get(k) != record.parameters.get(k)
+    ]
+    changed += [
+        f"{k}: another content of the file there, SHA-256 {before.files[k][:12]}, {record.files[k][:12]} now"
+        for k in sorted(before.files.keys() & record.files.keys())
+        if before.files[k] != record.files[k] and not any(line.startswith(f"{k}: ") for line in changed)
+    ]
+    if before.files and record.files and not changed:
+        changed = [f"{k}: a file of one of the two only" for k in sorted(before.files.keys() ^ record.files.keys())][:3]
+    if work_left and not changed:
+        changed = [
+            f"{k} {before.versions.get(k)} there, {v} now"
+            for k, v in record.versions.items()
+            if before.versions.get(k) != v
+        ]
+    if changed:
+        raise PredictionError(
+            f"holds predictions made with other settings ({'; '.join(changed)}); {way_out}", folder.run_yaml
+        )
+
+
+def has_answers(folder: MethodResults) -> bool:
+    """Whether there are answers, finished or in the journal of a run that was stopped."""
+    return any(folder.root.glob("*.txt")) or any(folder.root.glob(".journal*/*/*.jsonl"))
+
+
+def clear(folder: MethodResults, units: Iterable[str]) -> None:
+    """Remove the answers to pair sets or tasks, and their scores; with the last of them goes the record of the run."""
+    for unit in units:
+        for path in (folder.predictions, folder.answers, folder.errors, folder.matching):
+            path(unit).unlink(missing_ok=True)
+        for journal in (folder.journal, folder.matching_journal):
+            shutil.rmtree(journal(unit), ignore_errors=True)
+    # What stays keeps its record, so that a mixture is refused later.
+    if folder.root.is_dir() and not any(folder.root.glob("*.txt")):
+        folder.run_yaml.unlink(missing_ok=True)
+        remove_parts(folder.root)
+
+
+def machine() -> dict[str, Any]:
+    """A description of the machine that seconds are measured on."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
+        model = names[0] if names else model
+    return {"cpu": model, "cores": default_workers(), "system": f"{platform.system()} {platform.machine()}"}
+
+
+def now() -> str:
+    """The current time as records have it: UTC, to the second."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
