@@ -19,7 +19,14 @@ ROOT = Path(__file__).parents[1]
 PLACE = "<!-- standing of the published pages -->"
 """of the table in ``leaderboard/README.md``"""
 
-_EVALUATION = ("relocbench/evaluation/common", "relocbench/metrics", "relocbench/geometry", "relocbench/tracking.py")
+_EVALUATION = (
+    "relocbench/evaluation/common",
+    "relocbench/evaluation/isolation",
+    "relocbench/evaluation/tables",
+    "relocbench/metrics",
+    "relocbench/geometry",
+    "relocbench/tracking.py",
+)
 _TRACKERS = (
     "baselines/alignment",
     "baselines/dso",

@@ -21,10 +21,10 @@ from collections import defaultdict
 from pathlib import Path
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.evaluation.common.error_table import NUMBERS, ErrorTable, PairErrors
-from relocbench.evaluation.common.matching_table import ALL, MatchingRow
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
-from relocbench.evaluation.common.tables import write_rows
+from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable, PairErrors
+from relocbench.evaluation.tables.matching import ALL, MatchingRow
+from relocbench.evaluation.tables.rows import write_rows
 from relocbench.leaderboard.common.text import cell
 from relocbench.leaderboard.tracking.doubt import TruthCheck
 from relocbench.leaderboard.tracking.long_form import leaderboard_rows

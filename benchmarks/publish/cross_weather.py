@@ -52,9 +52,9 @@ from districts import COUNT, NEXT_PHRASE, PHRASE, District, districts
 from baselines.gn_net.method import ALONG, TURNS_DEG
 from baselines.gn_net.tracker import ONE_START
 from relocbench.arrays import Array
-from relocbench.evaluation.common.error_table import read_errors
-from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.results import all_results
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.matching import ALL
 from relocbench.metrics import (
     CONFIDENT,
     Difference,

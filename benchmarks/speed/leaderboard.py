@@ -31,8 +31,6 @@ import pandas as pd
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.evaluation.common.answer_table import Answer, write_answers
-from relocbench.evaluation.common.error_table import PairErrors, write_errors
 from relocbench.evaluation.common.results import (
     DatasetRecord,
     MethodResults,
@@ -41,6 +39,8 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
     write_record,
 )
+from relocbench.evaluation.tables.answers import Answer, write_answers
+from relocbench.evaluation.tables.errors import PairErrors, write_errors
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,

@@ -1,4 +1,4 @@
-"""The command line: one small module a command, no maths."""
+"""The command line: what its commands share, and no maths."""
 
 from __future__ import annotations
 

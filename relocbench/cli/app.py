@@ -9,26 +9,26 @@ import typer
 from typer.exceptions import TyperException
 
 from relocbench import version
-from relocbench.cli.build_dataset import build_dataset
-from relocbench.cli.check_method import check_method
 from relocbench.cli.command import Command, Group
-from relocbench.cli.demo import demo
-from relocbench.cli.evaluate import evaluate
-from relocbench.cli.evaluate_relocalization import evaluate_relocalization
-from relocbench.cli.evaluate_retrieval import evaluate_retrieval
-from relocbench.cli.export import export
-from relocbench.cli.fetch_weights import fetch_weights
-from relocbench.cli.inspect import inspect
-from relocbench.cli.leaderboard import leaderboard, report
-from relocbench.cli.methods import methods
-from relocbench.cli.preview import preview
-from relocbench.cli.probe import probe
-from relocbench.cli.register import register
-from relocbench.cli.submit import leaderboard_add, submit_check
-from relocbench.cli.train import train
+from relocbench.cli.commands.build_dataset import build_dataset
+from relocbench.cli.commands.check_method import check_method
+from relocbench.cli.commands.demo import demo
+from relocbench.cli.commands.evaluate import evaluate
+from relocbench.cli.commands.evaluate_relocalization import evaluate_relocalization
+from relocbench.cli.commands.evaluate_retrieval import evaluate_retrieval
+from relocbench.cli.commands.export import export
+from relocbench.cli.commands.fetch_weights import fetch_weights
+from relocbench.cli.commands.inspect import inspect
+from relocbench.cli.commands.leaderboard import leaderboard, report
+from relocbench.cli.commands.methods import methods
+from relocbench.cli.commands.preview import preview
+from relocbench.cli.commands.probe import probe
+from relocbench.cli.commands.register import register
+from relocbench.cli.commands.submit import leaderboard_add, submit_check
+from relocbench.cli.commands.train import train
+from relocbench.cli.commands.validate import validate
+from relocbench.cli.commands.view import view
 from relocbench.cli.usage import usage_fault
-from relocbench.cli.validate import validate
-from relocbench.cli.view import view
 from relocbench.errors import USER_ERROR
 
 app = typer.Typer(

@@ -7,7 +7,7 @@ import math
 import re
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
 
@@ -177,23 +177,6 @@ def in_lines(heading: str, most: int = 12) -> str:
 def print_json(values: Mapping[str, Any], counts: Mapping[str, int]) -> None:
     """One strict JSON object with its counts: a number that is not finite becomes null."""
     print(json.dumps(_strict({**values, "counts": counts}), ensure_ascii=False, default=str))
-
-
-def print_results(report: Any, counts: Mapping[str, int], show: Callable[[], None], *, json: bool, quiet: bool) -> None:
-    """What a command that ran methods prints: one JSON object, or tables, what crashed, and where the results are.
-
-    Args:
-        report: with ``to_dict()``, ``crashed`` and ``results``.
-        show: prints the tables.
-    """
-    if json:
-        print_json(report.to_dict(), counts)
-        return
-    show()
-    for label, message in (*report.crashed, *getattr(report, "suspicions", ())):
-        print(f"{label}: {message}", file=sys.stderr)
-    if not quiet:
-        print(f"results: {report.results}", file=sys.stderr)
 
 
 def _strict(values: Any) -> Any:

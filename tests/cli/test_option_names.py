@@ -13,9 +13,9 @@ from refusals import refused
 from typer.main import get_command
 
 from relocbench.cli.app import app
-from relocbench.cli.build_dataset import _command
+from relocbench.cli.commands.build_dataset import _command
+from relocbench.cli.commands.leaderboard import _USUAL
 from relocbench.cli.configuration import merged
-from relocbench.cli.leaderboard import _USUAL
 from relocbench.cli.options import split_names
 from relocbench.cli.spellings import OTHER_NAMES, as_shown
 from relocbench.datasets.importers import KINDS

@@ -27,13 +27,13 @@ from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.robotcar import files as robotcar_files
 from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError, RelocbenchError, quoted
-from relocbench.evaluation.common.answer_table import ANSWERS
-from relocbench.evaluation.common.answer_table import read_answers as read_pair_answers
-from relocbench.evaluation.common.error_table import read_errors
-from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.relocalization.answers import read_pipeline
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import read_answers
+from relocbench.evaluation.tables.answers import ANSWERS
+from relocbench.evaluation.tables.answers import read_answers as read_pair_answers
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.matching import read_matching
 from relocbench.files import (
     parse_count,
     parse_floats,

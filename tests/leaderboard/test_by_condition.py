@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_leaderboard import Made, MadeResults
 
-from relocbench.evaluation.common.error_table import ErrorTable
+from relocbench.evaluation.tables.errors import ErrorTable
 from relocbench.leaderboard.common.ranks import NO_RANK
 from relocbench.leaderboard.tracking.by_condition import ByCondition, by_condition
 from relocbench.leaderboard.tracking.thresholds import FinerThresholds, finer_thresholds

@@ -16,10 +16,10 @@ from test_leaderboard import MadeResults, made
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.common.matching_table import OFFSETS_PX, MatchingRow
 from relocbench.evaluation.common.results import dataset_results, write_dataset_record
-from relocbench.evaluation.common.tables import write_rows
 from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS, START_COLUMNS
+from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
+from relocbench.evaluation.tables.rows import write_rows
 from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard import load_results, make_board

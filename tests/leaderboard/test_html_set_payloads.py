@@ -17,11 +17,11 @@ from relocbench.arrays import Array, Floats, Indices
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors, sweep
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.matching_table import OFFSETS_PX, MatchingRow
 from relocbench.evaluation.common.results import PairSetRecord, dataset_results, write_dataset_record
-from relocbench.evaluation.common.tables import write_rows
 from relocbench.evaluation.probe.read import read_probe
 from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS
+from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
+from relocbench.evaluation.tables.rows import write_rows
 from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import invert, make_transform, so3_exp
 from relocbench.leaderboard.html.looks import further_looks, looks

@@ -19,9 +19,9 @@ from refusals import refused
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.answer_table import Answer, write_answers
-from relocbench.evaluation.common.error_table import PairErrors, write_errors
 from relocbench.evaluation.common.results import DatasetRecord, MethodResults, PairSetRecord, RunRecord, ScoreRecord
+from relocbench.evaluation.tables.answers import Answer, write_answers
+from relocbench.evaluation.tables.errors import PairErrors, write_errors
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,

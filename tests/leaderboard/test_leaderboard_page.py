@@ -16,7 +16,7 @@ from board_pages import board_pages
 from test_leaderboard import NIGHT, SAME, TITLE, WINTER, Made, MadeResults, cells, made, read_csv, row, table
 from typer.testing import CliRunner
 
-from relocbench.cli.leaderboard import leaderboard
+from relocbench.cli.commands.leaderboard import leaderboard
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import RunRecord
 from relocbench.files import dump_yaml, load_yaml_values, write_text

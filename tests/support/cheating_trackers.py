@@ -26,7 +26,7 @@ import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.evaluation.common.matching_table import OFFSETS_PX
+from relocbench.evaluation.tables.matching import OFFSETS_PX
 from relocbench.tracking import Query, Reference, TrackResult
 
 SPACING_M = 0.15
@@ -193,8 +193,8 @@ class Forger:
 
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
         if self.how == "patch":
-            import relocbench.evaluation.common.answers as answers
-            import relocbench.evaluation.common.handles as handles
+            import relocbench.evaluation.isolation.answers as answers
+            import relocbench.evaluation.isolation.handles as handles
 
             huge = answers.CheckedAnswer("ok", np.full((4, 4), 1e300), 2.0, "forged\nline", "[]")
             handles.LocalTracker.ask = lambda *_, **__: ([huge], 0.0)  # type: ignore[method-assign]

@@ -10,8 +10,8 @@ from statistics import median
 import pytest
 from command_line import relocbench
 
-from relocbench.evaluation.common.error_table import ErrorTable, read_errors
 from relocbench.evaluation.common.results import all_results
+from relocbench.evaluation.tables.errors import ErrorTable, read_errors
 
 METHODS = ("-m", "identity", "-m", "orb-pnp", "-m", "dso")
 

@@ -1,1 +1,1 @@
-"""What the evaluations of all tasks share: workers, checked answers, results folders and their tables."""
+"""What the evaluations of all tasks share: options, the folders of results, and what is read from them."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -22,10 +22,9 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import distances_and_angles
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Label, Name, Strict
-from relocbench.errors import ConfigError, PredictionError
+from relocbench.errors import PredictionError
 from relocbench.evaluation.common.folders import AnswerFolder, SetFolder, checked_unit, folders_with
 from relocbench.files import (
-    check_label,
     did_you_mean,
     dump_yaml,
     load_yaml,
@@ -121,9 +120,6 @@ class RunRecord(Strict):
     """of submitted predictions: what is odd about them, for a reader to judge"""
     start: str = ""
     end: str = ""
-
-
-Run = TypeVar("Run", bound=RunRecord)
 
 
 class ScoreRecord(Strict):
@@ -240,44 +236,6 @@ def first_crash(label: str, what: str, crashed: Sequence[tuple[object, str]]) ->
         return []
     place, message = crashed[0]
     return [(label, f"{what}; first on {place}: {message}")]
-
-
-def predictions_label(predictions: Path, methods: Sequence[str]) -> str:
-    """The label of predictions made elsewhere: the given one, else the name of their file or folder.
-
-    Raises:
-        ConfigError: the name cannot be a label.
-    """
-    source = predictions.resolve()
-    label = methods[0] if methods else source.stem if source.is_file() else source.name
-    try:
-        return check_label(label, "method label")
-    except ValueError as bad:
-        raise ConfigError(f"{bad}; give one: --method LABEL") from None
-
-
-def adopted_run(theirs: Path, run: Run, what: str) -> Run:
-    """The record of a run made elsewhere, for results that are imported on this dataset.
-
-    Args:
-        theirs: the ``run.yaml`` that came with the results, if there is one.
-        run: what is known of the run without it: method, target, dataset, fingerprint and question.
-        what: the kind of record, for messages.
-
-    Raises:
-        PredictionError: the record is bad, or of another dataset than this one or a copy of it.
-    """
-    if not theirs.is_file():
-        return run.model_copy(update={"made_elsewhere": True})
-    record = load_yaml(theirs, type(run), what, PredictionError)
-    changed: dict[str, Any] = {"method": run.method, "made_elsewhere": True}
-    changed |= {"submitted": {}, "remarks": (), "answered_blind": ""}  # only a submission that was checked has these
-    if record.fingerprint != run.fingerprint and run.question and record.question == run.question:
-        # Another machine's copy: the content id is the same, and images differ in last digits only.
-        changed |= {"fingerprint": run.fingerprint, "answered_on": record.fingerprint}
-    else:
-        check_made_for(record, run.dataset, run.fingerprint, theirs)
-    return record.model_copy(update=changed)
 
 
 def check_made_for(run: RunRecord, dataset: str, fingerprint: str, path: Path) -> None:

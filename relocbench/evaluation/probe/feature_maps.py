@@ -20,8 +20,8 @@ from relocbench.datasets.core.images import as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.errors import MethodError
-from relocbench.evaluation.common.views import read_only
-from relocbench.evaluation.common.worker import CONSTRUCTOR
+from relocbench.evaluation.isolation.views import read_only
+from relocbench.evaluation.isolation.worker import CONSTRUCTOR
 from relocbench.execution import MANY_TIMES, Loss, step
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec

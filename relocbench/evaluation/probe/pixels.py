@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.pairs.correspondences import Correspondences
-from relocbench.evaluation.common.handles import TrackerHandle
+from relocbench.evaluation.isolation.handles import TrackerHandle
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.evaluation.tracking.matching import Starts, draw_starts
 from relocbench.tracking import Query

@@ -12,8 +12,8 @@ import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.answers import error_answer
-from relocbench.evaluation.common.handles import TrackerHandle
+from relocbench.evaluation.isolation.answers import error_answer
+from relocbench.evaluation.isolation.handles import TrackerHandle
 from relocbench.evaluation.probe.tally import Tally, What
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics import PoseErrors, pose_errors, within

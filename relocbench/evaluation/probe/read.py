@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict
 
 from relocbench.datasets.core.schema import Fingerprint, FolderName
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.tables import TableRow, read_rows
 from relocbench.evaluation.probe.starts import KINDS
 from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS, START_COLUMNS
+from relocbench.evaluation.tables.rows import TableRow, read_rows
 from relocbench.files import load_yaml
 
 PROBE = "probe.yaml"

@@ -16,11 +16,11 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.blindness import blind_methods
-from relocbench.evaluation.common.capabilities import capabilities_of
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import ExecutionOptions
 from relocbench.evaluation.common.results import first_crash
 from relocbench.evaluation.common.runs import made_by
+from relocbench.evaluation.isolation.capabilities import capabilities_of
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
 from relocbench.evaluation.probe.starts import StartLine
 from relocbench.evaluation.probe.table import Line, result_lines, start_lines

@@ -15,8 +15,8 @@ import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.answers import error_answer
-from relocbench.evaluation.common.handles import TrackerHandle
+from relocbench.evaluation.isolation.answers import error_answer
+from relocbench.evaluation.isolation.handles import TrackerHandle
 from relocbench.evaluation.probe.poses import CONVERGED, WITHIN
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp

@@ -16,9 +16,9 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.common.capabilities import Capabilities
-from relocbench.evaluation.common.handles import TrackerHandle
-from relocbench.evaluation.common.worker import (
+from relocbench.evaluation.isolation.capabilities import Capabilities
+from relocbench.evaluation.isolation.handles import TrackerHandle
+from relocbench.evaluation.isolation.worker import (
     Unit,
     answered_keys,
     append_entry,
@@ -32,7 +32,7 @@ from relocbench.evaluation.common.worker import (
     visibility_of,
     write_entry,
 )
-from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
+from relocbench.evaluation.isolation.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
 from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
 from relocbench.evaluation.probe.starts import probe_starts

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.evaluation.common.tables import write_rows
 from relocbench.evaluation.probe.starts import KINDS, StartLine
 from relocbench.evaluation.probe.table import ACROSS, SAME, Line
 from relocbench.evaluation.probe.tally import UNITS, What
+from relocbench.evaluation.tables.rows import write_rows
 from relocbench.files import dump_yaml, write_bytes, write_text
 from relocbench.metrics import Interval, Radius, Ratio
 from relocbench.pages import render

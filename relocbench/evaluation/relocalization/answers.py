@@ -10,7 +10,8 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 
-from relocbench.evaluation.common.schema import (
+from relocbench.evaluation.tables.rows import TableRow, float_text
+from relocbench.evaluation.tables.schema import (
     COUNT,
     ERROR,
     NUMBER,
@@ -23,7 +24,6 @@ from relocbench.evaluation.common.schema import (
     one_of,
     or_blank,
 )
-from relocbench.evaluation.common.tables import TableRow, float_text
 from relocbench.metrics import PoseErrors
 
 Outcome = Literal["right", "choice", "unreachable", "retrieval", "tracking"]

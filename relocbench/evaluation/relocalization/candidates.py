@@ -9,11 +9,11 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import DatasetResults, MethodResults
-from relocbench.evaluation.common.worker import journal_entries
+from relocbench.evaluation.isolation.worker import journal_entries
 from relocbench.evaluation.relocalization.pipeline import Tracked
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.run import run_method
 from relocbench.evaluation.tracking.score import read_predictions
 from relocbench.execution import Run

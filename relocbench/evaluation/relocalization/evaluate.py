@@ -39,6 +39,7 @@ from relocbench.evaluation.relocalization.writing import crashed_queries, write_
 from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
+from relocbench.evaluation.retrieval.score import unanswered
 from relocbench.execution import kept_workers
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
@@ -93,6 +94,15 @@ class RelocalizationReport:
     def basins(self, folder: PipelineResults) -> dict[str, PipelineBasin]:
         """A pipeline's basins on the evaluated tasks."""
         return {name: basin for name, basin in self._scores[folder.label].basins.items() if name in self.tasks.names}
+
+    def counts(self) -> dict[str, int]:
+        """Queries of all tasks, and how many of them each pipeline did not answer, together."""
+        return {
+            "tasks": len(self.tasks.record.tasks),
+            "queries": sum(task.queries for task in self.tasks.record.tasks.values()),
+            "pipelines": len(self.folders),
+            **unanswered(v for folder in self.folders for v in self.scores(folder).values()),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Tasks, pipelines with their scores, and broken methods, as plain values for scripts."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
-from relocbench.evaluation.common.answer_table import Answer
 from relocbench.evaluation.relocalization.answers import Outcome, PipelineAnswer
 from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
+from relocbench.evaluation.tables.answers import Answer
 from relocbench.metrics import PoseErrors, pose_errors, within
 from relocbench.metrics.pose.registry import CORRECT
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from relocbench.datasets.core.images import png_bytes
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.evaluation.common.blind_names import BlindName, BlindSecret, blind_name
+from relocbench.evaluation.common.blind_names import BlindName, BlindSecret, blind_name, check_truth, truth_of
 from relocbench.evaluation.common.opening import check_outside
 from relocbench.evaluation.common.results import write_record
 from relocbench.evaluation.retrieval.blind_set import (
@@ -23,7 +24,6 @@ from relocbench.evaluation.retrieval.blind_set import (
     keys_file,
 )
 from relocbench.evaluation.retrieval.opening import OpenedSet
-from relocbench.evaluation.tracking.blind_keys import check_truth, truth_of
 from relocbench.files import sha256_file, write_bytes, write_text
 from relocbench.progress import Reporter
 from relocbench.retrieval import ImageView, RetrievalTask
@@ -72,15 +72,12 @@ class BlindImages:
 
     @cached_property
     def _secret(self) -> BlindSecret:
-        digest = hashlib.sha256(f"relocbench blind export of images 1, edition {self.edition}\n".encode())
-        digest.update(f"{self.opened.name} {self.opened.fingerprint}\n".encode())
+        named = f"{self.opened.name} {self.opened.fingerprint}"
         if isinstance(self._source, StreetPlaces):
-            for part in truth_of(self._source.dataset):
-                digest.update(part)
+            truth: Iterable[bytes] = truth_of(self._source.dataset)
         else:
-            for key, content in _labelled(self._source):
-                digest.update(f"{key} {content}\n".encode())
-        return BlindSecret(digest.digest())
+            truth = (f"{key} {content}\n".encode() for key, content in _labelled(self._source))
+        return BlindSecret.of("relocbench blind export of images 1", self.edition, named, truth)
 
 
 def export_blind_images(opened: OpenedSet, root: Path, out: Path, edition: int, reporter: Reporter) -> BlindSetFile:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Image
-from relocbench.evaluation.common.guard import guarded, implements
+from relocbench.evaluation.common.contract import Finding, attempt, constructed, constructed_again
+from relocbench.evaluation.isolation.guard import guarded, implements
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
-from relocbench.evaluation.tracking.check import Finding, constructed
 from relocbench.execution import messages_to_stderr
 from relocbench.methods import MethodSpec
 from relocbench.progress import Silent
@@ -59,10 +59,10 @@ def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Findi
 
 def _describe(made: Any, images: Sequence[ImageView]) -> tuple[Any, str | None]:
     fresh = [ImageView(image.key, image.view, image.read) for image in images]
-    with messages_to_stderr():
-        values, problem = guarded(lambda: made.describe(fresh), placed=True)
-    message = problem and f"raised {problem} (for an image that cannot be described, return a row of NaN)"
-    return checked_descriptors(values, message, len(images))
+    values, problem = attempt(
+        lambda: made.describe(fresh), "for an image that cannot be described, return a row of NaN"
+    )
+    return checked_descriptors(values, problem, len(images))
 
 
 def _fits(made: FittingRetriever, images: Sequence[ImageView]) -> Finding:
@@ -83,11 +83,11 @@ def _single_equals_batch(made: Any, images: Sequence[ImageView], values: NDArray
 
 def _repeatable(spec: MethodSpec, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
     name = "describes the same again, constructed anew"
-    fresh, problem = guarded(spec.create)
+    fresh, problem = constructed_again(spec)
     if problem is None and implements(fresh, FittingRetriever):
-        _, problem = guarded(lambda: fresh.fit(images, 0))
+        problem = _fits(fresh, images).detail or None
     if problem is not None:
-        return Finding(name, False, f"constructed a second time, it raised {problem}")
+        return Finding(name, False, problem)
     again, problem = _describe(fresh, images)
     same = problem is None and all(_same(a, b, _EQUAL) for a, b in zip(again, values, strict=True))
     return Finding(name, same, "" if same else problem or "another descriptor than the first time")

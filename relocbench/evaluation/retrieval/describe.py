@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Image, Indices, Mask
 from relocbench.errors import one_line
-from relocbench.evaluation.common.views import read_only
+from relocbench.evaluation.isolation.views import read_only
 from relocbench.evaluation.retrieval.handles import RetrieverHandle, WorkerRetriever
 from relocbench.evaluation.retrieval.local import LocalRetriever
 from relocbench.evaluation.retrieval.output_checks import fault_of

@@ -11,13 +11,14 @@ from pydantic import Field, model_validator
 from relocbench.datasets.pairs.street_places import Positives
 from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.options import AnswerOptions, LimitOptions
-from relocbench.evaluation.common.results import first_crash, predictions_label
+from relocbench.evaluation.common.predictions import predictions_label
+from relocbench.evaluation.common.results import first_crash
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
 from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, set_results, write_set_record
 from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
-from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion
+from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion, unanswered
 from relocbench.execution import Run, kept_workers
 from relocbench.methods import RETRIEVERS, parse_methods
 from relocbench.progress import Reporter
@@ -68,6 +69,17 @@ class RetrievalReport:
             return {}
         names = [task.name for task in self.asked.chosen]
         return {name: values for name, values in folder.retrieval_scores().tasks.items() if name in names}
+
+    def counts(self) -> dict[str, int]:
+        """Queries of all tasks, and how many of them each retriever did not answer, together."""
+        values = [v for folder in self.folders for v in self.scores(folder).values()]
+        return {
+            "tasks": len(self.asked.chosen),
+            "queries": sum(self.record.tasks[task.name].queries for task in self.asked.chosen),
+            "methods": len(self.folders),
+            **unanswered(values),
+            "suspicious": len(self.suspicions),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Scores, chance levels and broken methods, as plain values for scripts."""

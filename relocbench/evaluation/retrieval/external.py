@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from relocbench.errors import PredictionError, available
-from relocbench.evaluation.common.results import PREDICTIONS, adopted_run, write_record
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.predictions import adopted_run, prediction_files
+from relocbench.evaluation.common.results import PREDICTIONS, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists, write_answers, write_lists
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults
 from relocbench.metrics import NEVER, rank_lists
@@ -25,7 +26,8 @@ def import_rankings(
         PredictionError: with file and line: no such file, a file for an unknown task, an unknown query or image, an
             image twice for one query, another set's fingerprint, or a label that other predictions have.
     """
-    files = _files(retrieval_set, tasks, source)
+    chosen, names = {task.name: task for task in tasks}, [task.name for task in retrieval_set.tasks()]
+    files = prediction_files(source, chosen, names, unit="task", name=retrieval_set.name)
     known = RetrievalRun(
         method=label,
         target=f"{PREDICTIONS}{source.resolve().name}",
@@ -33,43 +35,16 @@ def import_rankings(
         fingerprint=retrieval_set.fingerprint,
         question=getattr(retrieval_set, "content_id", ""),
     )
-    record = adopted_run(source / "run.yaml", known, "the record of a retrieval run")
     folder = results.method(label)
+    record = adopted_run(folder, source / "run.yaml", known, "the record of a retrieval run")
     if source.resolve() == folder.root.resolve():
         raise PredictionError("is where the predictions of this label are kept; choose another label", source)
-    if folder.run_yaml.exists() and folder.run_record().target != record.target:
-        before = folder.run_record().target
-        raise PredictionError(f"holds predictions of '{before}'; choose another label", folder.run_yaml)
     checked = [(task, *_checked(task, path)) for task, path in files]
     for task, lists, answers in checked:
         write_lists(folder.predictions(task.name), lists)
         write_answers(folder.answers(task.name), answers)
     write_record(folder.run_yaml, record)
     return folder
-
-
-def _files(
-    retrieval_set: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path
-) -> list[tuple[RetrievalTask, Path]]:
-    """The tasks that are answered, each with its file."""
-    if source.is_file():
-        if len(tasks) != 1:
-            names = ", ".join(task.name for task in tasks)
-            raise PredictionError(f"one file answers one task, and there are {names}; choose one: --pair-set", source)
-        return [(tasks[0], source)]
-    if not source.is_dir():
-        raise PredictionError("no such file or folder; expected lines 'query db', or a folder of TASK.txt", source)
-    files = {path.stem: path for path in sorted(source.glob("*.txt"))}
-    if not files:
-        raise PredictionError("holds no list of retrieved images (TASK.txt)", source)
-    known = [task.name for task in retrieval_set.tasks()]
-    for name, path in files.items():
-        if name not in known:
-            raise PredictionError(f"no task '{name}' in {retrieval_set.name}{available(name, known)}", path)
-    chosen = [(task, files[task.name]) for task in tasks if task.name in files]
-    if not chosen:
-        raise PredictionError(f"answers none of {', '.join(task.name for task in tasks)}", source)
-    return chosen
 
 
 def _checked(task: RetrievalTask, path: Path) -> tuple[dict[str, list[str]], list[QueryAnswer]]:

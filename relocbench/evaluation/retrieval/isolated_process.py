@@ -9,9 +9,9 @@ from typing import Any, overload
 
 from relocbench.arrays import Image
 from relocbench.errors import RelocbenchError
-from relocbench.evaluation.common.isolated_process import Arrays, Connection, serve
-from relocbench.evaluation.common.method_process import NEEDS
-from relocbench.evaluation.common.views import read_only
+from relocbench.evaluation.isolation.isolated_process import Arrays, Connection, serve
+from relocbench.evaluation.isolation.method_process import NEEDS
+from relocbench.evaluation.isolation.views import read_only
 from relocbench.evaluation.retrieval.local import CallResult, LocalRetriever, create_retriever
 from relocbench.methods import MethodSpec
 from relocbench.retrieval import Descriptors, ImageView

@@ -9,8 +9,8 @@ from typing import Any
 
 from relocbench.arrays import Image
 from relocbench.errors import MethodError, one_line
-from relocbench.evaluation.common.info_text import info_text
-from relocbench.evaluation.common.method_process import FORGED, MethodProcess, crash_of
+from relocbench.evaluation.isolation.info_text import info_text
+from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess, crash_of
 from relocbench.evaluation.retrieval.local import CallResult
 from relocbench.evaluation.retrieval.output_checks import MOST_RERANKED, checked_descriptors, checked_scores
 from relocbench.execution import MANY_TIMES, step

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from relocbench.errors import MethodError, RelocbenchError
-from relocbench.evaluation.common.guard import guarded, implements
-from relocbench.evaluation.common.info_text import info_text
+from relocbench.evaluation.isolation.guard import guarded, implements
+from relocbench.evaluation.isolation.info_text import info_text
 from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
 from relocbench.execution import MANY_TIMES, messages_to_stderr, step
 from relocbench.methods import MethodSpec
@@ -68,7 +68,7 @@ def create_retriever(spec: MethodSpec) -> Retriever:
 
 
 def _timed(call: Callable[[], Any], times: float) -> CallResult:
-    """Call as :func:`~relocbench.evaluation.common.guard.guarded` does, but let any RelocbenchError through."""
+    """Call as :func:`~relocbench.evaluation.isolation.guard.guarded` does, but let any RelocbenchError through."""
     raised: list[RelocbenchError] = []
 
     def kept() -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array
-from relocbench.evaluation.common.guard import guarded
+from relocbench.evaluation.isolation.guard import guarded
 
 MOST_RERANKED = 1_000_000
 """candidates of a query that a retriever may ask to rerank"""

@@ -13,7 +13,6 @@ from relocbench.errors import DatasetError, PredictionError
 from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import write_record
 from relocbench.evaluation.common.runs import clear, made_by, now, refuse_mixture, refuse_submitted
-from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
 from relocbench.evaluation.retrieval.describe import (
     AnonymousViews,
@@ -31,6 +30,7 @@ from relocbench.evaluation.retrieval.records import (
     TaskRun,
     write_set_record,
 )
+from relocbench.evaluation.tables.rows import STATUSES
 from relocbench.execution import Run, default_workers
 from relocbench.files import locked_folder
 from relocbench.methods import MethodSpec

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -95,6 +95,12 @@ def summary(record: TaskRecord, answers: Sequence[QueryAnswer]) -> Values:
         values[f"{metric}_low"] = None if interval is None else interval.low
         values[f"{metric}_high"] = None if interval is None else interval.high
     return values
+
+
+def unanswered(summaries: Iterable[Values]) -> dict[str, int]:
+    """How many queries methods declined, and on how many they crashed, over all summaries."""
+    known = list(summaries)
+    return {name: int(sum(values[name] or 0 for values in known)) for name in ("failed", "broke")}
 
 
 def resampled(per_query: np.ndarray, answers: Sequence[QueryAnswer]) -> np.ndarray:

@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.answer_table import write_answers
 from relocbench.evaluation.common.opening import check_outside
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
@@ -43,6 +42,7 @@ from relocbench.evaluation.submission.check import Checked, RankedDataset, Submi
 from relocbench.evaluation.submission.folder import checksums
 from relocbench.evaluation.submission.kept import kept_card, rows_of
 from relocbench.evaluation.submission.suspicions import same_answers
+from relocbench.evaluation.tables.answers import write_answers
 from relocbench.evaluation.tracking.score import read_predictions, score_method
 from relocbench.files import locked_output, read_bytes, write_bytes
 from relocbench.progress import Reporter

@@ -12,10 +12,10 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, parse_pose
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.common.answer_table import ANSWERS, Answer
-from relocbench.evaluation.common.schema import STATUS
-from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
 from relocbench.evaluation.submission.resolving import ResolvedDataset
+from relocbench.evaluation.tables.answers import ANSWERS, Answer
+from relocbench.evaluation.tables.rows import KEY_COLUMNS, TableRow
+from relocbench.evaluation.tables.schema import STATUS
 from relocbench.files import parse_timestamp, read_csv, read_rows
 
 FARTHEST_M = 1e6

@@ -1,22 +1,16 @@
 """Keys of a blind export: what images are called where neither time nor order may tell where they were taken.
 
-A key is a whole number, and stands in files where a timestamp stands. It follows from the truth of the dataset, which
-whoever is given the export does not have: the owner computes all keys again and keeps no list of them, and nobody else
-can compute one.
+A key is a whole number, and stands in files where a timestamp stands.
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator
 from functools import cached_property
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.errors import DatasetError
-from relocbench.evaluation.common.blind_names import BlindName, BlindSecret
-from relocbench.files import read_bytes
+from relocbench.evaluation.common.blind_names import BlindName, BlindSecret, check_truth, truth_of
 
 
 class BlindKeys:
@@ -52,26 +46,5 @@ class BlindKeys:
 
     @cached_property
     def _secret(self) -> BlindSecret:
-        digest = hashlib.sha256(f"relocbench blind export 1, edition {self.edition}\n".encode())
-        digest.update(f"{self.dataset.name} {self.dataset.fingerprint}\n".encode())
-        for part in truth_of(self.dataset):
-            digest.update(part)
-        return BlindSecret(digest.digest())
-
-
-def check_truth(dataset: Dataset) -> None:
-    """Raise DatasetError where the truth of a dataset is withheld, so that keys could be computed by anybody."""
-    withheld = [s.name for s in dataset.pair_sets() if not s.has_truth or not s.evaluated]
-    if withheld:
-        message = f"the truth of '{withheld[0]}' is withheld, and keys of a blind export follow from the truth"
-        raise DatasetError(message, dataset.root)
-
-
-def truth_of(dataset: Dataset) -> Iterator[bytes]:
-    """The truth of a dataset: its pair files, each behind its name.
-
-    The bytes themselves, since digests of pair files stand in published results.
-    """
-    for name in dataset.pair_set_names:
-        yield f"{name}\n".encode()
-        yield read_bytes(dataset.layout.pair_file(name), "a pair file", DatasetError)
+        named = f"{self.dataset.name} {self.dataset.fingerprint}"
+        return BlindSecret.of("relocbench blind export 1", self.edition, named, truth_of(self.dataset))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,11 @@ from numpy.typing import NDArray
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
-from relocbench.evaluation.common.guard import batch_of, guarded, implements, neighbours_of
-from relocbench.evaluation.common.info_text import INFO_CHARACTERS
-from relocbench.evaluation.common.views import masked_query, masked_reference
+from relocbench.evaluation.common.contract import Finding, attempt, constructed, constructed_again
+from relocbench.evaluation.isolation.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
+from relocbench.evaluation.isolation.guard import batch_of, guarded, implements, neighbours_of
+from relocbench.evaluation.isolation.info_text import INFO_CHARACTERS
+from relocbench.evaluation.isolation.views import masked_query, masked_reference
 from relocbench.execution import messages_to_stderr
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
@@ -31,18 +31,8 @@ from relocbench.tracking import (
     SupportsPrepare,
 )
 
+_ADVICE = "to report a failure, return TrackResult.failure"
 _WIDTH, _HEIGHT, _FOCAL, _WALL_M = 320, 240, 250.0, 4.0
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A requirement of the contract, and whether the method met it."""
-
-    check: str
-    passed: bool
-    detail: str = ""
-    doubtful: bool = False
-    """whether the contract is kept, but the answer is hard to believe"""
 
 
 @dataclass(frozen=True)
@@ -110,29 +100,16 @@ def _answers(question: _Question, answer: CheckedAnswer) -> Finding:
     return Finding(f"answers {question.name}", answer.status != "error", told)
 
 
-def constructed(spec: MethodSpec) -> tuple[Any, Finding]:
-    """The method, and whether it could be constructed."""
-    method, problem = guarded(spec.create)
-    parameters = ", ".join(f"{k}={v}" for k, v in spec.parameters.items())
-    return method, Finding("is constructed", not problem, problem or parameters)
-
-
 def _close(tracker: Any) -> None:
     """Ask a tracker that is a program to end."""
     close, problem = guarded(lambda: getattr(tracker, "close", None))
     if problem is None and callable(close):
-        _attempt(close)
+        attempt(close, _ADVICE)
 
 
 def _ask(tracker: Any, question: _Question) -> CheckedAnswer:
-    result, problem = _attempt(lambda: tracker.track(_prepared(tracker, question), question.query, None))
+    result, problem = attempt(lambda: tracker.track(_prepared(tracker, question), question.query, None), _ADVICE)
     return error_answer(problem) if problem else checked_answer(result)
-
-
-def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
-    with messages_to_stderr():
-        value, problem = guarded(call, placed=True)
-    return value, problem and f"raised {problem} (to report a failure, return TrackResult.failure)"
 
 
 def _prepared(tracker: Any, question: _Question) -> Any:
@@ -144,9 +121,9 @@ def _repeatable(
 ) -> Finding:
     """Ask the same tracker and a fresh one again, in another order: the answers must be equal."""
     name = "gives the same answer in any order of calls"
-    fresh, unmade = guarded(spec.create)
+    fresh, unmade = constructed_again(spec)
     if unmade is not None:
-        return Finding(name, False, f"constructed a second time, it raised {unmade}")
+        return Finding(name, False, unmade)
     message = None
     for other in (tracker, fresh):
         for i in reversed(usable):
@@ -178,7 +155,7 @@ def _leaves_input_alone(tracker: Any, question: _Question) -> Finding:
 
 def _batch_agrees(tracker: Any, question: _Question, single: CheckedAnswer) -> Finding:
     name = "track_batch agrees with track"
-    reference, problem = _attempt(lambda: _prepared(tracker, question))
+    reference, problem = attempt(lambda: _prepared(tracker, question), _ADVICE)
     if problem is None:
         with messages_to_stderr():
             answers, _ = ask(tracker, reference, [question.query] * 2)
@@ -198,7 +175,9 @@ def _pixels(question: _Question) -> tuple[Array, Array]:
 
 def _match(tracker: Any, question: _Question, rows: slice = slice(None)) -> tuple[Any, str | None]:
     uv_ref, uv_start = (uv[rows].copy() for uv in _pixels(question))
-    ends, problem = _attempt(lambda: tracker.match(_prepared(tracker, question), question.query, uv_ref, uv_start))
+    ends, problem = attempt(
+        lambda: tracker.match(_prepared(tracker, question), question.query, uv_ref, uv_start), _ADVICE
+    )
     return checked_pixels(ends, problem, len(uv_ref))
 
 
@@ -211,9 +190,9 @@ def _matches(tracker: Any, question: _Question) -> Finding:
 def _matches_by_pixel(spec: MethodSpec, tracker: Any, question: _Question) -> Finding:
     """Match from a fresh tracker, with half of the pixels, and with none: results must be equal to the last bit."""
     name = "match answers each pixel by itself, and the same again"
-    fresh, problem = guarded(spec.create)
+    fresh, problem = constructed_again(spec)
     if problem:
-        return Finding(name, False, f"constructed a second time, it raised {problem}")
+        return Finding(name, False, problem)
     whole, problem = _match(tracker, question)
     for other, rows in ((fresh, slice(None)), (tracker, slice(1, None, 2)), (fresh, slice(0, 0))):
         again, fault = _match(other, question, rows)

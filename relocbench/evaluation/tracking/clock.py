@@ -17,8 +17,8 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answer_table import Answer, write_answers
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, RunRecord, write_record
+from relocbench.evaluation.tables.answers import Answer, write_answers
 from relocbench.geometry import se3_exp, se3_log
 
 CLOCK = "clock"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -12,20 +13,20 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.answer_table import read_answers
 from relocbench.evaluation.common.blindness import blind_methods
-from relocbench.evaluation.common.capabilities import capabilities_of
-from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import AnswerOptions, ExecutionOptions
+from relocbench.evaluation.common.predictions import predictions_label
 from relocbench.evaluation.common.results import (
     DatasetResults,
     MethodResults,
     dataset_results,
     first_crash,
-    predictions_label,
     write_dataset_record,
 )
+from relocbench.evaluation.isolation.capabilities import capabilities_of
+from relocbench.evaluation.tables.answers import read_answers
+from relocbench.evaluation.tables.matching import read_matching
 from relocbench.evaluation.tracking.clock import CLOCK, run_clock
 from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.identity import is_identity, run_identity
@@ -60,6 +61,22 @@ class Report:
     results: Path
     crashed: list[tuple[str, str]]
     """label and message of each method that crashed on pairs, rather than reporting failures"""
+    matching: bool = False
+    """whether matching quality was asked for"""
+
+    def counts(self) -> dict[str, int]:
+        """Answers of all methods to all evaluated pairs, by their status; predictions made elsewhere may have none."""
+        tables = [folder.answers(pair_set.name) for folder in self.folders for pair_set in self.pair_sets]
+        statuses = Counter(answer.status for path in tables if path.exists() for answer in read_answers(path).values())
+        return {
+            "pair_sets": len(self.pair_sets),
+            "pairs": sum(len(s.evaluated) for s in self.pair_sets),
+            "rejected": sum(len(s.rejected) for s in self.pair_sets),
+            "methods": len(self.folders),
+            "answered": statuses["ok"],
+            "failed": statuses["failed"],
+            "broke": statuses["error"],
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Scores and broken methods, as plain values for scripts."""
@@ -106,7 +123,8 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
             folders.append(run_clock(dataset, pair_sets, results))
     for folder in folders:
         score_method(dataset, pair_sets, folder)
-    return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _crashes(f, pair_sets)])
+    crashed = [crash for folder in folders for crash in _crashes(folder, pair_sets)]
+    return Report(dataset, pair_sets, folders, results.root, crashed, options.matching)
 
 
 def _check_images(dataset: Dataset, pair_sets: list[PairSet], specs: list[MethodSpec]) -> bool:

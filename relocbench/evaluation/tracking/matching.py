@@ -22,17 +22,10 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.common.handles import TrackerHandle
-from relocbench.evaluation.common.matching_table import (
-    OFFSETS_PX,
-    MatchingRow,
-    check_complete,
-    read_matching,
-    write_matching,
-)
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.common.runs import refuse_mixture
-from relocbench.evaluation.common.worker import (
+from relocbench.evaluation.isolation.handles import TrackerHandle
+from relocbench.evaluation.isolation.worker import (
     Unit,
     answered_keys,
     append_entry,
@@ -48,7 +41,14 @@ from relocbench.evaluation.common.worker import (
     visibility_of,
     write_entry,
 )
-from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
+from relocbench.evaluation.isolation.worker_losses import LossHandler, run_until_answered
+from relocbench.evaluation.tables.matching import (
+    OFFSETS_PX,
+    MatchingRow,
+    check_complete,
+    read_matching,
+    write_matching,
+)
 from relocbench.evaluation.tracking.run import new_record
 from relocbench.execution import Run, step
 from relocbench.files import locked_folder

@@ -14,14 +14,13 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answer_table import Answer, read_answers, write_answers
-from relocbench.evaluation.common.answers import CheckedAnswer, error_answer
-from relocbench.evaluation.common.capabilities import construction_fault
-from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, RunRecord, write_record
 from relocbench.evaluation.common.runs import clear, has_answers, made_by, now, refuse_mixture, refuse_submitted
-from relocbench.evaluation.common.worker import (
+from relocbench.evaluation.isolation.answers import CheckedAnswer, error_answer
+from relocbench.evaluation.isolation.capabilities import construction_fault
+from relocbench.evaluation.isolation.handles import TrackerHandle
+from relocbench.evaluation.isolation.worker import (
     Unit,
     Visibility,
     answered_keys,
@@ -38,7 +37,8 @@ from relocbench.evaluation.common.worker import (
     visibility_of,
     write_entry,
 )
-from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
+from relocbench.evaluation.isolation.worker_losses import LossHandler, run_until_answered
+from relocbench.evaluation.tables.answers import Answer, read_answers, write_answers
 from relocbench.execution import MANY_TIMES, Run, kept_workers, step
 from relocbench.files import locked_folder, read_rows, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec

@@ -15,9 +15,10 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answer_table import Answer, read_answers
-from relocbench.evaluation.common.error_table import ErrorTable, PairErrors, groups_in, write_errors
-from relocbench.evaluation.common.matching_table import (
+from relocbench.evaluation.common.results import MethodResults, ScoreRecord, check_made_for, write_record
+from relocbench.evaluation.tables.answers import Answer, read_answers
+from relocbench.evaluation.tables.errors import ErrorTable, PairErrors, groups_in, write_errors
+from relocbench.evaluation.tables.matching import (
     ALL,
     MatchingRow,
     Summary,
@@ -25,7 +26,6 @@ from relocbench.evaluation.common.matching_table import (
     read_matching,
     summarize_matching,
 )
-from relocbench.evaluation.common.results import MethodResults, ScoreRecord, check_made_for, write_record
 from relocbench.files import plain_file, remove_parts
 from relocbench.metrics import PairSetSummary, align_predictions, pose_errors
 

@@ -19,9 +19,9 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.learning.training_pairs import VALIDATION_SPLIT
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.answers import CheckedAnswer, error_answer
-from relocbench.evaluation.common.handles import LocalTracker
-from relocbench.evaluation.common.views import masked_query, masked_reference
+from relocbench.evaluation.isolation.answers import CheckedAnswer, error_answer
+from relocbench.evaluation.isolation.handles import LocalTracker
+from relocbench.evaluation.isolation.views import masked_query, masked_reference
 from relocbench.metrics import PoseErrors, pose_errors, summarize
 from relocbench.progress import Reporter
 from relocbench.tracking import Tracker

@@ -11,11 +11,11 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError, available
-from relocbench.evaluation.common.answer_table import ANSWERS
 from relocbench.evaluation.common.dataset_lookup import check_record
-from relocbench.evaluation.common.error_table import ERRORS, read_errors
 from relocbench.evaluation.common.results import PREDICTIONS, DatasetRecord, MethodResults, RunRecord, ScoreRecord
-from relocbench.evaluation.common.tables import KEY_COLUMNS
+from relocbench.evaluation.tables.answers import ANSWERS
+from relocbench.evaluation.tables.errors import ERRORS, read_errors
+from relocbench.evaluation.tables.rows import KEY_COLUMNS
 from relocbench.evaluation.tracking.score import FORMULAS
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,

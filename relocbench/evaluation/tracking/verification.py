@@ -15,14 +15,14 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.error_table import NUMBERS, ErrorTable
-from relocbench.evaluation.common.matching_table import (
+from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
+from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable
+from relocbench.evaluation.tables.matching import (
     MatchingRow,
     check_complete,
     read_matching,
     summarize_matching,
 )
-from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from relocbench.evaluation.common.tables import write_rows
+from relocbench.evaluation.tables.rows import write_rows
 from relocbench.metrics import Interval
 
 Value = str | int | float | None

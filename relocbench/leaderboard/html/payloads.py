@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from relocbench.evaluation.common.tables import STATUSES
+from relocbench.evaluation.tables.rows import STATUSES
 from relocbench.leaderboard.common.headings import COUNTS, SECONDS
 from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.html import links

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from relocbench.evaluation.common.matching_table import ALL
+from relocbench.evaluation.tables.matching import ALL
 from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common import ranks
 from relocbench.leaderboard.common.ranks import HasRank, rank_text

@@ -13,8 +13,6 @@ import numpy as np
 from relocbench.datasets.core.pairfile import ELSEWHERE
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import Truth
-from relocbench.evaluation.common.error_table import ErrorTable, read_errors
-from relocbench.evaluation.common.matching_table import ALL, MatchingRow
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
     DatasetRecord,
@@ -24,6 +22,8 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
 )
 from relocbench.evaluation.submission.kept import KeptCard, kept_card
+from relocbench.evaluation.tables.errors import ErrorTable, read_errors
+from relocbench.evaluation.tables.matching import ALL, MatchingRow
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
 from relocbench.evaluation.tracking.identity import IDENTITY_TARGETS
 from relocbench.evaluation.tracking.verification import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.evaluation.common.matching_table import ALL
+from relocbench.evaluation.tables.matching import ALL
 from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.headings import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95

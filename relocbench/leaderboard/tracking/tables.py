@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.error_table import ErrorTable
-from relocbench.evaluation.common.matching_table import ALL
+from relocbench.evaluation.tables.errors import ErrorTable
+from relocbench.evaluation.tables.matching import ALL
 from relocbench.leaderboard.common.loading import Plan, compared
 from relocbench.leaderboard.tracking.load import Trackers
 from relocbench.leaderboard.tracking.model import (

@@ -18,7 +18,7 @@ from baselines.feature_pnp.keyframe_depth import inverse_depth_at, reach_of
 from baselines.feature_pnp.pnp import SHOWN_INLIERS, SHOWN_OTHERS
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
 from relocbench.arrays import Array, Floats, Image
-from relocbench.evaluation.common.info_text import INFO_CHARACTERS, info_text
+from relocbench.evaluation.isolation.info_text import INFO_CHARACTERS, info_text
 from relocbench.geometry import Camera, apply, invert, rotation_angle, se3_exp
 from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
 

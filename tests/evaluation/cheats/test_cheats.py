@@ -19,17 +19,17 @@ from small_views import make_small_views
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import MethodError, RelocbenchError
-from relocbench.evaluation.common.answer_table import Answer, read_answers
 from relocbench.evaluation.common.blindness import check_blind
-from relocbench.evaluation.common.error_table import read_errors
-from relocbench.evaluation.common.framing import FramingFault, receive_answer
-from relocbench.evaluation.common.isolation import _answers as as_answers
-from relocbench.evaluation.common.matching_table import OFFSETS_PX, read_matching
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.common.worker import Visibility, units_of
+from relocbench.evaluation.isolation.framing import FramingFault, receive_answer
+from relocbench.evaluation.isolation.tracker import _answers as as_answers
+from relocbench.evaluation.isolation.worker import Visibility, units_of
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
+from relocbench.evaluation.tables.answers import Answer, read_answers
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.matching import OFFSETS_PX, read_matching
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.geometry import Camera

@@ -23,10 +23,10 @@ from relocbench.cli import app as app_module
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, DatasetError, PredictionError
-from relocbench.evaluation.common.answer_table import ANSWERS, read_answers
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.common.error_table import PairErrors
 from relocbench.evaluation.common.results import MethodResults
+from relocbench.evaluation.tables.answers import ANSWERS, read_answers
+from relocbench.evaluation.tables.errors import PairErrors
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.score import predictions_hash
 from relocbench.evaluation.tracking.validation import validate_results

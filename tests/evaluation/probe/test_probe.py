@@ -22,7 +22,7 @@ from baselines.gn_net.weights import save_weights
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.pairs.correspondences import Correspondences
-from relocbench.evaluation.common.handles import LocalTracker
+from relocbench.evaluation.isolation.handles import LocalTracker
 from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure

@@ -14,7 +14,6 @@ from small_dataset import ACROSS, CAMERA, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer, read_pipeline, write_pipeline
 from relocbench.evaluation.relocalization.evaluate import (
     RelocalizationOptions,
@@ -24,6 +23,7 @@ from relocbench.evaluation.relocalization.evaluate import (
 from relocbench.evaluation.relocalization.pipeline import most_confident
 from relocbench.evaluation.relocalization.records import PipelineResults
 from relocbench.evaluation.relocalization.score import per_query
+from relocbench.evaluation.tables.errors import read_errors
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.progress import Silent
 
@@ -181,10 +181,10 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     made = make_small_dataset(tmp_path / "d", frames=4, size=(32, 24))
     writable = made.layout.traversal("summer").poses
     writable.write_text(writable.read_text().splitlines(keepends=True)[0])
-    from relocbench.evaluation.common.answer_table import Answer
     from relocbench.evaluation.relocalization.basin import Basin
     from relocbench.evaluation.relocalization.pipeline import Retrieved, Tracked, pipeline_answers
     from relocbench.evaluation.relocalization.truth import MapTruth
+    from relocbench.evaluation.tables.answers import Answer
 
     again = Dataset(made.root)
     times = again.traversal("winter").timestamps(CAMERA), again.traversal("summer").timestamps(CAMERA)

@@ -10,7 +10,7 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.arrays import Array
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answer_table import read_answers
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.clock import clock_poses
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.geometry import make_transform, so3_exp

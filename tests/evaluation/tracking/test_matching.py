@@ -19,14 +19,14 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.matching_table import (
+from relocbench.evaluation.common.results import MethodResults
+from relocbench.evaluation.tables.matching import (
     OFFSETS_PX,
     MatchingRow,
     read_matching,
     summarize_matching,
     write_matching,
 )
-from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.evaluation.tracking.matching import PER_PAIR, draw_starts

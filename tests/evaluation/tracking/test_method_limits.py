@@ -24,11 +24,11 @@ from small_views import make_small_views
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common import worker_losses
-from relocbench.evaluation.common.answer_table import Answer, read_answers
+from relocbench.evaluation.isolation import worker_losses
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
 from relocbench.evaluation.retrieval.describe import anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
+from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.execution import MANY_TIMES, Run, parse_size, run_limited, worker_process
 from relocbench.progress import Silent

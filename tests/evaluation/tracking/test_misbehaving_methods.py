@@ -19,18 +19,18 @@ from small_dataset import ACROSS, STEP_NS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.common.answer_table import Answer, read_answers
-from relocbench.evaluation.common.answers import ask, checked_answer, checked_pixels
-from relocbench.evaluation.common.error_table import read_errors
-from relocbench.evaluation.common.guard import batch_of, guarded, neighbours_of
-from relocbench.evaluation.common.handles import LocalTracker
-from relocbench.evaluation.common.info_text import INFO_CHARACTERS
-from relocbench.evaluation.common.matching_table import MATCHING, read_matching
+from relocbench.evaluation.isolation.answers import ask, checked_answer, checked_pixels
+from relocbench.evaluation.isolation.guard import batch_of, guarded, neighbours_of
+from relocbench.evaluation.isolation.handles import LocalTracker
+from relocbench.evaluation.isolation.info_text import INFO_CHARACTERS
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import read_answers as read_retrieved
 from relocbench.evaluation.retrieval.describe import Describer
 from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.run import RetrieverSession
+from relocbench.evaluation.tables.answers import Answer, read_answers
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.matching import MATCHING, read_matching
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.leaderboard.tracking.load import load_results

@@ -22,10 +22,10 @@ from relocbench.datasets.inspect.summary import take_inventory
 from relocbench.datasets.learning.training_pairs import DatasetPairs
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answer_table import Answer, read_answers, write_answers
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.common.error_table import PairErrors, read_errors
 from relocbench.evaluation.common.results import MethodResults
+from relocbench.evaluation.tables.answers import Answer, read_answers, write_answers
+from relocbench.evaluation.tables.errors import PairErrors, read_errors
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.exports import export_poses
 from relocbench.evaluation.tracking.validation import validate_results

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer
 from relocbench.evaluation.relocalization.pipeline import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineTask
 from relocbench.evaluation.relocalization.score import FAILURES
+from relocbench.evaluation.tables.rows import STATUSES
 from relocbench.leaderboard.common.columns import Line
 from relocbench.leaderboard.common.headings import BASIN, COUNTS
 from relocbench.leaderboard.common.text import number

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.retrieval.records import TaskRecord
+from relocbench.evaluation.tables.rows import STATUSES
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats
 from relocbench.leaderboard.html.query_tables import ANSWER_COLUMNS, columns_payload, table_payload, view_of

@@ -6,8 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from relocbench.evaluation.common.matching_table import OFFSETS_PX, Summary
 from relocbench.evaluation.probe.read import PROBE, ProbeTables, read_probe
+from relocbench.evaluation.tables.matching import OFFSETS_PX, Summary
 from relocbench.leaderboard.tracking.matching import matching_lines
 from relocbench.leaderboard.tracking.model import DatasetBoard
 

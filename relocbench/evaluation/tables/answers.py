@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from relocbench.datasets.core.pairfile import PairKey, may_be_among
-from relocbench.evaluation.common.schema import NUMBER, SECONDS, STATUS, TEXT, PairRecord, Schema
+from relocbench.evaluation.tables.schema import NUMBER, SECONDS, STATUS, TEXT, PairRecord, Schema
 
 
 @dataclass(frozen=True)

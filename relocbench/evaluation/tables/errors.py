@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.pairfile import ELSEWHERE
-from relocbench.evaluation.common.matching_table import ALL
-from relocbench.evaluation.common.schema import ERROR, NUMBER, STATUS, TEXT, PairRecord, Schema
-from relocbench.evaluation.common.tables import STATUSES, read_chunks, write_rows
+from relocbench.evaluation.tables.matching import ALL
+from relocbench.evaluation.tables.rows import STATUSES, read_chunks, write_rows
+from relocbench.evaluation.tables.schema import ERROR, NUMBER, STATUS, TEXT, PairRecord, Schema
 from relocbench.metrics import CORRECT, DifferentPlaces, PairSetSummary, PoseErrors, summarize, within
 
 

@@ -15,9 +15,9 @@ from typing import Any
 
 from relocbench.arrays import Array
 from relocbench.errors import one_line
-from relocbench.evaluation.common.guard import guarded, implements
-from relocbench.evaluation.common.info_text import info_text
-from relocbench.evaluation.common.views import read_only
+from relocbench.evaluation.isolation.guard import guarded, implements
+from relocbench.evaluation.isolation.info_text import info_text
+from relocbench.evaluation.isolation.views import read_only
 from relocbench.geometry import transform_to_tq
 from relocbench.tracking import ContractFault, Query, SupportsBatch, plain_pixels, plain_result
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from relocbench.cli import options as common
+from relocbench.cli.evaluation import run_evaluation
 
 if TYPE_CHECKING:
     from relocbench.evaluation.relocalization.evaluate import RelocalizationReport
+    from relocbench.progress import Reporter
 
 _BASIN = "The trackers' convergence"
 
@@ -82,18 +83,13 @@ def evaluate_relocalization(
 
     Example: relocbench evaluate-relocalization -d D -r orb-bow -r oracle -m gn-net -m dso --top 3
     """
-    chosen = common.chosen(locals())
-    from relocbench.cli.configuration import merged
-    from relocbench.cli.console import print_results, reporter
-    from relocbench.cli.counts import of_pipelines
+    arguments = locals()
     from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 
-    options = merged(RelocalizationOptions, config, chosen)
-    report = evaluate_pipelines(options, reporter(quiet))
-    print_results(report, of_pipelines(report), partial(_print_report, report), json=json, quiet=quiet)
+    run_evaluation(arguments, RelocalizationOptions, evaluate_pipelines, _print_report)
 
 
-def _print_report(report: RelocalizationReport) -> None:
+def _print_report(report: RelocalizationReport, progress: Reporter) -> None:
     from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
     from relocbench.evaluation.relocalization.score import FAILURES, RANKING

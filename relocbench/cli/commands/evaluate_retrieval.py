@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from relocbench.cli import options as common
+from relocbench.cli.evaluation import run_evaluation
 
 if TYPE_CHECKING:
     from relocbench.evaluation.retrieval.evaluate import RetrievalReport
+    from relocbench.progress import Reporter
 
 _DRIVES = "Only for drives"
 _VIEWS = "Only for places by several views"
@@ -120,18 +121,13 @@ def evaluate_retrieval(
 
     Example: relocbench evaluate-retrieval -d D -m lpn --set lpn.weights=trained/weights.safetensors
     """
-    chosen = common.chosen(locals())
-    from relocbench.cli.configuration import merged
-    from relocbench.cli.console import print_results, reporter
-    from relocbench.cli.counts import of_retrieval
+    arguments = locals()
     from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 
-    options = merged(RetrievalOptions, config, chosen)
-    report = evaluate_retrievers(options, reporter(quiet))
-    print_results(report, of_retrieval(report), partial(_print_report, report), json=json, quiet=quiet)
+    run_evaluation(arguments, RetrievalOptions, evaluate_retrievers, _print_report)
 
 
-def _print_report(report: RetrievalReport) -> None:
+def _print_report(report: RetrievalReport, progress: Reporter) -> None:
     from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.headings import COUNTS, METHOD, SECONDS, heading

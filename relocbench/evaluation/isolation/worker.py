@@ -23,9 +23,9 @@ from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.evaluation.common.handles import LocalTracker, TrackerHandle
-from relocbench.evaluation.common.isolation import IsolatedTracker
-from relocbench.evaluation.common.views import masked_query, masked_reference
+from relocbench.evaluation.isolation.handles import LocalTracker, TrackerHandle
+from relocbench.evaluation.isolation.tracker import IsolatedTracker
+from relocbench.evaluation.isolation.views import masked_query, masked_reference
 from relocbench.execution import MANY_TIMES, Run, chunks, step
 from relocbench.files import read_journal
 from relocbench.methods import SUBPROCESS, MethodSpec

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.schema import COUNT, TEXT, PairRecord, Schema
+from relocbench.evaluation.tables.schema import COUNT, TEXT, PairRecord, Schema
 from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 
 ALL = "all"

@@ -48,7 +48,6 @@ def demo(
     """
     from relocbench.cli.boards import print_matrix
     from relocbench.cli.console import print_json, reporter
-    from relocbench.cli.counts import of_evaluation
     from relocbench.datasets.importers import importer
     from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
@@ -77,7 +76,7 @@ def demo(
         page = write_site(Boards(board, None, None), out / "leaderboard" / "html", reporter=report)
     if json:
         places = {"dataset": dataset.root, "results": out / "results", "leaderboard": out / "leaderboard"}
-        print_json({**places, "picture": out / PICTURE, "page": page}, of_evaluation(evaluated))
+        print_json({**places, "picture": out / PICTURE, "page": page}, evaluated.counts())
         return
     print_matrix(found.usual, "demo")
     typer.echo(f"picture: {out / PICTURE}")

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import MethodError, RelocbenchError, one_line
-from relocbench.evaluation.common.framing import FramingFault, receive_answer, send_request
+from relocbench.evaluation.isolation.framing import FramingFault, receive_answer, send_request
 from relocbench.execution import ScratchFolder, end_descendants
 from relocbench.methods import MethodSpec
 

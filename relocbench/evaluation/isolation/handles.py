@@ -1,7 +1,7 @@
 """Calling a tracker in this process: one keyframe after another, each with its queries, and only checked answers.
 
 :class:`TrackerHandle` is what evaluations call. :class:`LocalTracker` calls a tracker in this process;
-:class:`~relocbench.evaluation.common.isolation.IsolatedTracker` asks a process that holds nothing but the tracker.
+:class:`~relocbench.evaluation.isolation.tracker.IsolatedTracker` asks a process that holds nothing but the tracker.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from itertools import islice
 from typing import Any, Protocol
 
 from relocbench.arrays import Array
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_pixels
-from relocbench.evaluation.common.guard import batch_of, guarded, implements, neighbours_of
-from relocbench.evaluation.common.views import read_only
+from relocbench.evaluation.isolation.answers import CheckedAnswer, ask, checked_pixels
+from relocbench.evaluation.isolation.guard import batch_of, guarded, implements, neighbours_of
+from relocbench.evaluation.isolation.views import read_only
 from relocbench.tracking import Query, Reference, SupportsLevelMatching, SupportsPrepare
 
 _MOST_LEVELS = 32

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Array
 from relocbench.errors import RelocbenchError, raised
-from relocbench.evaluation.common.answers import CheckedAnswer
-from relocbench.evaluation.common.framing import receive_request, send_answer
-from relocbench.evaluation.common.handles import LocalTracker
+from relocbench.evaluation.isolation.answers import CheckedAnswer
+from relocbench.evaluation.isolation.framing import receive_request, send_answer
+from relocbench.evaluation.isolation.handles import LocalTracker
 from relocbench.execution import pin_threads
 from relocbench.methods import MethodSpec
 from relocbench.tracking import Query, Reference

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Generic, TypeVar
 
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.worker import CONSTRUCTOR, PREPARE, Unit, answered_keys
+from relocbench.evaluation.isolation.worker import CONSTRUCTOR, PREPARE, Unit, answered_keys
 from relocbench.execution import IN_A_ROW, Loss, Run, run_limited
 
 U = TypeVar("U", bound=Unit)

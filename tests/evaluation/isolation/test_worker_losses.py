@@ -15,8 +15,8 @@ from typing import Any, Literal
 import pytest
 
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common import worker_losses
-from relocbench.evaluation.common.worker import (
+from relocbench.evaluation.isolation import worker_losses
+from relocbench.evaluation.isolation.worker import (
     CONSTRUCTOR,
     PREPARE,
     Unit,
@@ -25,7 +25,7 @@ from relocbench.evaluation.common.worker import (
     append_entry,
     journal_entries,
 )
-from relocbench.evaluation.common.worker_losses import HOPELESS, TRIES, LossHandler, run_until_answered
+from relocbench.evaluation.isolation.worker_losses import HOPELESS, TRIES, LossHandler, run_until_answered
 from relocbench.execution import IN_A_ROW, Loss, Run, Step
 from relocbench.methods import parse_method
 

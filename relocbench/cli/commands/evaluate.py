@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from relocbench.cli import options as common
+from relocbench.cli.evaluation import run_evaluation
 
 if TYPE_CHECKING:
     from relocbench.datasets.core.pair_set import PairSet
@@ -60,24 +60,17 @@ def evaluate(
 
     Example: relocbench evaluate -d D -m identity -m orb-pnp -m dso --set dso.points=1000
     """
-    chosen = common.chosen(locals())
-    from relocbench.cli.configuration import merged
-    from relocbench.cli.console import print_results, reporter
-    from relocbench.cli.counts import of_evaluation
+    arguments = locals()
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 
-    options = merged(EvaluateOptions, config, chosen)
-    progress = reporter(quiet)
-    report = evaluate_methods(options, progress)
-    show = partial(_print_report, report, progress, matching=options.matching)
-    print_results(report, of_evaluation(report), show, json=json, quiet=quiet)
+    run_evaluation(arguments, EvaluateOptions, evaluate_methods, _print_report)
 
 
 ELSEWHERE_COLUMNS = ("answered_share", "confident_share", "confident_high")
 """of the numbers about pairs of different places, in ``scores.yaml``"""
 
 
-def _print_report(report: Report, progress: Reporter, *, matching: bool) -> None:
+def _print_report(report: Report, progress: Reporter) -> None:
     """The matrix of what was scored, then a table for each pair set, in the order of the dataset's splits."""
     from relocbench.cli.boards import print_matrix
     from relocbench.evaluation.common.dataset_lookup import Truth
@@ -102,7 +95,7 @@ def _print_report(report: Report, progress: Reporter, *, matching: bool) -> None
             typer.echo(f"{pair_set.name}: ground truth is withheld; predictions are kept, not scored", err=True)
         if pair_set.negative_pairs:
             _print_elsewhere(name, pair_set.name, folders)
-        if matching:
+        if report.matching:
             _print_matching(name, pair_set.name, folders)
 
 
@@ -110,7 +103,7 @@ def _print_scores(name: str, pair_set: PairSet, folders: list[MethodResults]) ->
     """The scores of all pairs of a pair set; those of its groups are in ``scores.yaml`` and ``--json``."""
     from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
-    from relocbench.evaluation.common.matching_table import ALL
+    from relocbench.evaluation.tables.matching import ALL
     from relocbench.leaderboard.common.headings import METHOD
     from relocbench.leaderboard.common.text import number
     from relocbench.leaderboard.tracking.model import RANKING
@@ -147,7 +140,7 @@ def _print_elsewhere(title: str, pair_set: str, folders: list[MethodResults]) ->
 
 def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.evaluation.common.matching_table import ALL
+    from relocbench.evaluation.tables.matching import ALL
     from relocbench.leaderboard.common.headings import METHOD, heading
     from relocbench.leaderboard.common.text import number
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from relocbench.evaluation.common.guard import guarded
-from relocbench.evaluation.common.worker import CONSTRUCTOR
+from relocbench.evaluation.isolation.guard import guarded
+from relocbench.evaluation.isolation.worker import CONSTRUCTOR
 from relocbench.execution import MANY_TIMES, Loss, Run, run_limited, step
 from relocbench.methods import SUBPROCESS, MethodSpec, method_class
 

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Generic, TypeVar, get_type_hints
 from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.tables import (
+from relocbench.evaluation.tables.rows import (
     STATUSES,
     TableRow,
     float_text,

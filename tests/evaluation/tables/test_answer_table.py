@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from refusals import refused
 
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answer_table import ANSWERS, Answer, read_answers, write_answers
-from relocbench.evaluation.common.schema import Schema
 from relocbench.evaluation.retrieval import answers as retrieved
+from relocbench.evaluation.tables.answers import ANSWERS, Answer, read_answers, write_answers
+from relocbench.evaluation.tables.schema import Schema
 from relocbench.files import tables
 
 times = st.integers(0, 2**63 - 1)

@@ -9,17 +9,17 @@ from typing import Any
 
 from relocbench.arrays import Array
 from relocbench.errors import MethodError, one_line
-from relocbench.evaluation.common.answers import CheckedAnswer, checked_answer, checked_pixels, error_answer
-from relocbench.evaluation.common.handles import Declared
-from relocbench.evaluation.common.method_process import FORGED, MethodProcess, crash_of
+from relocbench.evaluation.isolation.answers import CheckedAnswer, checked_answer, checked_pixels, error_answer
+from relocbench.evaluation.isolation.handles import Declared
+from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess, crash_of
 from relocbench.methods import MethodSpec
 from relocbench.tracking import MOST_QUERIES, Query, Reference, TrackResult
 
-_MODULE = "relocbench.evaluation.common.isolated_process"
+_MODULE = "relocbench.evaluation.isolation.isolated_process"
 
 
 class IsolatedTracker:
-    """A :class:`~relocbench.evaluation.common.handles.TrackerHandle` whose tracker runs in a child process.
+    """A :class:`~relocbench.evaluation.isolation.handles.TrackerHandle` whose tracker runs in a child process.
 
     Raises:
         MethodError: the tracker cannot be made.

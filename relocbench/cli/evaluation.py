@@ -1,0 +1,67 @@
+"""The body of the commands that evaluate methods, whatever the task."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from relocbench.cli.options import chosen
+
+if TYPE_CHECKING:
+    from relocbench.datasets.core.schema import Strict
+    from relocbench.progress import Reporter
+
+
+class Report(Protocol):
+    """What was evaluated."""
+
+    @property
+    def results(self) -> Path: ...
+
+    @property
+    def crashed(self) -> list[tuple[str, str]]:
+        """Label of each method that crashed, and a message."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain values."""
+        ...
+
+    def counts(self) -> dict[str, int]:
+        """What ``--json`` counts."""
+        ...
+
+
+O = TypeVar("O", bound="Strict")  # noqa: E741
+R = TypeVar("R", bound=Report)
+
+
+def run_evaluation(
+    arguments: Mapping[str, Any],
+    options: type[O],
+    evaluate: Callable[[O, Reporter], R],
+    show: Callable[[R, Reporter], None],
+) -> None:
+    """Evaluate, and print one JSON object, or tables, what crashed, and where the results are.
+
+    Args:
+        arguments: of the command, as ``locals()`` has them at its beginning.
+        options: their type.
+        show: prints the tables.
+    """
+    from relocbench.cli.configuration import merged
+    from relocbench.cli.console import print_json, reporter
+
+    quiet = arguments["quiet"]
+    progress = reporter(quiet)
+    report = evaluate(merged(options, arguments["config"], chosen(arguments)), progress)
+    if arguments["json"]:
+        print_json(report.to_dict(), report.counts())
+        return
+    show(report, progress)
+    for label, message in (*report.crashed, *getattr(report, "suspicions", ())):
+        print(f"{label}: {message}", file=sys.stderr)
+    if not quiet:
+        print(f"results: {report.results}", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""Methods in processes of their own: what they are shown, and what of their answers is believed."""
