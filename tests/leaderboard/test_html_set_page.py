@@ -17,7 +17,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import dataset_results, write_dataset_record
-from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS, START_COLUMNS
+from relocbench.evaluation.probe.records import RADII, SHARES, STARTS
 from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
 from relocbench.evaluation.tables.rows import write_rows
 from relocbench.files import dump_yaml, write_text
@@ -71,10 +71,10 @@ def _write_probe(folder: Path, fingerprint: str) -> None:
             head = (label, what, "", "across conditions", "near", unit)
             shares += [[*head, offset, 3, 10, share, 0] for offset, share in ((0, 0.9), (4, 0.4))]
             radii.append([*head, 3, 3.0, 0, "", "", "", "", "", 0.9, 3.5, 0, 3.0, 4.25, "", "", ""])
-    write_rows(folder / "probe.csv", [SHARE_COLUMNS, *shares])
-    write_rows(folder / "radii.csv", [RADIUS_COLUMNS, *radii])
+    write_rows(folder / "probe.csv", [SHARES.columns, *shares])
+    write_rows(folder / "radii.csv", [RADII.columns, *radii])
     start = ["wrong", "across conditions", "near", 3, 0.75, 0.25, 0.5, 0.25, 0.125, 0.375]
-    write_rows(folder / "starts.csv", [START_COLUMNS, start])
+    write_rows(folder / "starts.csv", [STARTS.columns, start])
     write_text(folder / "probe.yaml", dump_yaml({"dataset": "small", "fingerprint": fingerprint}))
 
 

@@ -19,7 +19,7 @@ from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Facto
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import PairSetRecord, dataset_results, write_dataset_record
 from relocbench.evaluation.probe.read import read_probe
-from relocbench.evaluation.probe.write import RADIUS_COLUMNS, SHARE_COLUMNS
+from relocbench.evaluation.probe.records import RADII, SHARES
 from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
 from relocbench.evaluation.tables.rows import write_rows
 from relocbench.files import dump_yaml, write_text
@@ -206,19 +206,19 @@ def _write_probe(folder: Path, share: str = "0.500000") -> None:
     write_text(folder / "probe.yaml", dump_yaml({"dataset": "small", "fingerprint": "ab", "options": {}}))
     head = ("m", "pixels", "", "across conditions", "match@1px", "px")
     points = [[*head, offset, 3, 10, share, "0.000000"] for offset in (0, 4)]
-    write_rows(folder / "probe.csv", [SHARE_COLUMNS, *points])
+    write_rows(folder / "probe.csv", [SHARES.columns, *points])
     half = [*head, 3, 0.0, 0, "", "", "nan", "", "", share, 3.5, 0, 3.0, 4.25, "", "", ""]
-    write_rows(folder / "radii.csv", [RADIUS_COLUMNS, half])
+    write_rows(folder / "radii.csv", [RADII.columns, half])
 
 
 def test_a_probe_is_read_with_the_width_of_its_basin_and_checked(tmp_path: Path) -> None:
     _write_probe(tmp_path)
     (line,) = read_probe(tmp_path).lines
-    assert (line.offsets, line.shares, line.starts) == ((0, 4), (0.5, 0.5), (0, 0))
-    assert line.half is not None
-    assert line.half.text == "3.50 [3.00, 4.25] px"
+    assert [(p.offset, p.share, p.share_of_starts) for p in line.points] == [(0, 0.5, 0), (4, 0.5, 0)]
+    assert line.radii is not None
+    assert line.radii.half_text == "3.50 [3.00, 4.25] px"
     _write_probe(tmp_path, "1.5")
-    with pytest.raises(PredictionError, match=r"probe\.csv:2: expected shares from 0 to 1"):
+    with pytest.raises(PredictionError, match=r"probe\.csv:2: share is"):
         read_probe(tmp_path)
 
 

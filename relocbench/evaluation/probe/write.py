@@ -8,28 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.evaluation.probe.records import RADII, SHARES, STARTS, Radii, SharePoint, StartShares
 from relocbench.evaluation.probe.starts import KINDS, StartLine
 from relocbench.evaluation.probe.table import ACROSS, SAME, Line
 from relocbench.evaluation.probe.tally import UNITS, What
-from relocbench.evaluation.tables.rows import write_rows
 from relocbench.files import dump_yaml, write_bytes, write_text
 from relocbench.metrics import Interval, Radius, Ratio
 from relocbench.pages import render
 
-SHARE_COLUMNS = (
-    *("method", "what", "level", "conditions", "criterion", "unit", "offset"),
-    *("pairs", "starts", "share", "share_of_starts"),
-)
-RADIUS_COLUMNS = (
-    *("method", "what", "level", "conditions", "criterion", "unit", "pairs", "radius", "beyond", "low", "high"),
-    *("ratio", "ratio_low", "ratio_high"),
-    *("from_truth", "half_left", "half_left_beyond", "half_left_low", "half_left_high"),
-    *("half_ratio", "half_ratio_low", "half_ratio_high"),
-)
-START_COLUMNS = (
-    *("method", "conditions", "criterion", "pairs", "keyframe", "mirrored", "random"),
-    *("keyframe_less_random", "low", "high"),
-)
 Numbers = tuple[list[str], list[list[str]]]
 """the header and the rows of a table"""
 _TOO_LOW = 0.1
@@ -43,11 +29,10 @@ def write_probe(
     from relocbench.evaluation.probe.plot import curves_picture, levels_picture  # matplotlib: not for every worker
 
     out.mkdir(parents=True, exist_ok=True)
-    files = {"probe.csv": _shares, "radii.csv": _radii}
-    for name, rows in files.items():
-        write_rows(out / name, rows(lines))
+    SHARES.write(out / "probe.csv", _shares(lines))
+    RADII.write(out / "radii.csv", _radii(lines))
     if starts:
-        write_rows(out / "starts.csv", _starts(starts))
+        STARTS.write(out / "starts.csv", _starts(starts))
     pictures = {"curves.png": curves_picture(lines, dataset.name)} if lines else {}
     if any(line.level is not None for line in lines):
         pictures["levels.png"] = levels_picture(lines, dataset.name)
@@ -55,7 +40,7 @@ def write_probe(
         write_bytes(out / name, data)
     write_text(out / "probe.yaml", dump_yaml(about))
     write_text(out / "probe.md", probe_page(dataset, lines, starts, list(pictures), about))
-    tables = [*files, *(["starts.csv"] if starts else [])]
+    tables = ["probe.csv", "radii.csv", *(["starts.csv"] if starts else [])]
     return [out / name for name in ("probe.md", *tables, *pictures, "probe.yaml")]
 
 
@@ -179,49 +164,50 @@ def _brackets(interval: Interval) -> str:
     return f"[{interval.low:.2f}, {interval.high:.2f}]"
 
 
-def _starts(starts: Sequence[StartLine]) -> list[Sequence[Any]]:
-    rows: list[Sequence[Any]] = [START_COLUMNS]
-    for s in starts:
-        interval = s.ahead.interval
-        bounds = ("", "") if interval is None else (f"{interval.low:.6f}", f"{interval.high:.6f}")
-        shares = (f"{s.shares[kind]:.6f}" for kind in KINDS)
-        rows.append([s.method, s.conditions, s.criterion, s.pairs, *shares, f"{s.ahead.mean:.6f}", *bounds])
-    return rows
+def _starts(starts: Sequence[StartLine]) -> list[StartShares]:
+    return [
+        StartShares(
+            s.method,
+            s.conditions,
+            s.criterion,
+            s.pairs,
+            *(s.shares[kind] for kind in KINDS),
+            s.ahead.mean,
+            *_bounds(s.ahead.interval),
+        )
+        for s in starts
+    ]
 
 
-def _shares(lines: Sequence[Line]) -> list[Sequence[Any]]:
-    rows: list[Sequence[Any]] = [SHARE_COLUMNS]
+def _shares(lines: Sequence[Line]) -> list[SharePoint]:
+    return [
+        SharePoint(
+            *_curve(line), offset, line.pairs, line.counts[k], float(line.shares[k]), float(line.start_shares[k])
+        )
+        for line in lines
+        for k, offset in enumerate(line.offsets)
+    ]
+
+
+def _radii(lines: Sequence[Line]) -> list[Radii]:
+    out = []
     for line in lines:
-        for k, offset in enumerate(line.offsets):
-            shares = (f"{float(s[k]):.6f}" for s in (line.shares, line.start_shares))
-            rows.append([*_head(line), f"{offset:g}", line.pairs, line.counts[k], *shares])
-    return rows
+        if line.radius is not None and line.half_left is not None:
+            radius, half = line.radius, line.half_left
+            absolute = radius.value, radius.beyond, *_bounds(radius.interval), *_ratio(line.ratio)
+            relative = half.value, half.beyond, *_bounds(half.interval), *_ratio(line.half_ratio)
+            out.append(Radii(*_curve(line), line.pairs, *absolute, float(line.shares[0]), *relative))
+    return out
 
 
-def _radii(lines: Sequence[Line]) -> list[Sequence[Any]]:
-    rows: list[Sequence[Any]] = [RADIUS_COLUMNS]
-    for line in lines:
-        if line.radius is not None:
-            absolute = [*_radius_cells(line.radius), *_ratio_cells(line.ratio)]
-            relative = [f"{line.shares[0]:.6f}", *_radius_cells(line.half_left), *_ratio_cells(line.half_ratio)]
-            rows.append([*_head(line), line.pairs, *absolute, *relative])
-    return rows
+def _ratio(ratio: Ratio | None) -> tuple[float | None, float | None, float | None]:
+    return (None, None, None) if ratio is None else (ratio.value, *_bounds(ratio.interval))
 
 
-def _radius_cells(radius: Radius | None) -> list[str]:
-    if radius is None:
-        return ["", "", "", ""]
-    return [f"{radius.value:.6f}", str(int(radius.beyond)), *_bounds(radius.interval)]
-
-
-def _ratio_cells(ratio: Ratio | None) -> list[str]:
-    return ["", "", ""] if ratio is None else [f"{ratio.value:.6f}", *_bounds(ratio.interval)]
-
-
-def _head(line: Line) -> list[str]:
+def _curve(line: Line) -> tuple[str, str, str, str, str, str]:
     level = "" if line.level is None else str(line.level)
-    return [line.method, line.what, level, line.conditions, line.criterion, UNITS[line.what]]
+    return line.method, line.what, level, line.conditions, line.criterion, UNITS[line.what]
 
 
-def _bounds(interval: Interval | None) -> list[str]:
-    return ["", ""] if interval is None else [f"{interval.low:.6f}", f"{interval.high:.6f}"]
+def _bounds(interval: Interval | None) -> tuple[float | None, float | None]:
+    return (None, None) if interval is None else (interval.low, interval.high)

@@ -160,11 +160,12 @@ def test_a_method_that_does_not_move_finds_what_it_started_at(dataset: Dataset, 
     }
     assert radii["translation"] == pytest.approx(0.375, abs=0.13)  # 0.25 m is at the edge of what is near
     assert radii["pixels"] == 1.5
-    read = next(li for li in read_probe(tmp_path).lines if (li.what, li.conditions) == ("pixels", ACROSS_CONDITIONS))
-    assert (read.method, read.level, read.pairs, read.offsets) == ("b", "", 3, line.offsets)
-    np.testing.assert_allclose(read.shares, line.shares)
-    assert read.half is not None
-    assert read.half.text == "1.50 px"
+    read = next(li for li in read_probe(tmp_path).lines if li.points[0].curve[1::2] == ("pixels", ACROSS_CONDITIONS))
+    assert {(p.method, p.level, p.pairs) for p in read.points} == {("b", "", 3)}
+    assert [p.offset for p in read.points] == list(line.offsets)
+    np.testing.assert_allclose([p.share for p in read.points], line.shares)
+    assert read.radii is not None
+    assert read.radii.half_text == "1.50 px"
     page = (tmp_path / "probe.md").read_text()
     assert "| across conditions | 3 | 1.50 |" in page
     for name in ("curves.png",):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from relocbench.evaluation.probe.read import PROBE, ProbeTables, read_probe
+from relocbench.evaluation.probe.starts import KINDS
 from relocbench.evaluation.tables.matching import OFFSETS_PX, Summary
 from relocbench.leaderboard.tracking.matching import matching_lines
 from relocbench.leaderboard.tracking.model import DatasetBoard
@@ -39,27 +39,26 @@ def probes_of(dataset: DatasetBoard) -> list[ProbeTables]:
     return [p for p in probes if p.dataset == entry.record.name and p.fingerprint in known]
 
 
+_CURVE = ("method", "what", "level", "conditions", "criterion", "unit", "pairs")
+_START = {name: name for name in ("method", "conditions", "pairs", *KINDS)}
+_START |= {"ahead": "keyframe_less_random", "low": "low", "high": "high"}
+
+
 def probe_payload(probe: ProbeTables) -> dict[str, Any]:
     """A probe as the page takes it."""
     return {
         "folder": probe.folder.name,
         "lines": [
             {
-                "method": line.method,
-                "what": line.what,
-                "level": line.level,
-                "conditions": line.conditions,
-                "criterion": line.criterion,
-                "unit": line.unit,
-                "pairs": line.pairs,
-                "offsets": list(line.offsets),
-                "shares": list(line.shares),
-                "starts": list(line.starts),
-                "half": None if line.half is None else line.half.text,
+                **{name: getattr(line.points[0], name) for name in _CURVE},
+                "offsets": [point.offset for point in line.points],
+                "shares": [point.share for point in line.points],
+                "starts": [point.share_of_starts for point in line.points],
+                "half": None if line.radii is None else line.radii.half_text,
             }
             for line in probe.lines
         ],
-        "starts": [asdict(start) for start in probe.starts],
+        "starts": [{name: getattr(start, of) for name, of in _START.items()} for start in probe.starts],
     }
 
 

@@ -1,0 +1,117 @@
+"""The tables of a probe: shares at each offset, radii at which half of them is left, and starts as in practice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from relocbench.evaluation.tables.rows import TableRow
+from relocbench.evaluation.tables.schema import COUNT, TEXT, Kind, Record, Schema
+
+
+def _share(row: TableRow, name: str) -> float:
+    value = row.number(name)
+    if not 0 <= value <= 1:
+        raise row.fault(f"{name} is {row[name][:60]}, expected a share from 0 to 1")
+    return value
+
+
+def _decimals(value: float | None) -> str:
+    return "" if value is None else f"{value:.6f}"
+
+
+def _known(row: TableRow, name: str) -> float | None:
+    if row[name] == "inf":
+        return math.inf
+    return None if row[name] in ("", "nan") else row.number(name)
+
+
+SHARE = Kind(_share, _decimals)
+"""0..1, with six decimals"""
+DECIMAL = Kind(_known, _decimals)
+"""a number with six decimals, or ``inf``; nothing where none is known"""
+OFFSET = Kind(TableRow.number, lambda value: f"{value:g}")
+FLAG = Kind(lambda row, name: row[name] == "1", int)
+"""0 or 1"""
+
+
+@dataclass(frozen=True)
+class Curve(Record):
+    """What a row is of."""
+
+    method: Annotated[str, TEXT]
+    what: Annotated[str, TEXT]
+    level: Annotated[str, TEXT]
+    """pyramid level that was used alone; empty where the method worked as usual"""
+    conditions: Annotated[str, TEXT]
+    criterion: Annotated[str, TEXT]
+    unit: Annotated[str, TEXT]
+
+    @property
+    def curve(self) -> tuple[str, ...]:
+        """By which rows of one curve are known."""
+        return self.method, self.what, self.level, self.conditions, self.criterion
+
+
+@dataclass(frozen=True)
+class SharePoint(Curve):
+    """The share of starts at one offset that ended near the truth."""
+
+    offset: Annotated[float, OFFSET]
+    pairs: Annotated[int, COUNT]
+    starts: Annotated[int, COUNT]
+    share: Annotated[float, SHARE]
+    share_of_starts: Annotated[float, SHARE]
+    """that the starts themselves would get"""
+
+
+@dataclass(frozen=True)
+class Radii(Curve):
+    """Where the share falls below a half, and below half of the share from the truth, beside the first method's."""
+
+    pairs: Annotated[int, COUNT]
+    radius: Annotated[float | None, DECIMAL]
+    beyond: Annotated[bool, FLAG]
+    """whether it lies beyond the largest offset, which it then is"""
+    low: Annotated[float | None, DECIMAL]
+    high: Annotated[float | None, DECIMAL]
+    ratio: Annotated[float | None, DECIMAL]
+    ratio_low: Annotated[float | None, DECIMAL]
+    ratio_high: Annotated[float | None, DECIMAL]
+    from_truth: Annotated[float, SHARE]
+    half_left: Annotated[float | None, DECIMAL]
+    half_left_beyond: Annotated[bool, FLAG]
+    half_left_low: Annotated[float | None, DECIMAL]
+    half_left_high: Annotated[float | None, DECIMAL]
+    half_ratio: Annotated[float | None, DECIMAL]
+    half_ratio_low: Annotated[float | None, DECIMAL]
+    half_ratio_high: Annotated[float | None, DECIMAL]
+
+    @property
+    def half_text(self) -> str | None:
+        """The offset at which half of the share from the truth is left, as people read it: ``6.31 [5.90, 6.84] px``."""
+        if self.half_left is None:
+            return None
+        value = f"> {self.half_left:g}" if self.half_left_beyond else f"{self.half_left:.2f}"
+        low, high = self.half_left_low, self.half_left_high
+        return f"{value}{'' if low is None or high is None else f' [{low:.2f}, {high:.2f}]'} {self.unit}"
+
+
+@dataclass(frozen=True)
+class StartShares(Record):
+    """How often a method comes back from the keyframe's pose, and from others as far away."""
+
+    method: Annotated[str, TEXT]
+    conditions: Annotated[str, TEXT]
+    criterion: Annotated[str, TEXT]
+    pairs: Annotated[int, COUNT]
+    keyframe: Annotated[float, SHARE]
+    mirrored: Annotated[float, SHARE]
+    random: Annotated[float, SHARE]
+    keyframe_less_random: Annotated[float | None, DECIMAL]
+    low: Annotated[float | None, DECIMAL]
+    high: Annotated[float | None, DECIMAL]
+
+
+SHARES, RADII, STARTS = Schema(SharePoint), Schema(Radii), Schema(StartShares)
