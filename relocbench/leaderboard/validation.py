@@ -1,7 +1,7 @@
 """Checking results as leaderboards read them: retrievers, pipelines, and the cards of what was submitted.
 
-Of a retriever or a pipeline the first fault is found, of each tracker's files every one
-(:mod:`relocbench.evaluation.tracking.validation`).
+Every fault of a table is found, and of whatever else a retriever or a pipeline consists of the first one; trackers have
+more to check (:mod:`relocbench.evaluation.tracking.validation`).
 """
 
 from __future__ import annotations
@@ -85,6 +85,15 @@ def _rows_of(
         with found.catching():
             record = folder.record
             truth = None if lookup is None else task.truth(folder, record, lookup)
-            read = [partial(task.read, row, record, task.units(record), truth) for row in folder.methods()]
-            rows += [(check, row.root) for check, row in zip(read, folder.methods(), strict=True)]
+            rows += [(partial(_check_row, task, row, record, truth, found), row.root) for row in folder.methods()]
     return rows
+
+
+def _check_row(task: QueryTask[F, S, U, M, T], row: F, record: S, truth: T | None, found: Findings) -> None:
+    """Check the tables of a method and, where they are whole, all that is read of it."""
+    units, before = task.units(record), len(found.faults)
+    for name in units:
+        if row.answers(name).exists():
+            task.schema.check(row.answers(name), found)
+    if len(found.faults) == before:
+        task.read(row, record, units, truth)

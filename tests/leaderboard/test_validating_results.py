@@ -81,3 +81,22 @@ def test_what_was_damaged_is_a_fault(
     found = faults(tmp_path / "r")
     assert any(told in fault for fault in found), found
     assert len(set(found)) == len(found)
+
+
+@pytest.mark.parametrize("place", [RETRIEVER, CHAIN, TRACKER])
+def test_every_faulty_row_of_a_table_is_named(results: Path, tmp_path: Path, place: str) -> None:
+    """Whatever the task: an unknown status, a row of another length, and a row that occurs again."""
+    shutil.copytree(results, tmp_path / "r")
+    (row,) = (tmp_path / "r").glob(place)
+    path = next(path for path in sorted(row.glob("*.csv")) if not path.name.endswith(".errors.csv"))
+    head, *lines = path.read_text().splitlines()
+    broken = [
+        lines[0].replace(",ok,", ",fine,").replace(",failed,", ",fine,"),
+        f"{lines[1]},more",
+        *lines[2:],
+        lines[2],
+    ]
+    path.write_text("\n".join([head, *broken]) + "\n")
+    told = json.loads(relocbench("validate", row, "--json", "-q").out)
+    named = [fault["line"] for fault in told["faults"] if fault["path"] == str(path) and fault["line"]]
+    assert {2, 3, len(broken) + 1} <= set(named), told["faults"]

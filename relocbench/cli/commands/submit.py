@@ -112,15 +112,15 @@ def leaderboard_add(
     from relocbench.evaluation.submission.add import add_submission
     from relocbench.evaluation.submission.check import check_submission
 
-    options, told = _options(dataset, radius, blind_only=blind_only), reporter(quiet)
-    checked = check_submission(submission, options, told)
+    options, progress = _options(dataset, radius, blind_only=blind_only), reporter(quiet)
+    checked = check_submission(submission, options, progress)
     if not checked.sound:
         if json:
             print_json({**checked.to_dict(), "rows": []}, {**_counts(checked), "rows": 0})
         else:
             _print_checked(checked, quiet=quiet)
         raise typer.Exit(FAULTY)
-    added = add_submission(checked, results, options, told, replace=replace)
+    added = add_submission(checked, results, options, progress, replace=replace)
     if json:
         rows = [{"folder": str(one.folder), "state": one.state, "remarks": one.remarks} for one in added]
         print_json({**checked.to_dict(), "rows": rows}, {**_counts(checked), "rows": len(rows)})

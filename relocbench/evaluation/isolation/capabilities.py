@@ -40,8 +40,8 @@ def construction_fault(spec: MethodSpec, run: Run) -> str:
 
 
 def _made(spec: MethodSpec, run: Run) -> Capabilities:
-    here = Run(min(run.workers, 1), limits=run.limits)
-    found = run_limited(_make, [spec], here, on_loss=_lost)
+    one = Run(min(run.workers, 1), limits=run.limits)
+    found = run_limited(_make, [spec], one, on_loss=_lost)
     return next(capabilities for _, capabilities in found)
 
 

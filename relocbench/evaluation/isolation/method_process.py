@@ -131,9 +131,9 @@ class MethodProcess:
         os._exit(max(code, 0))
 
 
-def crash_of(told: Any) -> str | None:
+def crash_of(answer: Any) -> str | None:
     """How the method crashed, of an answer that says so under ``broke``."""
-    crash = told.get("broke") if isinstance(told, dict) else FORGED
+    crash = answer.get("broke") if isinstance(answer, dict) else FORGED
     return None if crash is None else one_line(crash)
 
 

@@ -63,25 +63,25 @@ class IsolatedTracker:
         self._process.close()
 
 
-def _answers(told: Any, poses: Sequence[Any], count: int) -> list[CheckedAnswer]:
+def _answers(answers: Any, poses: Sequence[Any], count: int) -> list[CheckedAnswer]:
     """The answers after the same checks as in the method's process, where a method may have undone them."""
-    if not isinstance(told, list) or len(told) != count:
+    if not isinstance(answers, list) or len(answers) != count:
         return [error_answer(f"{FORGED}: not {count} answers")] * count
     left = iter(poses)
-    return [checked_answer(_result(each, left)) for each in told]
+    return [checked_answer(_result(each, left)) for each in answers]
 
 
-def _result(told: Any, poses: Any) -> object:
+def _result(answer: Any, poses: Any) -> object:
     try:
-        pose = next(poses) if told["posed"] else None
-        return TrackResult(pose, told["confidence"], told["message"], json.loads(told["info"]))
+        pose = next(poses) if answer["posed"] else None
+        return TrackResult(pose, answer["confidence"], answer["message"], json.loads(answer["info"]))
     except (KeyError, TypeError, ValueError, StopIteration, RecursionError):
         return TrackResult.failure(FORGED, status="error")
 
 
-def _declared(told: dict[str, Any]) -> Declared:
+def _declared(values: dict[str, Any]) -> Declared:
     try:
-        declared = Declared(**told)
+        declared = Declared(**values)
         batch, neighbours = max(1, int(declared.batch)), max(0, int(declared.neighbours))
     except (TypeError, ValueError):
         raise MethodError(f"{FORGED} when it started") from None

@@ -165,18 +165,16 @@ def _brackets(interval: Interval) -> str:
 
 
 def _starts(starts: Sequence[StartLine]) -> list[StartShares]:
-    return [
-        StartShares(
-            s.method,
-            s.conditions,
-            s.criterion,
-            s.pairs,
-            *(s.shares[kind] for kind in KINDS),
-            s.ahead.mean,
-            *_bounds(s.ahead.interval),
+    out = []
+    for s in starts:
+        keyframe, mirrored, random = (s.shares[kind] for kind in KINDS)
+        low, high = _bounds(s.ahead.interval)
+        out.append(
+            StartShares(
+                s.method, s.conditions, s.criterion, s.pairs, keyframe, mirrored, random, s.ahead.mean, low, high
+            )
         )
-        for s in starts
-    ]
+    return out
 
 
 def _shares(lines: Sequence[Line]) -> list[SharePoint]:
@@ -194,9 +192,12 @@ def _radii(lines: Sequence[Line]) -> list[Radii]:
     for line in lines:
         if line.radius is not None and line.half_left is not None:
             radius, half = line.radius, line.half_left
-            absolute = radius.value, radius.beyond, *_bounds(radius.interval), *_ratio(line.ratio)
-            relative = half.value, half.beyond, *_bounds(half.interval), *_ratio(line.half_ratio)
-            out.append(Radii(*_curve(line), line.pairs, *absolute, float(line.shares[0]), *relative))
+            values = (
+                *(radius.value, radius.beyond, *_bounds(radius.interval), *_ratio(line.ratio)),
+                float(line.shares[0]),
+                *(half.value, half.beyond, *_bounds(half.interval), *_ratio(line.half_ratio)),
+            )
+            out.append(RADII.of((*_curve(line), line.pairs, *values)))
     return out
 
 

@@ -122,7 +122,7 @@ def _keys(root: Path, task: str, side: Literal["queries", "gallery"], known: Map
 
 
 def _task(
-    root: Path, name: str, told: BlindTask, queries: Sequence[str], gallery: Sequence[str], digests: Mapping[str, str]
+    root: Path, name: str, task: BlindTask, queries: Sequence[str], gallery: Sequence[str], digests: Mapping[str, str]
 ) -> RetrievalTask:
     def views(keys: Sequence[str], view: str) -> tuple[ImageView, ...]:
         return tuple(
@@ -131,11 +131,11 @@ def _task(
 
     return RetrievalTask(
         name=name,
-        queries=views(queries, told.view_query),
-        gallery=views(gallery, told.view_gallery),
+        queries=views(queries, task.view_query),
+        gallery=views(gallery, task.view_gallery),
         relevance=relevance_from_lists([[] for _ in queries], len(gallery)),
-        condition_query=told.condition_query,
-        condition_gallery=told.condition_gallery,
+        condition_query=task.condition_query,
+        condition_gallery=task.condition_gallery,
     )
 
 

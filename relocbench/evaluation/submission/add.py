@@ -203,12 +203,12 @@ def _remarks(checked: Checked, name: str) -> tuple[str, ...]:
     )
 
 
-def _same_as_others(one: TrackedDataset, there: DatasetResults, label: str) -> Iterator[str]:
+def _same_as_others(one: TrackedDataset, others: DatasetResults, label: str) -> Iterator[str]:
     """Other rows of the results folder that gave most of the same answers."""
-    if not there.root.is_dir():
+    if not others.root.is_dir():
         return
     given = sum(len(of.poses) for of in one.pair_sets)
-    for row in there.methods():
+    for row in others.methods():
         if row.label != label:
             theirs = {
                 of.pair_set.name: read_predictions(row.predictions(of.pair_set.name), of.pair_set)
@@ -256,10 +256,10 @@ def _check_other_rows(card: Card, results: Path, targets: list[Path]) -> None:
             raise PredictionError(message, row.root)
 
 
-def _move(plan: _Plan, made: Path, staging: Path, there: bool) -> State:
+def _move(plan: _Plan, made: Path, staging: Path, exists: bool) -> State:
     """Put a row that was made into its place."""
     row = made / plan.target.name
-    if there and _equal(row, plan.target):
+    if exists and _equal(row, plan.target):
         return "there already"
     if not plan.target.parent.exists():
         made.rename(plan.target.parent)  # with the record of the dataset, in one step
@@ -268,12 +268,12 @@ def _move(plan: _Plan, made: Path, staging: Path, there: bool) -> State:
     text = read_bytes(made / plan.record, "a record", PredictionError)
     if not record.exists() or read_bytes(record, "a record", PredictionError) != text:
         write_bytes(record, text)
-    if there:
+    if exists:
         old = staging / "old" / plan.target.parent.name
         old.mkdir(parents=True, exist_ok=True)
         plan.target.rename(old / plan.target.name)
     row.rename(plan.target)
-    return "replaced" if there else "added"
+    return "replaced" if exists else "added"
 
 
 def _equal(ours: Path, theirs: Path) -> bool:

@@ -284,13 +284,13 @@ def _check_lists(
     checked.suspicions += _grouped(name, {of.task.name: odd_lists(of) for of in lists if of.task.name in files})
 
 
-def _grouped(name: str, told: Mapping[str, Sequence[str]]) -> list[str]:
+def _grouped(name: str, oddities: Mapping[str, Sequence[str]]) -> list[str]:
     """One sentence for each thing that is odd, with the pair sets that it is odd of."""
     sets: dict[str, list[str]] = {}
-    for asked, sentences in told.items():
+    for asked, sentences in oddities.items():
         for sentence in sentences:
             sets.setdefault(sentence, []).append(asked)
-    return [f"{name}: {'' if len(of) == len(told) else ', '.join(of) + ': '}{odd}" for odd, of in sets.items()]
+    return [f"{name}: {'' if len(of) == len(oddities) else ', '.join(of) + ': '}{odd}" for odd, of in sets.items()]
 
 
 def _tell(checked: Checked, card: Card, places: YamlPlaces) -> None:

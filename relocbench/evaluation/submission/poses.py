@@ -173,5 +173,5 @@ def _compare(path: Path, table: Path, keys: Mapping[PairKey, PairKey], out: Pair
     for real, answer in out.answers.items():
         ref, query = shown[real]
         if (answer.status == "ok") != (real in out.poses):
-            there = "no valid pose" if answer.status == "ok" else "a pose"
-            findings.fault(f"pair {ref} {query} is '{answer.status}' but has {there} in {path.name}", table)
+            held = "no valid pose" if answer.status == "ok" else "a pose"
+            findings.fault(f"pair {ref} {query} is '{answer.status}' but has {held} in {path.name}", table)

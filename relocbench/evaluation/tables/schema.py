@@ -141,6 +141,10 @@ class Schema(Generic[R]):
         self._kinds: dict[str, Kind[Any]] = {f.name: hints[f.name].__metadata__[0] for f in fields(record)}
         self.columns: tuple[str, ...] = tuple(self._kinds)
 
+    def of(self, values: Iterable[object]) -> R:
+        """The record with these values, in the order of the columns."""
+        return self._make(*values)
+
     def write(self, path: Path, rows: Iterable[R]) -> None:
         """Write the table whole or not at all, in the order given."""
         texts = ([kind.text(getattr(row, name)) for name, kind in self._kinds.items()] for row in rows)
@@ -193,9 +197,9 @@ class Schema(Generic[R]):
         made = list(map(self._make, *columns))
         return None if any(row.contradiction() is not None for row in made) else made
 
-    def readable(self, path: Path, findings: Findings) -> Iterator[tuple[TableRow, dict[str, Any]]]:
-        """Each row with those of its fields that can be read; all that is wrong with the table becomes a fault."""
-        head = ",".join(self.columns)
+    def readable(self, path: Path, findings: Findings) -> Iterator[tuple[TableRow, R | None]]:
+        """Each row with its record, None where it has a fault; all that is wrong with the table becomes a fault."""
+        head, first = ",".join(self.columns), dict[str, int]()
         with findings.catching():
             rows = read_csv(path, f"a table ({head})", PredictionError)
             if next(rows, (1, []))[1] != list(self.columns):
@@ -204,11 +208,17 @@ class Schema(Generic[R]):
                 if len(texts) != len(self.columns):
                     findings.fault(f"expected {len(self.columns)} columns, found {len(texts)}", path, line)
                     continue
-                cells, values = self._cells(path, line, texts), {}
+                cells, values = self._cells(path, line, texts), []
                 for name, kind in self._kinds.items():
                     with findings.catching():
-                        values[name] = kind.read(cells, name)
-                yield cells, values
+                        values.append(kind.read(cells, name))
+                row = self._make(*values) if len(values) == len(self.columns) else None
+                if row is not None and (wrong := row.contradiction()) is not None:
+                    findings.fault(wrong, path, line)
+                    row = None
+                if row is not None and row.named and first.setdefault(row.named, line) != line:
+                    findings.fault(f"{row.named} occurs again (first on line {first[row.named]})", path, line)
+                yield cells, row
 
     def check(self, path: Path, findings: Findings) -> None:
         """Record all that is wrong with the table."""

@@ -93,11 +93,11 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
 
 def _answers(question: _Question, answer: CheckedAnswer) -> Finding:
     """Whether an answer keeps the contract; one that is confident where nothing is to be known is doubtful."""
-    told, sure = _words(answer), question.hopeless and (answer.confidence or 0.0) >= CONFIDENT
+    detail, sure = _words(answer), question.hopeless and (answer.confidence or 0.0) >= CONFIDENT
     if sure and answer.T_query_ref is not None:
-        told += f", although nothing says where it is: below {CONFIDENT:g} is expected"
-        return Finding(f"answers {question.name}", True, told, doubtful=True)
-    return Finding(f"answers {question.name}", answer.status != "error", told)
+        detail += f", although nothing says where it is: below {CONFIDENT:g} is expected"
+        return Finding(f"answers {question.name}", True, detail, doubtful=True)
+    return Finding(f"answers {question.name}", answer.status != "error", detail)
 
 
 def _close(tracker: Any) -> None:

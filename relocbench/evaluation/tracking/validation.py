@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,6 @@ from relocbench.evaluation.common.dataset_lookup import check_record
 from relocbench.evaluation.common.results import PREDICTIONS, DatasetRecord, MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.tables.answers import ANSWERS
 from relocbench.evaluation.tables.errors import ERRORS, read_errors
-from relocbench.evaluation.tables.rows import KEY_COLUMNS
 from relocbench.evaluation.tracking.score import FORMULAS
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
@@ -181,14 +181,9 @@ def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], expected:
 def _read_answers(path: Path, findings: Findings) -> dict[PairKey, tuple[str, int]]:
     """Read the status and line number of each pair in ``PAIRSET.csv``."""
     out: dict[PairKey, tuple[str, int]] = {}
-    for row, known in ANSWERS.readable(path, findings):
-        if not known.keys() >= set(KEY_COLUMNS):
-            continue
-        ref, query = (known[name] for name in KEY_COLUMNS)
-        if (ref, query) in out:
-            findings.fault(f"pair {ref} {query} occurs again (first on line {out[ref, query][1]})", path, row.line)
-        else:
-            out[ref, query] = row["status"], row.line
+    for row, _ in ANSWERS.readable(path, findings):
+        with contextlib.suppress(PredictionError):  # it is among the findings
+            out.setdefault(row.key(), (row["status"], row.line))
     return out
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import AnswerFolder, SetLike, folders_with
+from relocbench.evaluation.tables.schema import Schema
 from relocbench.leaderboard.common.headings import SECONDS
 from relocbench.leaderboard.common.loading import BoardTask, Loaded, Plan, Standing, compared, load_sets
 from relocbench.leaderboard.common.model import Method, Row
@@ -95,6 +96,8 @@ class Board(Generic[S, U, M, T]):
 class QueryTask(BoardTask[F, S, U, M, T, Row[M]]):
     """A task that is asked by queries."""
 
+    schema: Schema[Any]
+    """of the answers of a method to a task"""
     shows_unanswered: bool = False
     """whether a set is shown of which no method has answered a task; one without any method is then a fault"""
 

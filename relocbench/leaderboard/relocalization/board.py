@@ -14,7 +14,7 @@ from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import SetFolder
-from relocbench.evaluation.relocalization.answers import PipelineAnswer, errors_of, read_pipeline
+from relocbench.evaluation.relocalization.answers import PIPELINE, PipelineAnswer, errors_of, read_pipeline
 from relocbench.evaluation.relocalization.records import (
     ORACLE,
     PipelineBasin,
@@ -84,6 +84,7 @@ class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask,
 
     what = "pipelines"
     kind = PipelineSetResults
+    schema = PIPELINE
     rankable = (*POSE_METRICS, *SHARES)
     with_interval = (RANKING, "recall@(1m,5deg)", HIT)
     ranking = RANKING

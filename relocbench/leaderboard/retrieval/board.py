@@ -16,7 +16,7 @@ from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import SetFolder
-from relocbench.evaluation.retrieval.answers import QueryAnswer
+from relocbench.evaluation.retrieval.answers import ANSWERS, QueryAnswer
 from relocbench.evaluation.retrieval.records import (
     METRICS,
     RetrievalRun,
@@ -83,6 +83,7 @@ class RetrievalBoards(QueryTask[RetrieverResults, SetRecord, TaskRecord, Retriev
 
     what = "retrievers"
     kind = SetResults
+    schema = ANSWERS
     rankable = METRICS
     with_interval = ("R@1", "AP")
     ranking = "R@1"

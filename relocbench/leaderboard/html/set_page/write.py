@@ -42,7 +42,7 @@ def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
         "months": {name: months_apart(entry.pair_sets[name], keys, entry.dataset) for name, keys in known.items()},
         "matching": matching_payload(dataset),
         "probes": [probe_payload(probe) for probe in probes],
-        "looks": further_looks({line.method for probe in probes for line in probe.lines}, labels),
+        "looks": further_looks({line.points[0].method for probe in probes for line in probe.lines}, labels),
         "sweep": sweep_of(entry.pair_sets, entry.dataset),
     }
     return written | {write_data(site, f"charts/{of_set}", payload)}
