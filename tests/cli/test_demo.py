@@ -13,7 +13,7 @@ from command_line import Outcome, relocbench
 from refusals import Notes, assert_names
 from repository import ROOT
 
-from relocbench.cli import demo
+from relocbench.cli.commands import demo
 from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 
 METHODS = ("identity", "orb-pnp")

@@ -19,8 +19,8 @@ from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
 from submissions import submit
 
-from relocbench.cli import demo as demo_module
 from relocbench.cli.app import app
+from relocbench.cli.commands import demo as demo_module
 from relocbench.datasets import importers
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.weights import PublishedFile
