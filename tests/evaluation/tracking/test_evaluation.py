@@ -383,6 +383,10 @@ def test_predictions_for_a_pair_set_that_is_not_there_are_refused(dataset: Datas
     (tmp_path / "p" / "a__b__c.txt").write_text("")
     with refused(PredictionError, "", None, "a__b__c"):
         evaluate(dataset, tmp_path / "out", predictions=tmp_path / "p")
+    (tmp_path / "p" / "a__b__c.txt").rename(tmp_path / "p" / f"{WITHIN}.txt")
+    with refused(PredictionError, tmp_path / "p", None, ACROSS):
+        evaluate(dataset, tmp_path / "out", predictions=tmp_path / "p", pair_sets=(ACROSS,))
+    assert not list((tmp_path / "out").rglob("run.yaml"))
 
 
 def test_predictions_for_another_fingerprint_are_refused(dataset: Dataset, tmp_path: Path) -> None:
