@@ -57,7 +57,6 @@ from relocbench.datasets.synthetic.drives.routes import route
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import carry_out
-from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, render_unit
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.town import make_district
@@ -119,7 +118,7 @@ def recorded(folder: Path, steps: int) -> list[Path]:
         found, job = prepare(town, path, condition_named(condition).factors, folder, options)
         folders.append(found.folder)
         jobs.append(job)
-    carry_out(jobs, town_renderer, town_compose, Silent(), Run())
+    carry_out(jobs, Silent(), Run())
     return folders
 
 

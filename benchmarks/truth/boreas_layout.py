@@ -37,7 +37,6 @@ from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.drives.routes import route
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import carry_out
-from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
 from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.execution import Run
 
@@ -64,7 +63,7 @@ def record_legs(out: Path, split: str, seed: int, shape: Shape, spoken: Spoken, 
         found, job = prepare(town, path, condition_named(leg.condition).factors, out, options)
         folders.append(found.folder)
         jobs.append(job)
-    carry_out(jobs, town_renderer, town_compose, spoken, Run(workers))
+    carry_out(jobs, spoken, Run(workers))
     return folders
 
 

@@ -22,7 +22,6 @@ from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.drives.routes import RouteName, route
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import carry_out
-from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
 from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.execution import Run
 from relocbench.files import atomic_write, write_text
@@ -156,7 +155,7 @@ def record_legs(
         found, job = prepare(town, path, condition_named(leg.condition).factors, out, options)
         recorded[leg.number] = found.folder
         jobs.append(job)
-    carry_out(jobs, town_renderer, town_compose, spoken, Run(workers))
+    carry_out(jobs, spoken, Run(workers))
     with atomic_write(index) as stream:
         stream.write("number,name\n")
         stream.writelines(f"{number},{folder.name}\n" for number, folder in recorded.items())

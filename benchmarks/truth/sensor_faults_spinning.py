@@ -16,7 +16,6 @@ from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.drives.routes import route
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import carry_out
-from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
 from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.execution import Run
 from relocbench.geometry import transform_from_tq
@@ -39,7 +38,7 @@ def record_spinning(
         )  # fmt: skip
         path = route(town.network, town.periodic.street, leg.route, options.path_length_m, seed)
         jobs.append(prepare(town, path, condition_named(leg.condition).factors, out, options)[1])
-    carry_out(jobs, town_renderer, town_compose, spoken, Run(workers))
+    carry_out(jobs, spoken, Run(workers))
     taken = [_taken(out, leg, distorted, spoken) for leg in _LEGS]
     return taken[0], taken[1]
 

@@ -28,7 +28,7 @@ from relocbench.files.numbers import (
     whole_number,
 )
 from relocbench.files.plain import plain_file, read_bytes
-from relocbench.files.tables import CHUNK_ROWS, read_csv, read_table, read_table_chunks
+from relocbench.files.tables import CHUNK_ROWS, read_csv, read_table, read_table_chunks, write_table
 from relocbench.files.text import lines_of, read_rows, read_text
 from relocbench.files.writing import (
     atomic_write,
@@ -97,6 +97,7 @@ __all__ = [
     "sha256_file",
     "whole_number",
     "write_bytes",
+    "write_table",
     "write_text",
     "yaml_line",
 ]

@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from relocbench.errors import RelocbenchError
 from relocbench.files.text import read_text
+from relocbench.files.writing import atomic_write
 
 CHUNK_ROWS = 8192
 """rows that are read at a time: their text takes some 10 MB, however long the table is"""
@@ -60,6 +62,14 @@ def read_table_chunks(
             raise error(f"expected {len(columns)} columns, found {len(rows[odd])}", path, lines[odd])
     if not headed:
         raise error(f"expected the header {header}", path, 1)
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a header and the rows below it, whole or not at all; floats keep all their digits."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(columns)
+        table.writerows(rows)
 
 
 def _chunks(path: Path, what: str, error: type[RelocbenchError]) -> Iterator[tuple[list[int], list[list[str]]]]:

@@ -21,7 +21,7 @@ from relocbench.datasets.core.image_header import (
     read_header,
 )
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, lines_of, parse_floats, read_bytes, read_text, write_bytes
+from relocbench.files import lines_of, parse_floats, read_bytes, read_text, write_bytes, write_table
 from relocbench.tracking import KeyframePoints
 
 DEPTH_SCALE = 256.0
@@ -108,12 +108,8 @@ def read_points(path: Path) -> KeyframePoints:
 
 def write_points(path: Path, points: KeyframePoints) -> None:
     """Write sparse keyframe points, one per line, in the given order."""
-    with atomic_write(path) as stream:
-        stream.write(_POINT_HEADER + "\n")
-        for (u, v), idepth, sigma in zip(
-            points.uv.tolist(), points.inverse_depth.tolist(), points.sigma.tolist(), strict=True
-        ):
-            stream.write(f"{u!r},{v!r},{idepth!r},{sigma!r}\n")
+    rows = np.column_stack([points.uv, points.inverse_depth, points.sigma]).tolist()
+    write_table(path, _POINT_HEADER.split(","), rows)
 
 
 def as_rgb(image: Image) -> Image:

@@ -6,12 +6,11 @@ of each image; images without a row have the camera of ``traversal.yaml``.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, parse_floats, parse_timestamp, read_table, whole_number
+from relocbench.files import parse_floats, parse_timestamp, read_table, whole_number, write_table
 from relocbench.geometry import Camera
 
 INTRINSICS_COLUMNS = ("timestamp_ns", "width", "height", "fx", "fy", "cx", "cy")
@@ -57,11 +56,8 @@ def write_intrinsics(path: Path, cameras: Mapping[int, Camera]) -> None:
     Raises:
         ValueError: a camera is not a pinhole camera.
     """
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(INTRINSICS_COLUMNS)
-        for time, camera in sorted(cameras.items()):
-            if camera.model != "pinhole":
-                raise ValueError(f"images with intrinsics of their own are pinhole images, not {camera.model}")
-            numbers = (repr(float(value)) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
-            table.writerow([time, camera.width, camera.height, *numbers])
+    other = next((camera.model for camera in cameras.values() if camera.model != "pinhole"), None)
+    if other is not None:
+        raise ValueError(f"images with intrinsics of their own are pinhole images, not {other}")
+    rows = ((t, c.width, c.height, *map(float, (c.fx, c.fy, c.cx, c.cy))) for t, c in sorted(cameras.items()))
+    write_table(path, INTRINSICS_COLUMNS, rows)

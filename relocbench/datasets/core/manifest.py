@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, parse_count, read_table, sha256_file
+from relocbench.files import parse_count, read_table, sha256_file, write_table
 
 _COLUMNS = ("path", "bytes", "sha256")
 
@@ -33,10 +32,7 @@ def manifest_rows(root: Path, keys: Iterable[str]) -> list[Row]:
 
 def write_manifest(path: Path, rows: Sequence[Row]) -> None:
     """Write a manifest."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(_COLUMNS)
-        table.writerows(rows)
+    write_table(path, _COLUMNS, rows)
 
 
 def read_manifest(path: Path) -> list[Row]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import atomic_write, parse_timestamp, read_table
+from relocbench.files import parse_timestamp, read_table, write_table
 
 NAME_COLUMNS = ("timestamp_ns", "name")
 
@@ -33,7 +32,4 @@ def read_names(path: Path) -> dict[int, str]:
 
 def write_names(path: Path, names: Mapping[int, str]) -> None:
     """Write the names of images, timestamp_ns -> name, in time order."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(NAME_COLUMNS)
-        table.writerows(sorted(names.items()))
+    write_table(path, NAME_COLUMNS, sorted(names.items()))

@@ -7,7 +7,6 @@ written with single spaces.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
@@ -19,13 +18,13 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.files import (
-    atomic_write,
     parse_floats,
     parse_timestamp,
     quick_counts,
     quick_floats,
     read_csv,
     read_rows,
+    write_table,
     write_text,
 )
 from relocbench.geometry import rotation_angle, transform_from_tq, transform_to_tq
@@ -270,26 +269,20 @@ def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> Non
     """
     hidden = any(p.is_negative and p.T_query_ref is None for p in pairs)
     by_axis = any(s is not None for p in pairs for s in p.axis_sigmas)
-    with atomic_write(pair_table) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(TABLE_COLUMNS + AXIS_COLUMNS if by_axis else TABLE_COLUMNS)
-        for p, (distance_m, angle_deg) in zip(pairs, distances_and_angles(pairs), strict=True):
-            table.writerow(
-                [
-                    p.ref_timestamp_ns,
-                    p.query_timestamp_ns,
-                    "" if hidden else p.group,
-                    _number(distance_m),
-                    _number(angle_deg),
-                    "" if hidden else _number(p.overlap),
-                    _number(p.sigma_translation_m),
-                    _number(p.sigma_rotation_deg),
-                    p.source,
-                    "true" if p.accepted else "false",
-                    p.reason,
-                    *([_number(s) for s in p.axis_sigmas] if by_axis else []),
-                ]
-            )
+    rows = (
+        [
+            *p.key,
+            "" if hidden else p.group,
+            *map(_number, (distance_m, angle_deg, None if hidden else p.overlap)),
+            *map(_number, (p.sigma_translation_m, p.sigma_rotation_deg)),
+            p.source,
+            "true" if p.accepted else "false",
+            p.reason,
+            *(map(_number, p.axis_sigmas) if by_axis else ()),
+        ]
+        for p, (distance_m, angle_deg) in zip(pairs, distances_and_angles(pairs), strict=True)
+    )
+    write_table(pair_table, TABLE_COLUMNS + AXIS_COLUMNS if by_axis else TABLE_COLUMNS, rows)
     accepted = [p for p in pairs if p.accepted]
     write_text(pair_file, _pose_text([p.key for p in accepted], [p.T_query_ref for p in accepted], TRUTH_DECIMALS))
 

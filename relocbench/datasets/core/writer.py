@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import platform
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -39,6 +38,7 @@ from relocbench.files import (
     load_yaml_values,
     parse_yaml,
     remove_parts,
+    write_table,
     write_text,
 )
 from relocbench.geometry import Camera
@@ -84,11 +84,8 @@ class DatasetWriter:
         """Write ``traversal.yaml`` and ``poses.csv``; ``poses`` maps timestamp_ns to (4, 4) ``T_world_rig``."""
         layout = self.layout.traversal(file.name)
         write_text(layout.traversal_yaml, dump_yaml(file.model_dump(mode="json")))
-        with atomic_write(layout.poses) as stream:
-            table = csv.writer(stream, lineterminator="\n")
-            table.writerow(POSE_COLUMNS)
-            for time in sorted(poses):
-                table.writerow([time, *pairfile.truth_fields(poses[time])])
+        rows = ([time, *pairfile.truth_fields(poses[time])] for time in sorted(poses))
+        write_table(layout.poses, POSE_COLUMNS, rows)
 
     def intrinsics(self, traversal: str, camera: str, cameras: Mapping[int, Camera]) -> None:
         """Write the pinhole cameras of images that have intrinsics of their own: timestamp_ns -> camera."""
@@ -180,20 +177,20 @@ class DatasetWriter:
             raise DatasetError("holds something else; --out must be new, empty, or an unfinished build", root)
         # An earlier run that failed before it wrote anything may be repeated with other options.
         if mark.exists() and any(p != mark for p in root.iterdir()):
-            before, _ = load_yaml_values(mark, "the configuration of a build", DatasetError)
-            if before != self.configuration:
-                changed = sorted(
-                    str(k)
-                    for k in before.keys() | self.configuration.keys()
-                    if before.get(k) != self.configuration.get(k)
-                )
-                raise DatasetError(
-                    f"holds a dataset made with other options ({', '.join(changed)} differ); choose another --out",
-                    root,
-                )
+            check_same_options(mark, self.configuration, "a build", "a dataset made")
             remove_parts(root)
             return
         write_text(mark, dump_yaml(self.configuration))
+
+
+def check_same_options(mark: Path, configuration: Mapping[str, Any], of: str, made: str) -> None:
+    """Raise DatasetError, naming what differs, unless a folder's file of options holds this configuration."""
+    before, _ = load_yaml_values(mark, f"the configuration of {of}", DatasetError)
+    if before != configuration:
+        keys = sorted(str(k) for k in before.keys() | configuration.keys() if before.get(k) != configuration.get(k))
+        raise DatasetError(
+            f"holds {made} with other options ({', '.join(keys)} differ); choose another --out", mark.parent
+        )
 
 
 def versions() -> dict[str, str]:

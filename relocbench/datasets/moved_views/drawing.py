@@ -92,7 +92,7 @@ class Keyframe:
 
     def depth(self) -> Array:
         """(H, W) metres along z."""
-        rays, _ = self.camera.unproject(_grid(self.camera))
+        rays, _ = self.camera.unproject(grid(self.camera))
         return np.asarray(1.0 / self.surface.inverse_depth(rays))
 
 
@@ -237,7 +237,7 @@ def _keeps_scale(keyframe: Keyframe, T_query_ref: Array) -> bool:
     return bool(len(ratio) and np.all((ratio > 1 / _MOST_ZOOM) & (ratio < _MOST_ZOOM)))
 
 
-def _grid(camera: Camera) -> Array:
+def grid(camera: Camera) -> Array:
     """(H, W, 2) all pixels."""
     return np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(np.float64)
 

@@ -5,18 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.moved_views.drawing import Keyframe
 from relocbench.datasets.moved_views.surfaces import seen_at, shown_at
-from relocbench.datasets.pairs.correspondences import PairCorrespondences, spread_sample
-from relocbench.datasets.pairs.visibility import CHECKS
+from relocbench.datasets.pairs.correspondences import FARTHEST_M, PairCorrespondences, exact_pair, sampled_pixels
 
-_SAMPLES = 8192
-"""pixels that are sampled for a pair's overlap, which is then accurate to 0.006 (one sigma)"""
 _SAME_PX = 1e-3
 """between a pixel and the one that the query shows where the pixel's point lies, if nothing hides that"""
-_FARTHEST_M = 65535 / DEPTH_SCALE
-"""greatest depth that can be stored"""
 
 
 def exact_correspondences(
@@ -28,17 +22,11 @@ def exact_correspondences(
     the surface.
     """
     camera, surface = keyframe.camera, keyframe.surface
-    size = camera.width * camera.height
-    drawn = np.sort(rng.choice(size, min(size, max(_SAMPLES, 4 * count)), replace=False))
-    pixels = np.column_stack([drawn % camera.width, drawn // camera.width]).astype(np.float64)
+    pixels = sampled_pixels(camera, count, rng)
     uv_query, depth, _ = shown_at(surface, camera, camera, T_query_ref, pixels)
-    inside = camera.contains(uv_query) & (depth <= _FARTHEST_M)
+    inside = camera.contains(uv_query) & (depth <= FARTHEST_M)
     visible = inside.copy()
     seen = seen_at(surface, camera, camera, T_query_ref, uv_query[inside])
     # Not a number, where a ray meets nothing, is not the same either.
     visible[inside] = np.linalg.norm(seen - pixels[inside], axis=1) <= _SAME_PX
-    candidates = np.nonzero(inside)[0]
-    rows = candidates[spread_sample(pixels[candidates], camera, count, rng)]
-    check = np.full(len(rows), CHECKS.index("both"), dtype=np.int8)
-    overlap = float(np.mean(visible))
-    return PairCorrespondences(pixels[rows], depth[rows], uv_query[rows], visible[rows], check, overlap)
+    return exact_pair(camera, pixels, depth, uv_query, inside, visible, count, rng)

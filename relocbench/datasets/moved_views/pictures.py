@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 
 from relocbench.arrays import Array, Floats, Image
-from relocbench.datasets.moved_views.drawing import Crop, Keyframe
+from relocbench.datasets.moved_views.drawing import Crop, Keyframe, grid
 from relocbench.datasets.moved_views.surfaces import seen_at
-from relocbench.geometry import Camera
 
 _OVERSAMPLED = 2.0
 """pixels of the reduced photograph along each side of one of a view"""
@@ -52,13 +51,8 @@ def view_of(photograph: Reduced, keyframe: Keyframe, T_query_ref: Array | None =
     camera = keyframe.camera
     total = np.zeros((camera.height, camera.width, 3), dtype=np.float32)
     for place in _PLACES:
-        pixels = _pixels(camera) + place
+        pixels = grid(camera) + place
         if T_query_ref is not None:
             pixels = seen_at(keyframe.surface, camera, camera, T_query_ref, pixels.reshape(-1, 2)).reshape(pixels.shape)
         total += photograph.at(keyframe.crop.to_photograph(pixels))
     return np.clip(np.rint(total / len(_PLACES)), 0, 255).astype(np.uint8)
-
-
-def _pixels(camera: Camera) -> Array:
-    """(H, W, 2)"""
-    return np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(np.float64)

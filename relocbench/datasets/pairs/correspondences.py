@@ -11,12 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Indices, Mask, Times
-from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, lift, see
+from relocbench.datasets.core.images import DEPTH_SCALE
+from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, lift, see
 from relocbench.geometry import Camera, apply, hat
 from relocbench.tracking import Reference
 
 _CELLS = 24
 """cells along the longer side of the image, over which samples are spread"""
+_SAMPLES = 8192
+"""pixels that are sampled for the overlap of a pair of exact truth, which is then accurate to 0.006 (one sigma)"""
+FARTHEST_M = 65535 / DEPTH_SCALE
+"""greatest depth that can be stored"""
 _OVERLAP_PIXELS = 60_000
 """pixels of a keyframe that are sampled for the overlap, which is then accurate to 0.002 (one sigma)"""
 
@@ -114,6 +119,36 @@ def spread_sample(pixels: Array, camera: Camera, count: int, rng: np.random.Gene
     turn[by_cell] = np.arange(len(pixels)) - np.repeat(np.cumsum(counts) - counts, counts)
     first = shuffled[np.argsort(turn[shuffled], kind="stable")[:count]]
     return np.sort(first)
+
+
+def sampled_pixels(camera: Camera, count: int, rng: np.random.Generator) -> Array:
+    """Pixels (N, 2) of an image in raster order, enough for a pair's overlap and ``count`` correspondences."""
+    size = camera.width * camera.height
+    drawn = np.sort(rng.choice(size, min(size, max(_SAMPLES, 4 * count)), replace=False))
+    return np.column_stack([drawn % camera.width, drawn // camera.width]).astype(np.float64)
+
+
+def exact_pair(
+    camera: Camera,
+    pixels: Array,
+    depth: Array,
+    uv_query: Array,
+    inside: Mask,
+    visible: Mask,
+    count: int,
+    rng: np.random.Generator,
+) -> PairCorrespondences:
+    """A pair whose truth is exact: the overlap of all sampled pixels, and up to ``count`` of those ``inside``.
+
+    Args:
+        pixels, depth, uv_query: (N, 2), (N,) and (N, 2) of the sampled pixels that have depth.
+        inside, visible: (N,) whether the query's image holds the point, and whether nothing hides it.
+    """
+    candidates = np.nonzero(inside)[0]
+    rows = candidates[spread_sample(pixels[candidates], camera, count, rng)]
+    check = np.full(len(rows), CHECKS.index("both"), dtype=np.int8)
+    overlap = float(np.mean(visible)) if len(visible) else 0.0
+    return PairCorrespondences(pixels[rows], depth[rows], uv_query[rows], visible[rows], check, overlap)
 
 
 _STEP = 1e-4

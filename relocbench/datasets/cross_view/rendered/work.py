@@ -14,11 +14,11 @@ from relocbench.datasets.cross_view.rendered.plan import Photo, Views
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, rate, workers_text
+from relocbench.datasets.synthetic.jobs.latest import latest
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Renderer, Surroundings
 from relocbench.datasets.synthetic.renderer.sky import make_sky
-from relocbench.datasets.synthetic.renderer.skylight import Skylight
-from relocbench.datasets.synthetic.town.town import District, compose
+from relocbench.datasets.synthetic.town.town import compose
 from relocbench.execution import Run, chunks, run_units
 from relocbench.progress import Reporter
 
@@ -90,23 +90,20 @@ def render_unit(unit: PhotoUnit) -> Spent:
     return Spent(len(unit.photos), ready - start, time.perf_counter() - ready)
 
 
-_district: scenes.Latest[District] = scenes.Latest()
-_renderer: scenes.Latest[Renderer] = scenes.Latest()
-_skylight: scenes.Latest[Skylight] = scenes.Latest()
-
-
 def renderer_of(town: DistrictSpec, condition: Factors, seen: Factors) -> Renderer:
     """The renderer of a town under a view's factors; objects and skylight are those of the condition itself."""
-    return _renderer.get((town, seen), lambda: _make_renderer(town, condition, seen))
 
+    def make() -> Renderer:
+        district = latest("aerial district", town, lambda: with_aerial_details(scenes.district(town)))
+        mesh = compose(district, seen)
+        skylight = latest(
+            "skylight",
+            (town, condition),
+            lambda: Renderer(mesh, condition, district.lamps, town.seed).surroundings.skylight,
+        )
+        return Renderer(mesh, seen, district.lamps, town.seed, Surroundings(make_sky(seen, town.seed), skylight))
 
-def _make_renderer(town: DistrictSpec, condition: Factors, seen: Factors) -> Renderer:
-    district = _district.get(town, lambda: with_aerial_details(scenes.district(town)))
-    mesh = compose(district, seen)
-    light = _skylight.get(
-        (town, condition), lambda: Renderer(mesh, condition, district.lamps, town.seed).surroundings.skylight
-    )
-    return Renderer(mesh, seen, district.lamps, town.seed, Surroundings(make_sky(seen, town.seed), light))
+    return latest("aerial renderer", (town, seen), make)
 
 
 def _estimate(spent: Sequence[Spent], total: int, units: int, workers: int) -> str:

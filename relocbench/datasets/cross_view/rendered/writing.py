@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,8 +13,9 @@ from relocbench.datasets.core.writer import versions
 from relocbench.datasets.cross_view import content
 from relocbench.datasets.cross_view.rendered.places import PlaceOfTown
 from relocbench.datasets.cross_view.rendered.plan import Photo
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, dump_yaml, remove_parts, write_text
+from relocbench.files import atomic_write, dump_yaml, remove_parts, write_table, write_text
 
 _POSES = ("image", "class", "view", "condition", "town", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _PLACES = ("class", "split", "role", "town", "instance", "x_m", "y_m", "height_m")
@@ -49,36 +49,25 @@ def refuse_other_files(root: Path, photos: Sequence[Photo]) -> None:
 
 def write_poses(root: Path, photos: Sequence[Photo]) -> None:
     """Write ``poses.csv``: T_world_cam of each image, in the frame of its town."""
-    with atomic_write(root / content.POSES_FILE) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(_POSES)
-        for key, photo in sorted(((k, p) for p in photos for k in p.keys), key=lambda row: row[0]):
-            town = f"{photo.town.split}-{photo.town.seed}"
-            fields = pairfile.truth_fields(photo.T_world_cam)
-            table.writerow([key, photo.label, photo.view, photo.condition, town, *fields])
+    rows = (
+        [key, p.label, p.view, p.condition, _name(p.town), *pairfile.truth_fields(p.T_world_cam)]
+        for key, p in sorted(((k, p) for p in photos for k in p.keys), key=lambda row: row[0])
+    )
+    write_table(root / content.POSES_FILE, _POSES, rows)
 
 
 def write_places(root: Path, places: Sequence[PlaceOfTown]) -> None:
     """Write ``places.csv``: the town and building of each class."""
-    with atomic_write(root / "places.csv") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(_PLACES)
-        for p in places:
-            role = "learned" if p.town.split == "train" else "distractor" if p.distractor else "asked"
-            x, y = p.building.centre.tolist()
-            town = f"{p.town.split}-{p.town.seed}"
-            table.writerow(
-                [
-                    p.label,
-                    p.town.split,
-                    role,
-                    town,
-                    p.building.instance,
-                    f"{x:.3f}",
-                    f"{y:.3f}",
-                    f"{p.building.height_m:.3f}",
-                ]
-            )
+    rows = []
+    for p in places:
+        role = "learned" if p.town.split == "train" else "distractor" if p.distractor else "asked"
+        metres = (f"{value:.3f}" for value in (*p.building.centre.tolist(), p.building.height_m))
+        rows.append([p.label, p.town.split, role, _name(p.town), p.building.instance, *metres])
+    write_table(root / "places.csv", _PLACES, rows)
+
+
+def _name(town: DistrictSpec) -> str:
+    return f"{town.split}-{town.seed}"
 
 
 def finish(

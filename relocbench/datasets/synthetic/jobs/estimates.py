@@ -9,6 +9,8 @@ from typing import TypeVar
 import numpy as np
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.execution import Run, run_units
+from relocbench.progress import Advance
 
 Unit = TypeVar("Unit")
 Scene = tuple[object, Factors]
@@ -37,6 +39,15 @@ class Remaining:
     gigabytes: float
     measured: int
     """number of files that the estimate is based on"""
+
+
+def carried_out(work: Callable[[Unit], Spent], units: Sequence[Unit], advance: Advance, run: Run) -> list[Spent]:
+    """What each unit took, in the order in which they were finished."""
+    spent = []
+    for _, done in run_units(work, units, run):
+        spent.append(done)
+        advance(done.files)
+    return spent
 
 
 def split_pilots(units: Sequence[Unit], scene_of: Callable[[Unit], Scene]) -> tuple[list[Unit], list[Unit]]:

@@ -12,19 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from relocbench.arrays import Array, Mask
-from relocbench.datasets.core.images import DEPTH_SCALE
-from relocbench.datasets.pairs.correspondences import PairCorrespondences, spread_sample
-from relocbench.datasets.pairs.visibility import CHECKS, warp
+from relocbench.datasets.pairs.correspondences import FARTHEST_M, PairCorrespondences, exact_pair, sampled_pixels
+from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.geometry import Camera, apply
 
-_FARTHEST_M = 65535 / DEPTH_SCALE
-"""greatest depth that can be stored"""
-_SAMPLES = 8192
-"""pixels that are sampled for a pair's overlap, which is then accurate to 0.006 (one sigma)"""
 _ROUNDINGS = 4
 """tolerance perpendicular to the surface, in units of single-precision rounding of the district's coordinates, since
 rays are cast in single precision (at most 2.3 were observed)"""
@@ -84,19 +79,13 @@ def exact_correspondences(
     They are sampled from the pixels whose point is static and projects into the query's image, visible or hidden.
     """
     camera = reference.camera
-    size = camera.width * camera.height
-    drawn = np.sort(rng.choice(size, min(size, max(_SAMPLES, 4 * count)), replace=False))
-    pixels = np.column_stack([drawn % camera.width, drawn // camera.width]).astype(np.float64)
+    pixels = sampled_pixels(camera, count, rng)
     depth, moves = reference.depth(pixels)
-    known = (depth <= _FARTHEST_M) & ~moves
+    known = (depth <= FARTHEST_M) & ~moves
     pixels, depth = pixels[known], depth[known]
     uv_query, _, valid = warp(np.column_stack([pixels, depth]), camera, query.camera, T_query_ref)
     inside = valid & query.camera.contains(uv_query)
     rays, _ = camera.unproject(pixels)
     visible = inside.copy()
     visible[inside] = query.sees(apply(reference.T_world_cam, (rays * depth[:, None])[inside]))
-    overlap = float(np.mean(visible)) if len(visible) else 0.0
-    candidates = np.nonzero(inside)[0]
-    rows = candidates[spread_sample(pixels[candidates], camera, count, rng)]
-    check = np.full(len(rows), CHECKS.index("both"), dtype=np.int8)
-    return PairCorrespondences(pixels[rows], depth[rows], uv_query[rows], visible[rows], check, overlap)
+    return exact_pair(camera, pixels, depth, uv_query, inside, visible, count, rng)

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Transform
+from relocbench.datasets.core.traversal import POSE_COLUMNS
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, DriveStyle, Route, drive, route_length
 from relocbench.datasets.synthetic.drives.traffic import moving_cars
@@ -38,7 +39,7 @@ from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, Tru
 from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.execution import Run
-from relocbench.files import atomic_write, dump_yaml, read_bytes, remove_parts, write_text
+from relocbench.files import dump_yaml, read_bytes, remove_parts, write_table, write_text
 from relocbench.geometry import make_transform, transform_to_tq
 from relocbench.progress import Reporter, Silent
 from relocbench.version import __version__
@@ -125,15 +126,15 @@ def record(
     *,
     reporter: Reporter | None = None,
     run: Run | None = None,
-    renderer_factory: RendererFactory | None = None,
-    compose: Composer | None = None,
+    renderer_factory: RendererFactory = town_renderer,
+    compose: Composer = town_compose,
     **options: Any,
 ) -> Recorded:
     """Record one drive. A repeated call does only what is missing; the bytes do not depend on the number of workers.
 
     Args:
         path: the route to drive, at least ``path_length(frames, layout, style)`` metres long.
-        renderer_factory, compose: replacements for the town's own; they must be importable by workers.
+        renderer_factory, compose: as in :func:`carry_out`.
         options: fields of :class:`DriveOptions`.
 
     Raises:
@@ -141,8 +142,7 @@ def record(
         DatasetError: ``out`` holds another recording of this name.
     """
     recorded, job = prepare(district, path, factors, out, DriveOptions(layout, **options))
-    made = renderer_factory or town_renderer, compose or town_compose
-    carry_out([job], *made, reporter or Silent(), run or Run())
+    carry_out([job], reporter or Silent(), run or Run(), renderer_factory, compose)
     return recorded
 
 
@@ -259,19 +259,20 @@ def _cameras(layout: Layout) -> dict[str, Any]:
 
 
 def _write_poses(path: Path, trajectory: TrueTrajectory) -> None:
-    t, q = transform_to_tq(trajectory.T_world_rig)
-    with atomic_write(path) as stream:
-        stream.write("timestamp_ns,tx,ty,tz,qx,qy,qz,qw\n")
-        for time, values in zip(trajectory.times_ns.tolist(), np.hstack([t, q]).tolist(), strict=True):
-            stream.write(f"{time},{','.join(map(repr, values))}\n")
+    write_table(path, POSE_COLUMNS, _pose_rows(trajectory.times_ns, trajectory.T_world_rig))
 
 
 def _write_cars(path: Path, tracks: Sequence[CarTrack]) -> None:
     """Write ``T_world_car`` at the steps of the drive; between them it is interpolated."""
-    with atomic_write(path) as stream:
-        stream.write("timestamp_ns,variant,tx,ty,tz,qx,qy,qz,qw\n")
-        for track in tracks:
-            present = np.isfinite(track.T_world_car[:, 0, 0])
-            t, q = transform_to_tq(track.T_world_car[present])
-            for time, values in zip(track.times_ns[present].tolist(), np.hstack([t, q]).tolist(), strict=True):
-                stream.write(f"{time},{track.variant},{','.join(map(repr, values))}\n")
+    rows: list[list[Any]] = []
+    for track in tracks:
+        present = np.isfinite(track.T_world_car[:, 0, 0])
+        poses = _pose_rows(track.times_ns[present], track.T_world_car[present])
+        rows += ([time, track.variant, *pose] for time, *pose in poses)
+    write_table(path, (POSE_COLUMNS[0], "variant", *POSE_COLUMNS[1:]), rows)
+
+
+def _pose_rows(times_ns: Times, transforms: Array) -> list[list[Any]]:
+    """Time and pose (8,) of each of the transforms (N, 4, 4)."""
+    poses = np.hstack(transform_to_tq(transforms)).tolist()
+    return [[time, *pose] for time, pose in zip(times_ns.tolist(), poses, strict=True)]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, remaining, split_pilots, workers_text
+from relocbench.datasets.synthetic.jobs import estimates
+from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.jobs.recording_work import (
     Composer,
     DriveContext,
@@ -16,12 +17,14 @@ from relocbench.datasets.synthetic.jobs.recording_work import (
     RendererFactory,
     Unit,
     shared,
+    town_compose,
+    town_renderer,
     write_images,
     write_scans,
 )
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory
-from relocbench.execution import Run, chunks, run_units
-from relocbench.progress import Advance, Reporter
+from relocbench.execution import Run, chunks
+from relocbench.progress import Reporter
 
 _IMAGES_A_UNIT = 8
 _SCANS_A_UNIT = 64
@@ -30,7 +33,6 @@ _WORTH_AN_ESTIMATE = 400
 
 Files = Sequence[tuple[str, int]]
 """(sensor, index) of each"""
-Work = Callable[[Unit], Spent]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +51,17 @@ class DriveJob:
 
 
 def carry_out(
-    jobs: Sequence[DriveJob], renderer_factory: RendererFactory, compose: Composer, reporter: Reporter, run: Run
+    jobs: Sequence[DriveJob],
+    reporter: Reporter,
+    run: Run,
+    renderer_factory: RendererFactory = town_renderer,
+    compose: Composer = town_compose,
 ) -> None:
-    """Scan and render what is missing, drive by drive; a long job is first timed on a few files."""
+    """Scan and render what is missing, drive by drive; a long job is first timed on a few files.
+
+    Args:
+        renderer_factory, compose: replacements for the town's own; they must be importable by workers.
+    """
     jobs = [job for job in jobs if job.scans or job.pictures]
     with ExitStack() as stack:
         pickled: dict[int, Path] = {}
@@ -79,19 +89,11 @@ def carry_out(
         for what, work, units in (("scanning", write_scans, scans), ("rendering", write_images, pictures)):
             if units:
                 with reporter.stage(what, _count(units)) as advance:
-                    _do(work, units, advance, run)
+                    estimates.carried_out(work, units, advance, run)
 
 
 def _count(units: Sequence[Unit]) -> int:
     return sum(len(unit.work) for unit in units)
-
-
-def _do(work: Work, units: Sequence[Unit], advance: Advance, run: Run) -> list[Spent]:
-    spent = []
-    for _, done in run_units(work, units, run):
-        spent.append(done)
-        advance(done.files)
-    return spent
 
 
 def _measured(
@@ -99,11 +101,11 @@ def _measured(
 ) -> tuple[list[Unit], list[Unit]]:
     """Run the first unit of each kind and condition, report an estimate for the others, and return these."""
     lines, left = [], []
-    pilots = {what: split_pilots(units, _scene) for what, units in (("scans", scans), ("images", pictures))}
+    pilots = {what: estimates.split_pilots(units, _scene) for what, units in (("scans", scans), ("images", pictures))}
     with reporter.stage("measuring", sum(_count(first) for first, _ in pilots.values())) as advance:
         for what, work in (("scans", write_scans), ("images", write_images)):
             first, rest = pilots[what]
-            lines.append(estimate(what, _do(work, first, advance, run), rest, run.workers))
+            lines.append(estimate(what, estimates.carried_out(work, first, advance, run), rest, run.workers))
             left.append(rest)
     reporter.note("still to record: " + "; ".join(lines))
     return left[0], left[1]
@@ -114,10 +116,9 @@ def estimate(what: str, spent: Sequence[Spent], rest: Sequence[Unit], workers: i
     left = _count(rest)
     if not left or not sum(s.files - 1 for s in spent):
         return f"{left} {what}"
-    expected = remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
-    return (
-        f"{left} {what}, about {duration(expected.seconds)} with {workers_text(workers)}, {expected.gigabytes:.1f} GB"
-    )
+    expected = estimates.remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
+    time = f"about {estimates.duration(expected.seconds)} with {estimates.workers_text(workers)}"
+    return f"{left} {what}, {time}, {expected.gigabytes:.1f} GB"
 
 
 def _scene(unit: Unit) -> tuple[Path, Factors]:

@@ -6,7 +6,6 @@ There is one drive per split, condition, route and traversal. ``OUT/recording.ya
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -15,17 +14,17 @@ from typing import Any
 import numpy as np
 
 from relocbench.datasets.core.recording_folder import RecordedDrive, RecordingFolder
+from relocbench.datasets.core.writer import check_same_options
 from relocbench.datasets.synthetic.conditions.condition import NamedCondition
 from relocbench.datasets.synthetic.drives.routes import RouteName, route
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
-from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
 from relocbench.datasets.synthetic.layouts.recorded import Layout, TrueTrajectory
 from relocbench.datasets.synthetic.town.network import Path as Route
 from relocbench.datasets.synthetic.town.town import District, make_district
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
-from relocbench.files import atomic_write, dump_yaml, load_yaml_values, locked_output, parse_yaml, write_text
+from relocbench.files import dump_yaml, locked_output, parse_yaml, write_table, write_text
 from relocbench.progress import Reporter
 
 _CONFIGURATION = "recording.yaml"
@@ -97,7 +96,7 @@ def record_all(
     options.target(out)  # validates the options before anything is written
     with locked_output(out, DatasetError):
         check_folder(out, configuration)
-        write_text(out / _CONFIGURATION, _text(configuration))
+        write_text(out / _CONFIGURATION, dump_yaml(dict(configuration)))
         jobs: list[DriveJob] = []
         rows: list[RecordedDrive] = []
         with reporter.stage("planning drives", len(drives)) as advance:
@@ -119,8 +118,9 @@ def record_all(
                     )
                 )
                 advance(1)
-        carry_out(jobs, town_renderer, town_compose, reporter, run)
-        _write_drives(out / _DRIVES, rows)
+        carry_out(jobs, reporter, run)
+        columns = [field.name for field in fields(RecordedDrive)]
+        write_table(out / _DRIVES, columns, (asdict(row).values() for row in rows))
     return RecordingFolder(out, options.layout, rows)
 
 
@@ -141,21 +141,4 @@ def check_folder(out: Path, configuration: Mapping[str, Any]) -> None:
         return
     if not mark.exists():
         raise DatasetError("holds something else; --out must be new, empty, or an unfinished recording", out)
-    before, _ = load_yaml_values(mark, "the configuration of a recording", DatasetError)
-    wanted = parse_yaml(_text(configuration))
-    if before != wanted:
-        changed = sorted(str(k) for k in before.keys() | wanted.keys() if before.get(k) != wanted.get(k))
-        raise DatasetError(
-            f"holds drives recorded with other options ({', '.join(changed)} differ); choose another --out", out
-        )
-
-
-def _text(configuration: Mapping[str, Any]) -> str:
-    return dump_yaml(dict(configuration))
-
-
-def _write_drives(path: Path, rows: Sequence[RecordedDrive]) -> None:
-    with atomic_write(path) as stream:
-        table = csv.DictWriter(stream, [field.name for field in fields(RecordedDrive)], lineterminator="\n")
-        table.writeheader()
-        table.writerows(asdict(row) for row in rows)
+    check_same_options(mark, parse_yaml(dump_yaml(dict(configuration))), "a recording", "drives recorded")

@@ -17,6 +17,7 @@ from relocbench.arrays import Array, Image
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs.estimates import Spent
+from relocbench.datasets.synthetic.jobs.latest import Reusable, forget_all, latest, latest_renderer
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, SensorMotion, TrueTrajectory, cars_at
 from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.datasets.synthetic.town.cars import cars
@@ -45,15 +46,10 @@ class Picture(Protocol):
     def rgb(self) -> Image: ...
 
 
-class FrameRenderer(Protocol):
+class FrameRenderer(Reusable, Protocol):
     """A renderer of images, such as :class:`relocbench.datasets.synthetic.renderer.render.Renderer`."""
 
     def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> Picture: ...
-
-    @property
-    def surroundings(self) -> Any:
-        """What another renderer of the same town with other moving cars can reuse."""
-        ...
 
 
 RendererFactory = Callable[[Mesh, Factors, Array, int, Any], FrameRenderer]
@@ -99,23 +95,11 @@ def shared(district: RecordableDistrict, folder: Path) -> Iterator[Path]:
         yield pickled
     finally:
         pickled.unlink(missing_ok=True)
-        _ready.clear()
-
-
-_ready: dict[str, tuple[Any, Any]] = {}
-"""of this process, by kind: the key and the latest district, static scene, renderer and cars"""
-
-
-def _latest(kind: str, key: Any, make: Callable[[], Any]) -> Any:
-    """The latest of a kind, if it was made for this key; the one before is let go before another is made."""
-    if kind not in _ready or _ready[kind][0] != key:
-        _ready.pop(kind, None)
-        _ready[kind] = (key, make())
-    return _ready[kind][1]
+        forget_all()
 
 
 def _district(drive: DriveContext) -> Any:
-    return _latest("district", drive.district, lambda: pickle.loads(drive.district.read_bytes()))
+    return latest("district", drive.district, lambda: pickle.loads(drive.district.read_bytes()))
 
 
 def write_images(unit: Unit) -> Spent:
@@ -135,33 +119,22 @@ def write_images(unit: Unit) -> Spent:
 
 
 def _renderer(drive: DriveContext, present: Sequence[MovingCar]) -> FrameRenderer:
-    def make() -> FrameRenderer:
+    def make(cars: Sequence[MovingCar], around: Any) -> FrameRenderer:
         town = _district(drive)
-
-        def still() -> FrameRenderer:
-            return drive.make_renderer(
-                drive.compose(town, drive.factors, ()), drive.factors, town.lamps, town.seed, None
-            )
-
-        if not present:
-            return still()
-        around = _latest("surroundings", (drive.district, drive.factors), lambda: still().surroundings)
-        mesh = drive.compose(town, drive.factors, present)
+        mesh = drive.compose(town, drive.factors, cars)
         return drive.make_renderer(mesh, drive.factors, town.lamps, town.seed, around)
 
-    positions = tuple((pose.tobytes(), variant) for pose, variant in present)
-    renderer: FrameRenderer = _latest("renderer", (drive.district, drive.factors, positions), make)
-    return renderer
+    return latest_renderer((drive.district, drive.factors), present, make)
 
 
 def write_scans(unit: Unit) -> Spent:
     drive, layout = unit.drive, unit.drive.layout
-    scene = _latest(
+    scene = latest(
         "scene",
         (drive.district, drive.factors),
         lambda: lidar.LidarScene(drive.compose(_district(drive), drive.factors, ())),
     )
-    others = _latest("cars", (drive.district, drive.factors), lambda: _moving_objects(drive.tracks))
+    others = latest("cars", (drive.district, drive.factors), lambda: _moving_objects(drive.tracks))
 
     def write(sensor: str, index: int) -> None:
         mount = layout.lidars[sensor]

@@ -19,12 +19,12 @@ from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
-from relocbench.datasets.synthetic.jobs import scenes
-from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, rate, remaining, split_pilots, workers_text
+from relocbench.datasets.synthetic.jobs import estimates, scenes
+from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Frame
-from relocbench.execution import Run, chunks, run_units
+from relocbench.execution import Run, chunks
 from relocbench.files import write_bytes
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
@@ -91,14 +91,10 @@ def render_all(
     run = run if total >= _WORTH_WORKERS else run.single_process()
     with reporter.stage("rendering", total) as advance:
         if total >= _WORTH_AN_ESTIMATE:
-            pilots, units = split_pilots(units, _scene)
-            spent = []
-            for _, done in run_units(render_unit, pilots, run):
-                spent.append(done)
-                advance(done.files)
+            pilots, units = estimates.split_pilots(units, _scene)
+            spent = estimates.carried_out(render_unit, pilots, advance, run)
             reporter.note(estimate(spent, units, run.workers))
-        for _, done in run_units(render_unit, units, run):
-            advance(done.files)
+        estimates.carried_out(render_unit, units, advance, run)
 
 
 def missing_steps(
@@ -161,12 +157,13 @@ _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
 def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -> str:
     """Time and disk space for the rest, extrapolated from the first images."""
     left = sum(unit.images for unit in rest)
-    expected = remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
+    expected = estimates.remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
+    size = f"{expected.gigabytes:.1f} GB"
     if not expected.measured:
-        return f"{left} images are left to render, {expected.gigabytes:.1f} GB"
+        return f"{left} images are left to render, {size}"
+    time = f"{estimates.duration(expected.seconds)} at {estimates.rate(workers, expected.per_file_s)}"
     return (
-        f"{left} images are left to render: about {duration(expected.seconds)} at "
-        f"{rate(workers, expected.per_file_s)} with {workers_text(workers)}, {expected.gigabytes:.1f} GB "
+        f"{left} images are left to render: about {time} with {estimates.workers_text(workers)}, {size} "
         f"(measured on {expected.measured} images)"
     )
 

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
+from relocbench.datasets.synthetic.jobs.latest import latest, latest_renderer
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.datasets.synthetic.renderer.render import Frame, Renderer, Surroundings
-from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.mesh import Semantic
 from relocbench.datasets.synthetic.town.town import District, compose, make_district
 from relocbench.geometry import Camera
-
-Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -30,47 +28,20 @@ class DistrictSpec:
     extent_m: float
 
 
-class Latest(Generic[Value]):
-    """A cache of one value, which is released before the next is made, so that memory holds only one at a time."""
-
-    def __init__(self) -> None:
-        self._key: Any = None
-        self._value: Value | None = None
-
-    def get(self, key: Any, make: Callable[[], Value]) -> Value:
-        if self._value is None or key != self._key:
-            self._value = None
-            self._key, self._value = key, make()
-        return self._value
-
-
-_district: Latest[District] = Latest()
-_renderer: Latest[Renderer] = Latest()
-_surroundings: Latest[Surroundings] = Latest()
-
-
 def district(place: DistrictSpec) -> District:
     """The district with these parameters."""
-    return _district.get(place, lambda: make_district(place.seed, place.split, place.extent_m))
+    return latest("district", place, lambda: make_district(place.seed, place.split, place.extent_m))
 
 
 def renderer(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar] = ()) -> Renderer:
     """The renderer of a district in a condition, with the moving cars of one moment."""
-    positions = tuple((T_world_car.tobytes(), variant) for T_world_car, variant in moving)
-    return _renderer.get((place, factors, positions), lambda: _make_renderer(place, factors, moving))
 
-
-def _make_renderer(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar]) -> Renderer:
-    town = district(place)
-
-    def still() -> Renderer:
+    def make(cars: Sequence[MovingCar], around: Surroundings | None) -> Renderer:
+        town = district(place)
         # The surfaces' patterns depend on the district's seed only, so that they are the same in all traversals.
-        return Renderer(compose(town, factors), factors, town.lamps, place.seed)
+        return Renderer(compose(town, factors, cars), factors, town.lamps, place.seed, around)
 
-    if not moving:
-        return still()
-    around = _surroundings.get((place, factors), lambda: still().surroundings)
-    return Renderer(compose(town, factors, moving), factors, town.lamps, place.seed, around)
+    return latest_renderer((place, factors), moving, make)
 
 
 @lru_cache(maxsize=2)
@@ -83,7 +54,7 @@ def moving_scene(place: DistrictSpec, factors: Factors, moving: Sequence[MovingC
     """The scene of the moving cars only; None if there are none."""
     if not moving:
         return None
-    whole: Mesh = compose(district(place), factors, moving)
+    whole = compose(district(place), factors, moving)
     return LidarScene(whole.select(whole.semantic == Semantic.MOVING_CAR))
 
 

@@ -16,13 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from relocbench.arrays import Array, Image, Mask, Times
-from relocbench.datasets.core import images
+from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
-from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
+from relocbench.datasets.synthetic.layouts.recorded import CameraMount, Layout, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
-from relocbench.errors import ConfigError, available
 from relocbench.files import write_bytes, write_text
 from relocbench.geometry import Camera, interpolate_trajectory, invert, make_transform, project_to_rotation
 
@@ -54,7 +52,7 @@ _POINT_BYTES = 24
 
 
 @dataclass(frozen=True)
-class BoreasLayout(FieldsOnly):
+class BoreasLayout(Layout):
     """One drive."""
 
     root: Path
@@ -68,19 +66,12 @@ class BoreasLayout(FieldsOnly):
     rings: int = 64
     """of the lidar; the real one has 128"""
     azimuths: int = 2000
-
-    def __post_init__(self) -> None:
-        for name in self.chosen:
-            if name not in CAMERAS:
-                raise ConfigError(f"no Boreas camera '{name}'{available(name, CAMERAS)}")
+    format = "Boreas"
+    known_cameras = CAMERAS
 
     @property
     def name(self) -> str:
         return datetime.fromtimestamp(self.start_us // 1_000_000, UTC).strftime("boreas-%Y-%m-%d-%H-%M")
-
-    @property
-    def folder(self) -> Path:
-        return self.root / self.name
 
     @cached_property
     def cameras(self) -> Mapping[str, CameraMount]:
@@ -98,17 +89,8 @@ class BoreasLayout(FieldsOnly):
         ticks = self.start_us * 1000 + np.arange(self.frames, dtype=np.int64) * _PERIOD_NS
         return {**dict.fromkeys(self.chosen, ticks), "lidar": ticks + _LIDAR_PHASE_NS}
 
-    def path(self, sensor: str, index: int) -> Path:
-        suffix = "bin" if sensor in self.lidars else "png"
-        return self.folder / sensor / f"{int(self.times[sensor][index]) // 1000}.{suffix}"
-
-    def is_whole(self, sensor: str, path: Path) -> bool:
-        if sensor in self.lidars:
-            return path.is_file() and path.stat().st_size > 0 and path.stat().st_size % _POINT_BYTES == 0
-        return images.is_whole(path)
-
-    def write_image(self, camera: str, path: Path, rgb: Image) -> None:
-        images.write_image(path, rgb)
+    def is_scan_size(self, size: int) -> bool:
+        return size > 0 and size % _POINT_BYTES == 0
 
     def write_scan(self, path: Path, points: Array, reflectance: Array, returned: Mask) -> None:
         """Write x, y, z, intensity, number of the laser and seconds since the middle of the turn, as float32."""

@@ -20,9 +20,8 @@ from relocbench.arrays import Array, Image, Mask, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
-from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
+from relocbench.datasets.synthetic.layouts.recorded import CameraMount, Layout, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
-from relocbench.errors import ConfigError, available
 from relocbench.files import write_bytes, write_text
 from relocbench.geometry import Camera, invert, make_transform
 
@@ -39,7 +38,7 @@ _PERIOD_NS = 100_000_000
 
 
 @dataclass(frozen=True)
-class KittiLayout(FieldsOnly):
+class KittiLayout(Layout):
     """One sequence."""
 
     root: Path
@@ -53,11 +52,8 @@ class KittiLayout(FieldsOnly):
     azimuths: int = 2000
     compensated: bool = True
     """whether scans are motion-compensated, as those of KITTI's odometry benchmark are"""
-
-    def __post_init__(self) -> None:
-        for name in self.chosen:
-            if name not in CAMERAS:
-                raise ConfigError(f"no KITTI camera '{name}'{available(name, CAMERAS)}")
+    format = "KITTI"
+    known_cameras = CAMERAS
 
     @property
     def name(self) -> str:
@@ -87,14 +83,12 @@ class KittiLayout(FieldsOnly):
         ticks = np.arange(self.frames, dtype=np.int64) * _PERIOD_NS
         return dict.fromkeys((*self.chosen, *self.lidars), ticks)
 
-    def path(self, sensor: str, index: int) -> Path:
-        return self.folder / sensor / f"{index:06d}.{'bin' if sensor in self.lidars else 'png'}"
+    def stem(self, sensor: str, index: int) -> str:
+        return f"{index:06d}"
 
-    def is_whole(self, sensor: str, path: Path) -> bool:
-        if sensor in self.lidars:
-            # The number of returns varies, so only a size that is not a whole number of points shows truncation.
-            return path.is_file() and path.stat().st_size > 0 and path.stat().st_size % 16 == 0
-        return images.is_whole(path)
+    def is_scan_size(self, size: int) -> bool:
+        # The number of returns varies, so only a size that is not a whole number of points shows truncation.
+        return size > 0 and size % 16 == 0
 
     def write_image(self, camera: str, path: Path, rgb: Image) -> None:
         colour = camera in ("image_2", "image_3")

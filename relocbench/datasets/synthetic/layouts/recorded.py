@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from relocbench.arrays import Array, Image, Mask, Times
+from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.lidar.lidar import Lidar
+from relocbench.errors import ConfigError, available
 from relocbench.geometry import Camera, interpolate, interpolate_trajectory
-
-MovingCar = tuple[Array, int]
-"""``T_world_car`` (4, 4) and the seed of the car's look"""
 
 _TELEPORT_M = 5.0
 """a car that moves further than this in one step has left the route at one end and reappeared at the other"""
@@ -104,53 +105,77 @@ class LidarMount:
     """whether scans are written motion-compensated"""
 
 
-class FieldsOnly:
-    """A dataclass that is pickled without its cached properties."""
+class Layout(ABC):
+    """A format on disk: it defines the sensors and their times, and writes what they measure.
+
+    Subclasses are dataclasses; they are pickled without their cached properties.
+    """
+
+    root: Path
+    chosen: tuple[str, ...]
+    """cameras to record"""
+    format: ClassVar[str]
+    known_cameras: ClassVar[Collection[str]]
+
+    def __post_init__(self) -> None:
+        for name in self.chosen:
+            if name not in self.known_cameras:
+                raise ConfigError(f"no {self.format} camera '{name}'{available(name, self.known_cameras)}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
 
-
-class Layout(Protocol):
-    """A format on disk: it defines the sensors and their times, and writes what they measure."""
-
     @property
+    @abstractmethod
     def name(self) -> str:
         """The drive's name."""
-        ...
 
     @property
     def folder(self) -> Path:
         """The folder of the drive's images and scans."""
-        ...
+        return self.root / self.name
 
     @property
+    @abstractmethod
     def cameras(self) -> Mapping[str, CameraMount]: ...
 
     @property
+    @abstractmethod
     def lidars(self) -> Mapping[str, LidarMount]: ...
 
     @property
+    @abstractmethod
     def times(self) -> Mapping[str, Times]:
         """Times of the images and scans in nanoseconds, by sensor."""
-        ...
 
     def path(self, sensor: str, index: int) -> Path:
         """The file of an image or a scan."""
-        ...
+        return self.folder / sensor / f"{self.stem(sensor, index)}.{'bin' if sensor in self.lidars else 'png'}"
+
+    def stem(self, sensor: str, index: int) -> str:
+        """The name of that file: its time in microseconds."""
+        return str(int(self.times[sensor][index]) // 1000)
 
     def is_whole(self, sensor: str, path: Path) -> bool:
         """Whether the file exists and was written to its end."""
-        ...
+        if sensor in self.lidars:
+            return path.is_file() and self.is_scan_size(path.stat().st_size)
+        return images.is_whole(path)
 
-    def write_image(self, camera: str, path: Path, rgb: Image) -> None: ...
+    @abstractmethod
+    def is_scan_size(self, size: int) -> bool:
+        """Whether a scan can have this size in bytes."""
 
+    def write_image(self, camera: str, path: Path, rgb: Image) -> None:
+        images.write_image(path, rgb)
+
+    @abstractmethod
     def write_scan(self, path: Path, points: Array, reflectance: Array, returned: Mask) -> None: ...
 
+    @abstractmethod
     def write_texts(self, trajectory: TrueTrajectory, factors: Factors, seed: int) -> dict[str, Any]:
         """Write calibration, times, odometry and other text files; returns the random errors in them, for the truth.
 
         Raises:
             DatasetError: the folder holds another calibration.
         """
-        ...

@@ -22,9 +22,9 @@ from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
 from relocbench.datasets.synthetic.layouts import robotcar_odometry
-from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
+from relocbench.datasets.synthetic.layouts.recorded import CameraMount, Layout, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
-from relocbench.errors import ConfigError, DatasetError, available
+from relocbench.errors import DatasetError
 from relocbench.files import plain_file, write_bytes, write_text
 from relocbench.geometry import Camera, invert, make_transform
 
@@ -85,7 +85,7 @@ _SCAN_BYTES = 541 * 3 * 8
 
 
 @dataclass(frozen=True)
-class RobotCarLayout(FieldsOnly):
+class RobotCarLayout(Layout):
     """One traversal."""
 
     root: Path
@@ -97,19 +97,12 @@ class RobotCarLayout(FieldsOnly):
     """image size relative to the real cameras"""
     chosen: tuple[str, ...] = CAMERAS
     """cameras to record"""
-
-    def __post_init__(self) -> None:
-        for name in self.chosen:
-            if name not in CAMERAS:
-                raise ConfigError(f"no RobotCar camera '{name}'{available(name, CAMERAS)}")
+    format = "RobotCar"
+    known_cameras = CAMERAS
 
     @property
     def name(self) -> str:
         return datetime.fromtimestamp(self.start_us // 1_000_000, UTC).strftime("%Y-%m-%d-%H-%M-%S")
-
-    @property
-    def folder(self) -> Path:
-        return self.root / self.name
 
     @cached_property
     def cameras(self) -> Mapping[str, CameraMount]:
@@ -148,14 +141,8 @@ class RobotCarLayout(FieldsOnly):
         focal, cx, cy = lens.intrinsics
         return Camera("pinhole", *lens.size, focal, focal, cx, cy).scaled(self.scale)
 
-    def path(self, sensor: str, index: int) -> Path:
-        suffix = "bin" if sensor in self.lidars else "png"
-        return self.folder / sensor / f"{int(self.times[sensor][index]) // 1000}.{suffix}"
-
-    def is_whole(self, sensor: str, path: Path) -> bool:
-        if sensor in self.lidars:
-            return path.is_file() and path.stat().st_size == _SCAN_BYTES
-        return images.is_whole(path)
+    def is_scan_size(self, size: int) -> bool:
+        return size == _SCAN_BYTES
 
     def write_image(self, camera: str, path: Path, rgb: Image) -> None:
         images.write_image(path, mosaic(rgb, LENSES[self.model_of(camera)].pattern))

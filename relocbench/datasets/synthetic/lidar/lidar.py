@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Bytes, Mask, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.echo import clutter, extinction, signal, surface_reflectance
+from relocbench.datasets.synthetic.renderer.raycast import Scene
 from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert
@@ -48,32 +48,22 @@ class RayHits:
     """(N, 3) unit normal of the surface; 0 without a hit"""
 
 
-class LidarScene:
-    """Casts rays against a mesh, in a single thread so that N workers use N cores."""
+class LidarScene(Scene):
+    """A scene that tells the surfaces that rays hit."""
 
     def __init__(self, mesh: Mesh) -> None:
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._empty = len(mesh) == 0
-        if not self._empty:
-            self._scene.add_triangles(
-                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
-                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles, dtype=np.uint32)),
-            )
+        super().__init__(mesh)
         self._material = mesh.material
         self._instance = mesh.instance
 
     def hits(self, origins: Array, directions: Array) -> RayHits:
         """The first surface that each ray hits, from origins (N, 3) in metres along directions (N, 3)."""
         count = len(origins)
-        if self._empty or count == 0:
-            return RayHits(
-                np.full(count, np.inf),
-                np.zeros(count, np.uint8),
-                np.zeros(count, np.uint32),
-                np.zeros((count, 3)),
-            )
+        if len(self._material) == 0 or count == 0:
+            none = np.zeros(count, np.uint8), np.zeros(count, np.uint32), np.zeros((count, 3))
+            return RayHits(np.full(count, np.inf), *none)
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
-        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
+        found = self._cast(rays)
         distance = found["t_hit"].numpy().astype(np.float64)
         met = np.isfinite(distance)
         triangle = np.where(met, found["primitive_ids"].numpy(), 0)
@@ -236,17 +226,17 @@ def trace(
     """
     nearest = scene.hits(origins, directions)
     for thing in moving:
-        there = np.flatnonzero(_may_meet(thing, origins, directions, times_ns))
-        T_world_object = thing.motion(times_ns[there])
+        tried = np.flatnonzero(_may_meet(thing, origins, directions, times_ns))
+        T_world_object = thing.motion(times_ns[tried])
         present = np.isfinite(T_world_object[:, 0, 0])
-        there, T_object_world = there[present], invert(T_world_object[present])
-        if not len(there):
+        tried, T_object_world = tried[present], invert(T_world_object[present])
+        if not len(tried):
             continue
         rotation = T_object_world[:, :3, :3]
-        start = np.einsum("nij,nj->ni", rotation, origins[there]) + T_object_world[:, :3, 3]
-        found = thing.scene.hits(start, np.einsum("nij,nj->ni", rotation, directions[there]))
-        nearer = found.range < nearest.range[there]
-        rows = there[nearer]
+        start = np.einsum("nij,nj->ni", rotation, origins[tried]) + T_object_world[:, :3, 3]
+        found = thing.scene.hits(start, np.einsum("nij,nj->ni", rotation, directions[tried]))
+        nearer = found.range < nearest.range[tried]
+        rows = tried[nearer]
         nearest.range[rows] = found.range[nearer]
         nearest.material[rows] = found.material[nearer]
         nearest.instance[rows] = found.instance[nearer]

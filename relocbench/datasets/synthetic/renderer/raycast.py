@@ -20,16 +20,20 @@ class Scene:
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         if len(mesh):
             self._scene.add_triangles(
-                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices)),
-                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles)),
+                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
+                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles, dtype=np.uint32)),
             )
 
     def closest(self, rays: Floats) -> NDArray[np.uint32]:
         """Number (N,) of the first triangle that each ray (N, 6), origin and direction, hits, or NOTHING."""
         if len(rays) == 0:
             return np.zeros(0, dtype=np.uint32)
-        hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
-        return np.asarray(hit["primitive_ids"].numpy())
+        return np.asarray(self._cast(rays)["primitive_ids"].numpy())
+
+    def _cast(self, rays: Floats) -> dict[str, o3d.core.Tensor]:
+        """What rays (N, 6), one at least, hit first: ``t_hit``, ``primitive_ids``, ``primitive_normals``."""
+        hits: dict[str, o3d.core.Tensor] = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
+        return hits
 
     def occluded(self, rays: Floats, far: float = np.inf) -> Mask:
         """Whether each ray (N, 6) hits anything before ``far``, in lengths of its direction: (N,)."""
