@@ -106,117 +106,32 @@ def _named(weather: str, season: str, time: str, **factors: object) -> NamedCond
 
 
 CONDITIONS: dict[str, NamedCondition] = {
-    "Neutral": _named(
-        "partly cloudy",
-        "summer",
-        "afternoon",
-        sun_elevation_deg=48,
-        sun_azimuth_deg=255,
-        cloud_cover=0.6,
-        parked_share=0.5,
-    ),
-    "Sunny": _named("sunny", "summer", "morning", sun_elevation_deg=38, sun_azimuth_deg=120, cloud_cover=0.1),
-    "Overcast": _named(
-        "overcast",
-        "autumn",
-        "noon",
-        cloud_cover=1.0,
-        sun_elevation_deg=30,
-        leaf_colour=0.75,
-        foliage=0.8,
-        parked_seed=1,
-    ),
-    "Rain": _named(
-        "rain",
-        "autumn",
-        "afternoon",
-        cloud_cover=1.0,
-        sun_elevation_deg=22,
-        sun_azimuth_deg=230,
-        rain_mm_h=8.0,
-        lens_drops=0.3,
-        wetness=1.0,
-        puddles=0.7,
-        fog_density=0.003,
-        leaf_colour=0.9,
-        foliage=0.6,
-        parked_seed=2,
-        headlights=True,
-    ),
-    "Snow": _named(
-        "snow",
-        "winter",
-        "noon",
-        cloud_cover=0.9,
-        sun_elevation_deg=18,
-        sun_azimuth_deg=180,
-        snow_cover=0.85,
-        snowfall_mm_h=1.5,
-        foliage=0.0,
-        fog_density=0.002,
-        parked_seed=3,
-    ),
-    "Night": _named(
-        "clear",
-        "summer",
-        "night",
-        sun_elevation_deg=-20,
-        sun_azimuth_deg=330,
-        street_lamps=True,
-        headlights=True,
-        parked_seed=4,
-        parked_share=0.8,
-        read_noise=2.0,
-    ),
-    "Fog": _named(
-        "fog",
-        "autumn",
-        "morning",
-        cloud_cover=1.0,
-        sun_elevation_deg=15,
-        sun_azimuth_deg=110,
-        fog_density=0.03,
-        leaf_colour=0.8,
-        foliage=0.7,
-        wetness=0.4,
-        parked_seed=5,
-    ),
-    "WetNoon": _named(
-        "wet",
-        "summer",
-        "noon",
-        sun_elevation_deg=75,
-        sun_azimuth_deg=180,
-        cloud_cover=0.3,
-        wetness=0.9,
-        puddles=0.6,
-        parked_seed=6,
-    ),
-    "SoftRainNoon": _named(
-        "soft rain",
-        "summer",
-        "noon",
-        sun_elevation_deg=75,
-        sun_azimuth_deg=180,
-        cloud_cover=0.76,
-        rain_mm_h=2.0,
-        wetness=0.8,
-        puddles=0.4,
-        lens_drops=0.15,
-        parked_seed=7,
-    ),
-    "WetCloudySunset": _named(
-        "wet, cloudy",
-        "summer",
-        "sunset",
-        sun_elevation_deg=7,
-        sun_azimuth_deg=285,
-        cloud_cover=0.6,
-        wetness=0.9,
-        puddles=0.5,
-        parked_seed=8,
-    ),
-}
+    "Neutral": _named("partly cloudy", "summer", "afternoon",
+        sun_elevation_deg=48, sun_azimuth_deg=255, cloud_cover=0.6, parked_share=0.5),
+    "Sunny": _named("sunny", "summer", "morning",
+        sun_elevation_deg=38, sun_azimuth_deg=120, cloud_cover=0.1),
+    "Overcast": _named("overcast", "autumn", "noon",
+        cloud_cover=1.0, sun_elevation_deg=30, leaf_colour=0.75, foliage=0.8, parked_seed=1),
+    "Rain": _named("rain", "autumn", "afternoon",
+        cloud_cover=1.0, sun_elevation_deg=22, sun_azimuth_deg=230, rain_mm_h=8.0, lens_drops=0.3, wetness=1.0,
+        puddles=0.7, fog_density=0.003, leaf_colour=0.9, foliage=0.6, parked_seed=2, headlights=True),
+    "Snow": _named("snow", "winter", "noon",
+        cloud_cover=0.9, sun_elevation_deg=18, sun_azimuth_deg=180, snow_cover=0.85, snowfall_mm_h=1.5, foliage=0.0,
+        fog_density=0.002, parked_seed=3),
+    "Night": _named("clear", "summer", "night",
+        sun_elevation_deg=-20, sun_azimuth_deg=330, street_lamps=True, headlights=True, parked_seed=4,
+        parked_share=0.8, read_noise=2.0),
+    "Fog": _named("fog", "autumn", "morning",
+        cloud_cover=1.0, sun_elevation_deg=15, sun_azimuth_deg=110, fog_density=0.03, leaf_colour=0.8, foliage=0.7,
+        wetness=0.4, parked_seed=5),
+    "WetNoon": _named("wet", "summer", "noon",
+        sun_elevation_deg=75, sun_azimuth_deg=180, cloud_cover=0.3, wetness=0.9, puddles=0.6, parked_seed=6),
+    "SoftRainNoon": _named("soft rain", "summer", "noon",
+        sun_elevation_deg=75, sun_azimuth_deg=180, cloud_cover=0.76, rain_mm_h=2.0, wetness=0.8, puddles=0.4,
+        lens_drops=0.15, parked_seed=7),
+    "WetCloudySunset": _named("wet, cloudy", "summer", "sunset",
+        sun_elevation_deg=7, sun_azimuth_deg=285, cloud_cover=0.6, wetness=0.9, puddles=0.5, parked_seed=8),
+}  # fmt: skip
 """The last three are those of the GN-Net benchmark, modelled on CARLA 0.8.2's presets of these names."""
 
 
@@ -265,13 +180,13 @@ SWEEPS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
 begin with ``imaging.``."""
 
 
-def sweep(name: str, steps: int, base: Factors | None = None) -> Sequence[Factors]:
-    """``steps`` conditions that differ only in one swept factor. Raises ConfigError on an unknown name."""
+def sweep(name: str, steps: int) -> Sequence[Factors]:
+    """``steps`` conditions that differ from ``Sunny`` in one swept factor. Raises ConfigError on an unknown name."""
     if name not in SWEEPS:
         raise ConfigError(f"no sweep '{name}'{available(name, SWEEPS)}")
     if steps < 2:
         raise ConfigError(f"a sweep needs at least 2 steps, got {steps}")
-    base = base if base is not None else CONDITIONS["Sunny"].factors
+    base = CONDITIONS["Sunny"].factors
     start, end = SWEEPS[name]
     fractions = [i / (steps - 1) for i in range(steps)]
     return [changed(base, {key: (1 - f) * start[key] + f * end[key] for key in start}) for f in fractions]

@@ -27,32 +27,18 @@ SPLITS = ("train", "validation", "test")
 PRESETS: dict[str, dict[str, Any]] = {
     "smoke": {
         "conditions": ("Neutral", "WetNoon"),
-        "cameras": "front",
-        "size": "96x96",
-        "steps": 4,
-        "extent": 190.0,
-        "correspondences": 200,
+        "cameras": "front", "size": "96x96", "steps": 4, "extent": 190.0, "correspondences": 200,
     },
     "demo": {},
     "carla": {
         "conditions": ("WetNoon", "SoftRainNoon", "WetCloudySunset"),
-        "cameras": "six",
-        "size": "512x512",
-        "steps": 500,
-        "traversals": 3,
-        "split": "all",
-        "correspondences": 2000,
+        "cameras": "six", "size": "512x512", "steps": 500, "traversals": 3, "split": "all", "correspondences": 2000,
     },
     "oxford": {
         "conditions": ("Sunny", "Overcast", "Rain", "Snow"),
-        "cameras": "stereo",
-        "size": "640x480",
-        "steps": 200,
-        "split": "all",
-        "distance": 0.84,
-        "correspondences": 2000,
+        "cameras": "stereo", "size": "640x480", "steps": 200, "split": "all", "distance": 0.84, "correspondences": 2000,
     },
-}
+}  # fmt: skip
 """Options that each preset changes; the options' defaults are those of ``demo``.
 
 ``carla`` has the size of the GN-Net benchmark's synthetic half: 3 conditions x 3 traversals x 3 splits, 500 steps,
