@@ -28,7 +28,7 @@ from relocbench.files.numbers import (
     whole_number,
 )
 from relocbench.files.plain import plain_file, read_bytes
-from relocbench.files.tables import CHUNK_ROWS, read_csv, read_table, read_table_chunks, write_table
+from relocbench.files.tables import CHUNK_ROWS, read_csv, read_table, read_table_chunks, values_by_time, write_table
 from relocbench.files.text import lines_of, read_rows, read_text
 from relocbench.files.writing import (
     atomic_write,
@@ -95,6 +95,7 @@ __all__ = [
     "remove_parts",
     "seconds_to_ns",
     "sha256_file",
+    "values_by_time",
     "whole_number",
     "write_bytes",
     "write_table",

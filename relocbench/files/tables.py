@@ -5,13 +5,17 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from relocbench.errors import RelocbenchError
+from relocbench.files.numbers import parse_timestamp
 from relocbench.files.text import read_text
 from relocbench.files.writing import atomic_write
+
+Value = TypeVar("Value")
 
 CHUNK_ROWS = 8192
 """rows that are read at a time: their text takes some 10 MB, however long the table is"""
@@ -62,6 +66,35 @@ def read_table_chunks(
             raise error(f"expected {len(columns)} columns, found {len(rows[odd])}", path, lines[odd])
     if not headed:
         raise error(f"expected the header {header}", path, 1)
+
+
+def values_by_time(
+    rows: Iterable[tuple[int, list[str]]],
+    path: Path,
+    parse: Callable[[list[str], int], Value],
+    error: type[RelocbenchError] = RelocbenchError,
+    each: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> dict[int, Value]:
+    """The values of rows that begin with a time in nanoseconds; times must increase.
+
+    Args:
+        rows: line and fields of each.
+        parse: makes a value of the fields after the time, and the line.
+        each: entered for every row; a row whose error it catches is left out.
+
+    Raises:
+        RelocbenchError: (as ``error``) with file and line; or what ``parse`` raises.
+    """
+    values: dict[int, Value] = {}
+    last: int | None = None
+    for line, row in rows:
+        with each():
+            time = parse_timestamp(row[0] if row else "", path, line, error)
+            if last is not None and time <= last:
+                raise error(f"timestamp {time} does not come after {last}", path, line)
+            last = time
+            values[time] = parse(row[1:], line)
+    return values
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:

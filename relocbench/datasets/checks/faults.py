@@ -11,8 +11,16 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from relocbench.arrays import Array
-from relocbench.datasets.core.intrinsics import INTRINSICS_COLUMNS, intrinsics_row
-from relocbench.datasets.core.pairfile import AXIS_COLUMNS, TABLE_COLUMNS, PairKey, PoseLine, parse_pose, table_columns
+from relocbench.datasets.core.intrinsics import INTRINSICS_COLUMNS, parse_intrinsics
+from relocbench.datasets.core.pairfile import (
+    AXIS_COLUMNS,
+    POSE_LINE,
+    TABLE_COLUMNS,
+    PairKey,
+    PoseLine,
+    parse_pose,
+    table_columns,
+)
 from relocbench.datasets.core.traversal import POSE_COLUMNS
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.files import (
@@ -22,6 +30,7 @@ from relocbench.files import (
     parse_timestamp,
     read_csv,
     read_rows,
+    values_by_time,
     yaml_line,
 )
 from relocbench.geometry import Camera
@@ -29,7 +38,6 @@ from relocbench.geometry import Camera
 Model = TypeVar("Model", bound=BaseModel)
 
 _PAIR_NUMBERS = ("distance_m", "angle_deg", "overlap", "sigma_translation_m", "sigma_rotation_deg")
-_POSE_FILE = "a relocalization file (ref_ts query_ts [tx ty tz qx qy qz qw])"
 _POINT_COLUMNS = ("u", "v", "inverse_depth", "sigma")
 
 
@@ -111,30 +119,16 @@ def read_yaml(path: Path, model: type[Model], what: str, findings: Findings) -> 
 
 def read_pose_table(path: Path, findings: Findings) -> dict[int, Array]:
     """The valid rows of ``poses.csv``: timestamp_ns -> (4, 4) ``T_world_rig``."""
-    poses: dict[int, Array] = {}
-    last: int | None = None
-    for number, row in _table(path, POSE_COLUMNS, "poses", findings):
-        with findings.catching():
-            time = parse_timestamp(row[0] if row else "", path, number, DatasetError)
-            if last is not None and time <= last:
-                raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
-            last = time
-            poses[time] = parse_pose(row[1:], path, number)
-    return poses
+    rows = _table(path, POSE_COLUMNS, "poses", findings)
+    return values_by_time(rows, path, lambda row, line: parse_pose(row, path, line), DatasetError, findings.catching)
 
 
 def read_intrinsics_table(path: Path, findings: Findings) -> dict[int, Camera]:
     """The valid rows of ``intrinsics/CAMERA.csv``: timestamp_ns -> camera."""
-    cameras: dict[int, Camera] = {}
-    last: int | None = None
-    for number, row in _table(path, INTRINSICS_COLUMNS, "intrinsics", findings):
-        with findings.catching():
-            time, camera = intrinsics_row(row, path, number)
-            if last is not None and time <= last:
-                raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
-            last = time
-            cameras[time] = camera
-    return cameras
+    rows = _table(path, INTRINSICS_COLUMNS, "intrinsics", findings)
+    return values_by_time(
+        rows, path, lambda row, line: parse_intrinsics(row, path, line), DatasetError, findings.catching
+    )
 
 
 def read_pair_lines(
@@ -146,7 +140,7 @@ def read_pair_lines(
     """
     lines: dict[PairKey, PoseLine] = {}
     with findings.catching():
-        for number, fields in read_rows(path, _POSE_FILE, error):
+        for number, fields in read_rows(path, f"a relocalization file ({POSE_LINE})", error):
             with findings.catching():
                 _read_pair_line(fields, path, number, lines, findings, error)
     return lines
@@ -160,18 +154,15 @@ def _read_pair_line(
     findings: Findings,
     error: type[RelocbenchError],
 ) -> None:
+    wanted = error(f"expected 2 or 9 columns ({POSE_LINE}), found {len(fields)}", path, number)
     if len(fields) < 2:
-        raise error(
-            f"expected 2 or 9 columns (ref_ts query_ts [tx ty tz qx qy qz qw]), found {len(fields)}", path, number
-        )
+        raise wanted
     key = parse_timestamp(fields[0], path, number, error), parse_timestamp(fields[1], path, number, error)
     if key in lines:
         raise error(f"pair {key[0]} {key[1]} occurs again (first on line {lines[key].line})", path, number)
     lines[key] = PoseLine(*key, None, number)
     if len(fields) not in (2, 9):
-        raise error(
-            f"expected 2 or 9 columns (ref_ts query_ts [tx ty tz qx qy qz qw]), found {len(fields)}", path, number
-        )
+        raise wanted
     if len(fields) == 9:
         lines[key] = PoseLine(*key, parse_pose(fields[2:], path, number, error), number)
 

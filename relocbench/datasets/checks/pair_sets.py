@@ -70,11 +70,7 @@ def check_pair_sets(
 
 
 def _check_table(
-    layout: DatasetLayout,
-    name: str,
-    lines: dict[PairKey, PoseLine],
-    rows: dict[PairKey, TableRow],
-    findings: Findings,
+    layout: DatasetLayout, name: str, lines: dict[PairKey, PoseLine], rows: dict[PairKey, TableRow], findings: Findings
 ) -> None:
     """Check that the pair file and its table agree."""
     pair_file, table = layout.pair_file(name), layout.pair_table(name)
@@ -109,16 +105,20 @@ def _check_negative_pairs(
     """Check that the dataset may have pairs of different places, and that they are not told where truth is withheld."""
     table = layout.pair_table(name)
     elsewhere = [row for row in rows.values() if row.group == ELSEWHERE]
-    if elsewhere and version is not None and version < ELSEWHERE_VERSION:
-        findings.fault(
-            f"the group '{ELSEWHERE}' is that of negative pairs, which format_version {ELSEWHERE_VERSION} "
-            f"has; this dataset's is {version}",
-            table,
-            elsewhere[0].line,
-        )
+    if elsewhere:
+        what = f"the group '{ELSEWHERE}' is that of negative pairs"
+        check_version(version, ELSEWHERE_VERSION, what, findings, table, elsewhere[0].line)
     for row in elsewhere:
         if (line := lines.get(row.key)) is not None and line.T_query_ref is None:
             findings.fault("the truth is withheld, but the group says that it is a negative pair", table, row.line)
+
+
+def check_version(
+    version: int | None, needed: int, what: str, findings: Findings, path: Path, line: int | None = None
+) -> None:
+    """Check that a dataset's ``format_version``, if it is known, may have what the file holds."""
+    if version is not None and version < needed:
+        findings.fault(f"{what}, which format_version {needed} has; this dataset's is {version}", path, line)
 
 
 def _check_frames(

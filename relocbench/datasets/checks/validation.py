@@ -9,14 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from relocbench.datasets.checks.faults import (
-    Findings,
-    check_points,
-    read_intrinsics_table,
-    read_pose_table,
-    read_yaml,
-)
-from relocbench.datasets.checks.pair_sets import CheckedTraversal, check_pair_sets
+from relocbench.datasets.checks.faults import Findings, check_points, read_intrinsics_table, read_pose_table, read_yaml
+from relocbench.datasets.checks.pair_sets import CheckedTraversal, check_pair_sets, check_version
 from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
 from relocbench.datasets.core.names import read_names
@@ -52,8 +46,7 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
             digests = {name: digest for name, (_, digest) in fingerprint.read_manifest(layout).items()}
     drives = _check_traversals(layout, findings)
     version = None if file is None else file.format_version
-    _check_intrinsics_version(drives, version, findings)
-    _check_poses_version(drives, version, findings)
+    _check_versions(drives, version, findings)
     _check_content(layout, drives, digests, findings, reporter, quick)
     pair_sets = check_pair_sets(layout, drives, findings, reporter, version)
     _check_correspondences(layout, pair_sets, digests, findings, reporter, quick)
@@ -85,27 +78,15 @@ def _check_traversals(layout: DatasetLayout, findings: Findings) -> dict[str, Ch
     return drives
 
 
-def _check_intrinsics_version(drives: dict[str, CheckedTraversal], version: int | None, findings: Findings) -> None:
-    """Programs that know only earlier formats would take the camera of ``traversal.yaml`` for every image."""
+def _check_versions(drives: dict[str, CheckedTraversal], version: int | None, findings: Findings) -> None:
+    """Programs that know only earlier formats would take one camera for every image, or look for images of frames."""
     for drive in drives.values():
         for camera in drive.intrinsics:
-            if version is not None and version < INTRINSICS_VERSION:
-                findings.fault(
-                    f"images have intrinsics of their own, which format_version {INTRINSICS_VERSION} has; "
-                    f"this dataset's is {version}",
-                    drive.layout.intrinsics(camera),
-                )
-
-
-def _check_poses_version(drives: dict[str, CheckedTraversal], version: int | None, findings: Findings) -> None:
-    """Programs that know only earlier formats would look for images of frames."""
-    for drive in drives.values():
-        if version is not None and version < POSES_VERSION and drive.file is not None and drive.file.frames:
-            findings.fault(
-                f"has frames without images ({', '.join(drive.file.frames)}), which format_version {POSES_VERSION} "
-                f"has; this dataset's is {version}",
-                drive.layout.traversal_yaml,
-            )
+            what, table = "images have intrinsics of their own", drive.layout.intrinsics(camera)
+            check_version(version, INTRINSICS_VERSION, what, findings, table)
+        if drive.file is not None and drive.file.frames:
+            what = f"has frames without images ({', '.join(drive.file.frames)})"
+            check_version(version, POSES_VERSION, what, findings, drive.layout.traversal_yaml)
 
 
 def _check_content(

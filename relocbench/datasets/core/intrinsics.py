@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, parse_timestamp, read_table, whole_number, write_table
+from relocbench.files import parse_floats, read_table, values_by_time, whole_number, write_table
 from relocbench.geometry import Camera
 
 INTRINSICS_COLUMNS = ("timestamp_ns", "width", "height", "fx", "fy", "cx", "cy")
@@ -25,29 +25,21 @@ def read_intrinsics(path: Path) -> dict[int, Camera]:
     """
     if not path.exists() and not path.is_symlink():
         return {}
-    cameras: dict[int, Camera] = {}
-    last: int | None = None
-    for number, row in read_table(path, INTRINSICS_COLUMNS, "intrinsics", DatasetError):
-        time, camera = intrinsics_row(row, path, number)
-        if last is not None and time <= last:
-            raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
-        last = time
-        cameras[time] = camera
-    return cameras
+    rows = read_table(path, INTRINSICS_COLUMNS, "intrinsics", DatasetError)
+    return values_by_time(rows, path, lambda row, line: parse_intrinsics(row, path, line), DatasetError)
 
 
-def intrinsics_row(row: list[str], path: Path, line: int) -> tuple[int, Camera]:
-    """Time and camera of a row's fields. Raises DatasetError with file and line."""
-    if len(row) != len(INTRINSICS_COLUMNS):
-        raise DatasetError(f"expected {len(INTRINSICS_COLUMNS)} columns, found {len(row)}", path, line)
-    time = parse_timestamp(row[0], path, line, DatasetError)
-    width, height = (whole_number(field) for field in row[1:3])
+def parse_intrinsics(fields: list[str], path: Path, line: int) -> Camera:
+    """The camera of a row's fields after the time. Raises DatasetError with file and line."""
+    if len(fields) != len(INTRINSICS_COLUMNS) - 1:
+        raise DatasetError(f"expected {len(INTRINSICS_COLUMNS)} columns, found {len(fields) + 1}", path, line)
+    width, height = (whole_number(field) for field in fields[:2])
     if width is None or height is None or min(width, height) < 1:
-        raise DatasetError(f"expected positive whole numbers width,height, not {','.join(row[1:3])}", path, line)
-    fx, fy, cx, cy = parse_floats(row[3:], path, line, " ".join(INTRINSICS_COLUMNS[3:]), DatasetError)
+        raise DatasetError(f"expected positive whole numbers width,height, not {','.join(fields[:2])}", path, line)
+    fx, fy, cx, cy = parse_floats(fields[2:], path, line, " ".join(INTRINSICS_COLUMNS[3:]), DatasetError)
     if min(fx, fy) <= 0:
         raise DatasetError("fx and fy must be positive", path, line)
-    return time, Camera("pinhole", width, height, fx, fy, cx, cy)
+    return Camera("pinhole", width, height, fx, fy, cx, cy)
 
 
 def write_intrinsics(path: Path, cameras: Mapping[int, Camera]) -> None:

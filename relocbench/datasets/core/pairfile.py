@@ -36,6 +36,8 @@ QUATERNION_TOLERANCE = 1e-3
 TRUTH_DECIMALS = 9
 """decimals of metres and quaternion components in files of true poses"""
 _POSE_COLUMNS = "tx ty tz qx qy qz qw"
+POSE_LINE = f"ref_ts query_ts [{_POSE_COLUMNS}]"
+"""the columns of a line"""
 TABLE_COLUMNS = (
     "ref_timestamp_ns",
     "query_timestamp_ns",
@@ -51,6 +53,7 @@ TABLE_COLUMNS = (
 )
 AXIS_COLUMNS = ("sigma_along_m", "sigma_across_m", "sigma_height_m")
 """further columns, present if known for any pair"""
+_NUMBERS = ("overlap", "sigma_translation_m", "sigma_rotation_deg", *AXIS_COLUMNS)
 ELSEWHERE = "elsewhere"
 """the group of pairs whose keyframe and query show different places; reserved for them"""
 
@@ -152,7 +155,7 @@ def read_pose_lines(
         RelocbenchError: (as ``error``) with file and line: a wrong number of columns, a value that is not a finite
             number, a quaternion whose norm is not 1, or a pair that occurs twice.
     """
-    rows = list(read_rows(path, "a relocalization file (ref_ts query_ts [tx ty tz qx qy qz qw])", error))
+    rows = list(read_rows(path, f"a relocalization file ({POSE_LINE})", error))
     if only is not None:
         rows = [(number, fields) for number, fields in rows if may_be_among(only, fields)]
     usual = _fast(rows)
@@ -198,8 +201,7 @@ def _one_by_one(
     poses: dict[int, list[float]] = {}
     for number, fields in rows:
         if len(fields) not in (2, 9):
-            wanted = f"expected 2 or 9 columns (ref_ts query_ts [{_POSE_COLUMNS}])"
-            raise error(f"{wanted}, found {len(fields)}", path, number)
+            raise error(f"expected 2 or 9 columns ({POSE_LINE}), found {len(fields)}", path, number)
         key = parse_timestamp(fields[0], path, number, error), parse_timestamp(fields[1], path, number, error)
         if key in keys:
             raise error(f"pair {key[0]} {key[1]} occurs again (first on line {keys[key]})", path, number)
@@ -341,15 +343,10 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
                 *key,
                 T_query_ref=lines[key].T_query_ref if accepted else None,
                 group=field["group"],
-                overlap=_optional(field["overlap"], "overlap", pair_table, number),
-                sigma_translation_m=_optional(field["sigma_translation_m"], "sigma_translation_m", pair_table, number),
-                sigma_rotation_deg=_optional(field["sigma_rotation_deg"], "sigma_rotation_deg", pair_table, number),
                 source=field["source"],
                 accepted=accepted,
                 reason=field["reason"],
-                sigma_along_m=_optional(field["sigma_along_m"], "sigma_along_m", pair_table, number),
-                sigma_across_m=_optional(field["sigma_across_m"], "sigma_across_m", pair_table, number),
-                sigma_height_m=_optional(field["sigma_height_m"], "sigma_height_m", pair_table, number),
+                **{name: _optional(field[name], name, pair_table, number) for name in _NUMBERS},
             )
         )
     for key in lines:

@@ -36,8 +36,4 @@ class RecordingFolder:
     drives: Sequence[RecordedDrive]
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "recording": str(self.root),
-            "layout": self.layout,
-            "drives": [asdict(drive) for drive in self.drives],
-        }
+        return {"recording": str(self.root), "layout": self.layout, "drives": [asdict(drive) for drive in self.drives]}

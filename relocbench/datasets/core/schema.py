@@ -125,10 +125,7 @@ class CameraEntry(Strict):
 
     @classmethod
     def of(
-        cls,
-        camera: Camera,
-        T_rig_cam: Array | None = None,
-        depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        cls, camera: Camera, T_rig_cam: Array | None = None, depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> CameraEntry:
         """The entry for a camera with (4, 4) extrinsics (default: identity) and depth noise."""
         transform = Transform.of(np.eye(4) if T_rig_cam is None else T_rig_cam)

@@ -13,7 +13,7 @@ from relocbench.datasets.core.layout import TraversalLayout
 from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
 from relocbench.errors import DatasetError, available
-from relocbench.files import load_yaml, parse_timestamp, read_table
+from relocbench.files import load_yaml, read_table, values_by_time
 from relocbench.geometry import Camera, invert
 from relocbench.tracking import KeyframePoints, Neighbour, Query, Reference
 
@@ -172,12 +172,5 @@ def read_poses(path: Path) -> dict[int, Array]:
         DatasetError: with file and line: a wrong header, a value that is not finite, a quaternion whose norm is not 1,
             or times that do not increase.
     """
-    poses: dict[int, Array] = {}
-    last: int | None = None
-    for number, row in read_table(path, POSE_COLUMNS, "poses", DatasetError):
-        time = parse_timestamp(row[0], path, number, DatasetError)
-        if last is not None and time <= last:
-            raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
-        poses[time] = pairfile.parse_pose(row[1:], path, number)
-        last = time
-    return poses
+    rows = read_table(path, POSE_COLUMNS, "poses", DatasetError)
+    return values_by_time(rows, path, lambda row, line: pairfile.parse_pose(row, path, line), DatasetError)
