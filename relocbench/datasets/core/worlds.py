@@ -10,8 +10,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.traversal import Traversal
 from relocbench.geometry import invert, rotation_angle
 
 _ALIKE_M = 0.5
@@ -37,16 +40,24 @@ def share_a_world(dataset: Dataset, pair_set: PairSet) -> bool:
     ref, query = dataset.traversal(pair_set.reference), dataset.traversal(pair_set.query)
     posed = [p for p in pair_set.pairs if p.ref_timestamp_ns in ref.poses and p.query_timestamp_ns in query.poses]
     known = [p for p in posed if p.T_query_ref is not None]
-    if not known:
-        return False
     chosen = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, min(_MOST, len(known))).astype(int))]
-    apart = []
-    for pair in chosen:
-        T_world_ref = ref.T_world_cam(pair_set.camera, pair.ref_timestamp_ns)
-        T_world_query = query.T_world_cam(pair_set.camera, pair.query_timestamp_ns)
-        assert pair.T_query_ref is not None
-        # inv(T_world_ref) T_world_query from poses, and from the truth
-        difference = pair.T_query_ref @ invert(T_world_ref) @ T_world_query
-        apart.append((float(np.linalg.norm(difference[:3, 3])), float(rotation_angle(difference[:3, :3]))))
-    metres, radians = np.median(np.array(apart), axis=0)
+    if not chosen:
+        return False
+    metres, radians = np.median(differences(pair_set.camera, chosen, ref, query), axis=0)
     return bool(metres <= _ALIKE_M and radians <= _ALIKE_RAD)
+
+
+def differences(camera: str, pairs: Iterable[Pair], reference: Traversal, query: Traversal) -> Array:
+    """Metres and radians (N, 2) by which the poses of two traversals differ from the truth of the pairs that have both.
+
+    N is the number of pairs whose truth is known and whose images have poses.
+    """
+    apart = []
+    for pair in pairs:
+        posed = pair.ref_timestamp_ns in reference.poses and pair.query_timestamp_ns in query.poses
+        if pair.T_query_ref is not None and posed:
+            T_ref_world = invert(reference.T_world_cam(camera, pair.ref_timestamp_ns))
+            # inv(T_world_ref) T_world_query from poses, and from the truth
+            difference = pair.T_query_ref @ T_ref_world @ query.T_world_cam(camera, pair.query_timestamp_ns)
+            apart.append((float(np.linalg.norm(difference[:3, 3])), float(rotation_angle(difference[:3, :3]))))
+    return np.array(apart).reshape(-1, 2)

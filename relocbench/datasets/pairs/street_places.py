@@ -22,8 +22,8 @@ from relocbench.datasets.core.images import as_rgb
 from relocbench.datasets.core.layout import TraversalLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.core.worlds import differences
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.geometry import invert
 from relocbench.metrics import Relevance, relevance_from_lists, relevance_within
 from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
 from relocbench.retrieval import ImageView, RetrievalTask
@@ -184,18 +184,12 @@ def _paired(pair_set: PairSet, keyframes: list[int], times: list[int]) -> Releva
 
 def check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal, remedy: str) -> None:
     """Raise DatasetError, with a remedy, if the pairs' poses show that two traversals are in different worlds."""
-    camera = pair_set.camera
-    off = []
-    for pair in pair_set.pairs[:: max(1, len(pair_set.pairs) // 100)]:
-        known = pair.ref_timestamp_ns in reference.poses and pair.query_timestamp_ns in query.poses
-        if pair.T_query_ref is not None and known:
-            T_world_ref = reference.T_world_cam(camera, pair.ref_timestamp_ns)
-            T_world_query = query.T_world_cam(camera, pair.query_timestamp_ns)
-            off.append(float(np.linalg.norm((T_world_ref @ invert(pair.T_query_ref))[:3, 3] - T_world_query[:3, 3])))
-    if off and np.median(off) > _ONE_WORLD_M:
+    some = pair_set.pairs[:: max(1, len(pair_set.pairs) // 100)]
+    apart_m = differences(pair_set.camera, some, reference, query)[:, 0]
+    if len(apart_m) and np.median(apart_m) > _ONE_WORLD_M:
         raise DatasetError(
-            f"the poses of {query.name} and {reference.name} differ from those of the pairs by {np.median(off):.1f} m, "
-            f"so they are not in one world; {remedy}",
+            f"the poses of {query.name} and {reference.name} differ from those of the pairs by "
+            f"{np.median(apart_m):.1f} m, so they are not in one world; {remedy}",
             pair_set.layout.pair_file(pair_set.name),
         )
 
