@@ -187,6 +187,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     Raises:
         ConfigError: sources are given, or a condition or sweep is unknown.
     """
+    from relocbench.datasets.core.build import Build
     from relocbench.datasets.core.writer import DatasetWriter
     from relocbench.datasets.importers.assembly import configuration
     from relocbench.datasets.synthetic.drives.drive import DriveStyle
@@ -228,10 +229,10 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     )
     for plan in plans:
         writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
-    render_all(plans, cameras, writer.layout, options.seed, options.extras, reporter, run)
+    job = Build(writer, options, reporter, run)
+    render_all(job, plans, cameras, options.extras)
     spread = DistanceSpread(options.distance, options.max_distance, options.max_angle)
-    sets = write_pair_sets(asked(plans, options), cameras, writer.layout, options, spread, reporter, run)
-    return writer.finish(sets)
+    return writer.finish(write_pair_sets(job, asked(plans, options), cameras, spread))
 
 
 def record(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
@@ -18,12 +19,8 @@ from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
 from relocbench.errors import DatasetError
-from relocbench.execution import Run, run_units
+from relocbench.execution import run_units
 from relocbench.geometry import Camera
-from relocbench.progress import Reporter
-
-if TYPE_CHECKING:
-    from relocbench.datasets.core.build_options import RuleOptions
 
 _WORTH_WORKERS = 600
 """pairs; fewer are finished before other processes have made their districts"""
@@ -48,13 +45,10 @@ class PairSetUnit:
 
 
 def write_pair_sets(
+    job: Build[RuleOptions],
     asked: Sequence[tuple[TraversalPlan, TraversalPlan]],
     cameras: Cameras,
-    layout: DatasetLayout,
-    options: RuleOptions,
     spread: DistanceSpread,
-    reporter: Reporter,
-    run: Run,
 ) -> Mapping[str, Sequence[str]]:
     """Write the pair sets of (reference, query) traversals for every camera, with correspondences.
 
@@ -70,27 +64,26 @@ def write_pair_sets(
     units = []
     for reference, query in asked:
         for camera in cameras:
-            unit = _unit(reference, query, camera, cameras, layout, options, spread, reporter)
+            unit = _unit(job, reference, query, camera, cameras, spread)
             splits.setdefault(reference.split, []).append(unit.name)
-            if not is_finished(layout, unit.name, unit.pairs, with_correspondences=unit.count > 0):
+            if not is_finished(unit.layout, unit.name, unit.pairs, with_correspondences=unit.count > 0):
                 units.append(unit)
-    run = run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else run.single_process()
-    with reporter.stage("pairs and their correspondences", len(units)) as advance:
+    run = job.run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else job.run.single_process()
+    with job.reporter.stage("pairs and their correspondences", len(units)) as advance:
         for _ in run_units(write_set, units, run):
             advance(1)
     return splits
 
 
 def _unit(
+    job: Build[RuleOptions],
     reference: TraversalPlan,
     query: TraversalPlan,
     camera: str,
     cameras: Cameras,
-    layout: DatasetLayout,
-    options: RuleOptions,
     spread: DistanceSpread,
-    reporter: Reporter,
 ) -> PairSetUnit:
+    options, layout = job.options, job.writer.layout
     name = pair_set_name(reference.name, query.name, camera)
     frames = reference.frames(camera, cameras), query.frames(camera, cameras)
     same = reference is query
@@ -117,7 +110,7 @@ def _unit(
             layout.root,
         )
     if len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
-        reporter.note(
+        job.reporter.note(
             f"{name}: {len(query.times) - len(pairs) + options.elsewhere} of {len(query.times)} queries are in no pair"
         )
     ordered = tuple(sorted(pairs, key=lambda p: p.key))

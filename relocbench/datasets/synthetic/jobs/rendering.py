@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Floats, Mask
 from relocbench.datasets.core import images
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
@@ -24,10 +26,9 @@ from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Frame
-from relocbench.execution import Run, chunks
+from relocbench.execution import chunks
 from relocbench.files import write_bytes
 from relocbench.geometry import Camera
-from relocbench.progress import Reporter
 
 _STEPS_A_UNIT = 8
 _WORTH_AN_ESTIMATE = 400
@@ -75,25 +76,17 @@ class RenderUnit:
         return f"{self.images} images from {first} on"
 
 
-def render_all(
-    plans: Sequence[TraversalPlan],
-    cameras: Cameras,
-    layout: DatasetLayout,
-    seed: int,
-    kinds: Sequence[str],
-    reporter: Reporter,
-    run: Run,
-) -> None:
+def render_all(job: Build[RuleOptions], plans: Sequence[TraversalPlan], cameras: Cameras, kinds: Sequence[str]) -> None:
     """Render what is missing; a long job is first timed on a few frames of each condition."""
-    steps = [(plan, missing_steps(plan, cameras, layout, seed, kinds)) for plan in plans]
+    steps = [(plan, missing_steps(plan, cameras, job.writer.layout, job.options.seed, kinds)) for plan in plans]
     units = [_unit(plan, part) for plan, missing in steps for part in chunks(missing, _STEPS_A_UNIT)]
     total = sum(unit.images for unit in units)
-    run = run if total >= _WORTH_WORKERS else run.single_process()
-    with reporter.stage("rendering", total) as advance:
+    run = job.run if total >= _WORTH_WORKERS else job.run.single_process()
+    with job.reporter.stage("rendering", total) as advance:
         if total >= _WORTH_AN_ESTIMATE:
             pilots, units = estimates.split_pilots(units, _scene)
             spent = estimates.carried_out(render_unit, pilots, advance, run)
-            reporter.note(estimate(spent, units, run.workers))
+            job.reporter.note(estimate(spent, units, run.workers))
         estimates.carried_out(render_unit, units, advance, run)
 
 
