@@ -119,14 +119,7 @@ def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path
     path = folder / f"{pair_set.name}_{pair.ref_timestamp_ns}_{pair.query_timestamp_ns}.png"
     agreement = write_pair(path, dataset, pair_set, pair, pair_set.name, seed)
     return Picture(
-        path.name,
-        pair_set.name,
-        *pair.key,
-        pair.distance_m,
-        pair.angle_deg,
-        pair.overlap,
-        pair.source,
-        agreement,
+        path.name, pair_set.name, *pair.key, pair.distance_m, pair.angle_deg, pair.overlap, pair.source, agreement
     )
 
 

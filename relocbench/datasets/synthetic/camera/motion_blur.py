@@ -56,11 +56,7 @@ def blur_along(light: Floats, path: Floats) -> Floats:
     for k in range(taps):
         at = np.float32((k + 0.5) / taps - 0.5)
         total += cv2.remap(
-            light,
-            u + at * path[..., 0],
-            v + at * path[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
+            light, u + at * path[..., 0], v + at * path[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
     return total / np.float32(taps)
 

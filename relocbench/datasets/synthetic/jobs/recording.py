@@ -64,7 +64,7 @@ class Recorded:
 
 
 LayoutName = Literal["robotcar", "kitti", "boreas"]
-LAYOUTS: tuple[LayoutName, ...] = ("robotcar", "kitti", "boreas")
+RATES_HZ: dict[str, float] = {"robotcar": 16.0, "kitti": 10.0, "boreas": 10.0}
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,7 @@ class DriveOptions:
         Raises:
             ConfigError: the layout or a camera is unknown, or the scale is out of range.
         """
-        if self.layout not in LAYOUTS:
-            raise ConfigError(f"no recording layout '{self.layout}'{available(self.layout, LAYOUTS)}")
+        _rate_hz(self.layout)
         if not 0 < self.scale <= 1:
             raise ConfigError(f"the scale of the images must be in (0, 1], got {self.scale}")
         if self.layout == "kitti":
@@ -197,12 +196,17 @@ def path_length(frames: int, layout: str, style: DriveStyle | None = None) -> fl
 
 def _steps(frames: int, layout: str) -> int:
     """Number of steps of the drive, including the time before the first and after the last image."""
-    rate = {"robotcar": 16.0, "kitti": 10.0, "boreas": 10.0}
-    if layout not in rate:
-        raise ConfigError(f"no recording layout '{layout}'{available(layout, rate)}")
+    rate_hz = _rate_hz(layout)
     if frames < 2:
         raise ConfigError(f"a recording needs at least 2 frames, got {frames}")
-    return int(np.ceil(((frames - 1) / rate[layout] + 2 * LEAD_NS / 1e9) * RATE_HZ)) + 1
+    return int(np.ceil(((frames - 1) / rate_hz + 2 * LEAD_NS / 1e9) * RATE_HZ)) + 1
+
+
+def _rate_hz(layout: str) -> float:
+    """Images of each camera (RobotCar: of the stereo lenses) in a second. Raises ConfigError on an unknown layout."""
+    if layout not in RATES_HZ:
+        raise ConfigError(f"no recording layout '{layout}'{available(layout, RATES_HZ)}")
+    return RATES_HZ[layout]
 
 
 def _drive(

@@ -115,10 +115,7 @@ class KittiLayout(Layout):
         solution = odometry.inertial(ticks, T_world_rig, odometry.InertialErrors(), rng)
         T_world_cam0 = solution.T_world_body @ T_rig_cam0
         _write_poses(self.root / "poses" / f"{self.sequence}.txt", invert(T_world_cam0[0]) @ T_world_cam0)
-        return {
-            "compensated_scans": self.compensated,
-            "ins_offset_east_north_up_m": solution.offset_m.tolist(),
-        }
+        return {"compensated_scans": self.compensated, "ins_offset_east_north_up_m": solution.offset_m.tolist()}
 
 
 def _write_poses(path: Path, T_world_cam0: Array) -> None:

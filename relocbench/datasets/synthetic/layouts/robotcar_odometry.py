@@ -28,10 +28,7 @@ _R_NED_WORLD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def vo_text(
-    times_ns: Times,
-    T_world_vehicle: Array,
-    rng: np.random.Generator,
-    errors: odometry.OdometryErrors | None = None,
+    times_ns: Times, T_world_vehicle: Array, rng: np.random.Generator, errors: odometry.OdometryErrors | None = None
 ) -> str:
     """Text of ``vo.csv``, with the steps of visual odometry.
 

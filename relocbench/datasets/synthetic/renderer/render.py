@@ -244,13 +244,7 @@ class Renderer:
         return blend_edges(light, edges, known, own, index)
 
     def _develop(
-        self,
-        image: Floats,
-        depth: Floats,
-        camera: Camera,
-        pose: Array,
-        frame_seed: int,
-        shot: Shot | None,
+        self, image: Floats, depth: Floats, camera: Camera, pose: Array, frame_seed: int, shot: Shot | None
     ) -> Image:
         """Apply the weather between scene and lens, then the camera, each with its own random stream.
 

@@ -10,16 +10,7 @@ from numpy.typing import ArrayLike
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
-from relocbench.datasets.synthetic.town.shapes import (
-    Shape,
-    boxes,
-    instances,
-    join,
-    moved,
-    quads,
-    triangle_shape,
-    tube,
-)
+from relocbench.datasets.synthetic.town.shapes import Shape, boxes, instances, join, moved, quads, triangle_shape, tube
 
 
 @dataclass(frozen=True)
@@ -106,17 +97,9 @@ def _skin(car: _Type) -> Shape:
     roof = plan - 0.03 - 0.30 * np.maximum(top - belt - 0.06, 0)
     frame = belt + 0.86 * (top - belt)
     edge = plan + (roof - plan) * 0.86
-    half = np.stack(
-        [
-            np.stack([plan * 0.96, low], axis=1),
-            np.stack([plan, low + 0.45 * (belt - low)], axis=1),
-            np.stack([plan * 0.985, belt], axis=1),
-            np.stack([edge * 0.985, frame], axis=1),
-            np.stack([roof * 0.93, top], axis=1),
-            np.stack([roof * 0.55, top + 0.02], axis=1),
-        ],
-        axis=1,
-    )
+    aside = [plan * 0.96, plan, plan * 0.985, edge * 0.985, roof * 0.93, roof * 0.55]
+    height = [low, low + 0.45 * (belt - low), belt, frame, top, top + 0.02]
+    half = np.stack([np.stack(aside, axis=1), np.stack(height, axis=1)], axis=2)
     right = half * np.array([-1, 1])
     ring = np.concatenate([right, half[:, ::-1]], axis=1)
     vertices = np.concatenate([np.broadcast_to(x[:, None, None], (*ring.shape[:2], 1)), ring], axis=2)
@@ -154,13 +137,10 @@ def _wheels(car: _Type) -> list[Shape]:
     for axle in car.axles:
         for side in (-1, 1):
             y = np.array([outer - 0.2, outer - 0.17, outer - 0.03, outer]) * side
-            tyre = tube(
-                np.stack([0 * y, y, 0 * y], 1), [radius - 0.03, radius, radius, radius - 0.03], 16, Material.RUBBER
-            )
-            rim_y = np.array([outer - 0.05, outer + 0.006, outer + 0.012]) * side
-            rim = tube(
-                np.stack([0 * rim_y, rim_y, 0 * rim_y], 1), np.array([0.66, 0.66, 0.2]) * radius, 12, Material.METAL
-            )
+            girth = [radius - 0.03, radius, radius, radius - 0.03]
+            tyre = tube(np.stack([0 * y, y, 0 * y], 1), girth, 16, Material.RUBBER)
+            y = np.array([outer - 0.05, outer + 0.006, outer + 0.012]) * side
+            rim = tube(np.stack([0 * y, y, 0 * y], 1), np.array([0.66, 0.66, 0.2]) * radius, 12, Material.METAL)
             parts += [moved(tyre, axle, 0, radius), moved(rim, axle, 0, radius)]
         parts.append(boxes([axle - 0.3, 0.2 - outer, 0.25], [axle + 0.3, outer - 0.2, 0.5], Material.RUBBER))
     return parts
@@ -184,14 +164,7 @@ def _details(car: _Type) -> list[Shape]:
     low += [(nose - 0.14, -width * 0.8, 0.3), (-nose - 0.03, -width * 0.8, 0.32)]
     high += [(nose + 0.03, width * 0.8, 0.46), (-nose + 0.14, width * 0.8, 0.5)]
     material += [Material.PLASTIC, Material.PLASTIC]
-    plate = np.array(
-        [
-            (nose + 0.034, -0.26, 0.33),
-            (nose + 0.034, 0.26, 0.33),
-            (nose + 0.034, 0.26, 0.44),
-            (nose + 0.034, -0.26, 0.44),
-        ]
-    )
+    plate = np.array([(nose + 0.034, y, z) for y, z in ((-0.26, 0.33), (0.26, 0.33), (0.26, 0.44), (-0.26, 0.44))])
     turned = plate * np.array([-1, -1, 1])
     return [boxes(low, high, material), quads(np.stack([plate, turned]), Material.METAL)]
 

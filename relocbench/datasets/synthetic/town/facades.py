@@ -153,11 +153,9 @@ def door(cell: Array, width: float, top: float, style: FrontStyle, variant: int)
     x0, x1, z0, z1 = hole[0]
     leaf_top = min(z0 + 2.1, z1 - 0.02)
     leaf = np.array([[x0, x1, z0, leaf_top]])
-    parts.append(pane(leaf, depth, Material.DOOR, np.array([variant], dtype=np.uint32)))
+    parts.append(pane(leaf, depth, Material.DOOR, variant))
     if z1 - leaf_top > 0.1:
-        parts.append(
-            pane(np.array([[x0, x1, leaf_top, z1]]), depth, Material.WINDOW, np.array([variant + 1], np.uint32))
-        )
+        parts.append(pane(np.array([[x0, x1, leaf_top, z1]]), depth, Material.WINDOW, variant + 1))
     third = (x1 - x0) / 7
     panels = [
         (a, depth - 0.025, b, a + 2 * third, depth, c)
@@ -202,19 +200,12 @@ def shop(cell: Array, style: FrontStyle, variant: int, awning: bool, door_right:
     parts.append(pane(glass, depth, Material.SHOP_WINDOW, names))
     posts = [(x - 0.04, depth - 0.08, low, x + 0.04, depth, high) for x in (*edges, a + 0.04, b - 0.04)]
     parts.append(boxes_of(posts, frame, without="back bottom", variant=variant))
-    parts.append(pane(np.array([[*entry, low, low + 0.5]]), depth, Material.DOOR, np.array([variant], np.uint32)))
-    parts.append(
-        pane(np.array([[*entry, low + 0.5, high]]), depth, Material.SHOP_WINDOW, np.array([variant + 5], np.uint32))
-    )
+    parts.append(pane(np.array([[*entry, low, low + 0.5]]), depth, Material.DOOR, variant))
+    parts.append(pane(np.array([[*entry, low + 0.5, high]]), depth, Material.SHOP_WINDOW, variant + 5))
     sign = np.array([[a - 0.15, b + 0.15, high + 0.08, high + 0.68]])
-    board = boxes(
-        [sign[0, 0], -0.14, sign[0, 2]],
-        [sign[0, 1], 0.0, sign[0, 3]],
-        Material.WOOD,
-        without="front back",
-        variant=variant,
-    )
-    parts += [board, pane(sign, -0.14, Material.SHOP_SIGN, np.array([variant], np.uint32))]
+    left, right, foot, top = sign[0]
+    board = boxes([left, -0.14, foot], [right, 0.0, top], Material.WOOD, without="front back", variant=variant)
+    parts += [board, pane(sign, -0.14, Material.SHOP_SIGN, variant)]
     if awning:
         parts.append(_awning(a, b, high + 0.05, variant))
     return parts
@@ -223,15 +214,11 @@ def shop(cell: Array, style: FrontStyle, variant: int, awning: bool, door_right:
 def _awning(x0: float, x1: float, z: float, variant: int) -> Shape:
     """A sloping cloth above the pavement with a hanging edge, visible from both sides."""
     reach, drop = 1.1, 0.55
+    low = z - drop - 0.2
     cloth = np.array(
         [
             [(x0, 0, z), (x0, -reach, z - drop), (x1, -reach, z - drop), (x1, 0, z)],
-            [
-                (x0, -reach, z - drop),
-                (x0, -reach, z - drop - 0.2),
-                (x1, -reach, z - drop - 0.2),
-                (x1, -reach, z - drop),
-            ],
+            [(x0, -reach, z - drop), (x0, -reach, low), (x1, -reach, low), (x1, -reach, z - drop)],
         ],
         dtype=float,
     )

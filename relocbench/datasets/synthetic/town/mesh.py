@@ -66,6 +66,9 @@ class Semantic(IntEnum):
     SKY = 255
 
 
+_OF_TRIANGLES = ("uv", "material", "semantic", "instance", "variant", "rank")
+
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """T triangles over V vertices."""
@@ -87,30 +90,12 @@ class Mesh:
     rank: Floats
     """(T,) in [0, 1]: a leaf is present if the foliage exceeds its rank; 0 for everything else"""
 
-    def __post_init__(self) -> None:
-        t = len(self.triangles)
-        shapes = {
-            "vertices": (len(self.vertices), 3),
-            "triangles": (t, 3),
-            "uv": (t, 3, 2),
-            **dict.fromkeys(("material", "semantic", "instance", "variant", "rank"), (t,)),
-        }
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"mesh: {name} is {getattr(self, name).shape}, expected {shape}")
-
     def __len__(self) -> int:
         return len(self.triangles)
 
     def select(self, keep: Mask) -> Mesh:
         """The mesh with the marked triangles (T,) only; all vertices remain."""
-        return Mesh(
-            self.vertices,
-            *(
-                getattr(self, n)[keep]
-                for n in ("triangles", "uv", "material", "semantic", "instance", "variant", "rank")
-            ),
-        )
+        return Mesh(self.vertices, self.triangles[keep], *(getattr(self, name)[keep] for name in _OF_TRIANGLES))
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
@@ -119,8 +104,5 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
     return Mesh(
         np.concatenate([m.vertices for m in meshes]).astype(np.float32),
         np.concatenate([m.triangles + np.uint32(o) for m, o in zip(meshes, offsets, strict=True)]).astype(np.uint32),
-        *(
-            np.concatenate([getattr(m, name) for m in meshes])
-            for name in ("uv", "material", "semantic", "instance", "variant", "rank")
-        ),
+        *(np.concatenate([getattr(m, name) for m in meshes]) for name in _OF_TRIANGLES),
     )

@@ -303,10 +303,10 @@ def frontages(nodes: Array, face: tuple[int, ...]) -> list[list[HalfEdge]]:
     corners = [i for i in range(count) if abs(turn[i]) > _STRAIGHT]
     if not corners:
         return [[(face[i], face[(i + 1) % count]) for i in range(count)]]
-    groups = []
-    for here, there in zip(corners, [*corners[1:], corners[0] + count], strict=True):
-        groups.append([(face[i % count], face[(i + 1) % count]) for i in range(here, there)])
-    return groups
+    return [
+        [(face[i % count], face[(i + 1) % count]) for i in range(first, after)]
+        for first, after in pairwise([*corners, corners[0] + count])
+    ]
 
 
 def _kerbs(rng: np.random.Generator, nodes: Array, faces: tuple[tuple[int, ...], ...]) -> dict[HalfEdge, float]:

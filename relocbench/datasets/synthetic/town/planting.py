@@ -150,9 +150,8 @@ def _scatter(planting: Planting, network: StreetNetwork, block: Block, i: int, t
             planting.add(furniture.wheeled_bin(), place + 0.6 * inward, -inward, Semantic.FURNITURE)
         elif draw < 0.44:
             for k in range(4):
-                planting.add(
-                    furniture.bollard(), place + (1.2 * k - 1.8) * d + 0.35 * inward, -inward, Semantic.FURNITURE
-                )
+                beside = place + (1.2 * k - 1.8) * d + 0.35 * inward
+                planting.add(furniture.bollard(), beside, -inward, Semantic.FURNITURE)
         else:
             continue
         taken.append(s)
@@ -163,18 +162,15 @@ def _signs(planting: Planting, network: StreetNetwork, block: Block, i: int) -> 
     rng = planting.rng
     u, _ = block.edge(i)
     origin, d, inward, start, end = _kerb_section(network, block, i)
+
+    def add_sign(s: float) -> None:
+        sign = furniture.sign(int(rng.integers(furniture.SIGN_KINDS)))
+        planting.add(sign, origin + s * d + 0.5 * inward, d, Semantic.SIGN)
+
     if network.degree(u) > 2 and rng.random() < 0.8:
-        planting.add(
-            furniture.sign(int(rng.integers(furniture.SIGN_KINDS))),
-            origin + (start - 2.0) * d + 0.5 * inward,
-            d,
-            Semantic.SIGN,
-        )
+        add_sign(start - 2.0)
     if rng.random() < 0.5 and end - start > 8:
-        s = rng.uniform(start + 3.0, end - 3.0)
-        planting.add(
-            furniture.sign(int(rng.integers(furniture.SIGN_KINDS))), origin + s * d + 0.5 * inward, d, Semantic.SIGN
-        )
+        add_sign(rng.uniform(start + 3.0, end - 3.0))
 
 
 def plant_gardens(planting: Planting, block: Block, plots: list[Plot]) -> None:

@@ -72,10 +72,9 @@ def plots_of(block: Block, rng: np.random.Generator) -> tuple[list[Plot], list[P
         row = _Row(block, i, corner_house)
         if block.sides[i].style == "periodic":
             fronts.append(row.repeat(pattern))
-            plots += row.plots
         else:
             row.fill(rng)
-            plots += row.plots
+        plots += row.plots
     return plots, fronts
 
 
@@ -101,12 +100,12 @@ class _Row:
         self.frame[:2, 0], self.frame[:2, 1] = d, inward
         self.frame[:3, 3] = *start, KERB_M
         self.plots: list[Plot] = []
-        here, following = i, (i + 1) % count
         self.mitre = [0.0, 0.0]
         self.free = [0.0, self.length]
-        for end_of_row, corner in enumerate((here, following)):
+        corners = i, (i + 1) % count
+        for end_of_row, corner in enumerate(corners):
             self._prepare_end(end_of_row, corner)
-        self._place_corners(corner_house, here, following)
+        self._place_corners(corner_house, corners)
 
     def _prepare_end(self, end: int, corner: int) -> None:
         """Mitre the row where the next one adjoins, or keep a distance from it."""
@@ -123,10 +122,10 @@ class _Row:
             lean = np.pi - turn
             self.free[end] += sign * max(0.0, DEPTH_M / float(np.tan(lean)) - 1.5) if lean < np.pi / 2 else 0.0
 
-    def _place_corners(self, corner_house: list[House], here: int, there: int) -> None:
+    def _place_corners(self, corner_house: list[House], corners: tuple[int, int]) -> None:
         """Place a house at each mitred corner, whose other half is at the end of the adjoining row."""
         wanted = [0.0, 0.0]
-        for end, corner in enumerate((here, there)):
+        for end, corner in enumerate(corners):
             if self.mitre[end] and abs(self.block.turns[corner]) > _CORNER:
                 wanted[end] = max(9.0, abs(self.mitre[end]) * (self.block.turns[corner] > 0) + 3.5)
         room = self.free[1] - self.free[0]
@@ -134,10 +133,10 @@ class _Row:
             loss = (sum(wanted) - room) / 2
             wanted = [w - loss if all(wanted) else min(w, room) for w in wanted]
         if wanted[0]:
-            self._add(corner_house[here], self.free[0], wanted[0], here)
+            self._add(corner_house[corners[0]], self.free[0], wanted[0], corners[0])
             self.free[0] += wanted[0]
         if wanted[1]:
-            self._add(corner_house[there], self.free[1] - wanted[1], wanted[1], there)
+            self._add(corner_house[corners[1]], self.free[1] - wanted[1], wanted[1], corners[1])
             self.free[1] -= wanted[1]
 
     def _add(self, house: House, x: float, width: float, corner: int = -1) -> None:

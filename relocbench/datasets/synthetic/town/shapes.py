@@ -93,11 +93,7 @@ def triangle_shape(
 
 
 def quads(
-    points: ArrayLike,
-    material: ArrayLike,
-    uv: Array | None = None,
-    variant: ArrayLike = 0,
-    rank: ArrayLike = 0.0,
+    points: ArrayLike, material: ArrayLike, uv: Array | None = None, variant: ArrayLike = 0, rank: ArrayLike = 0.0
 ) -> Shape:
     """A shape of quadrilaterals (..., 4, 3), two triangles each; ``uv`` is (Q, 4, 2), the rest broadcast to (Q,)."""
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 4, 3)

@@ -8,13 +8,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
-from relocbench.datasets.synthetic.town.network import (
-    LANE_M,
-    PARKING_M,
-    HalfEdge,
-    StreetNetwork,
-    frontages,
-)
+from relocbench.datasets.synthetic.town.network import LANE_M, PARKING_M, HalfEdge, StreetNetwork, frontages
 from relocbench.datasets.synthetic.town.polylines import (
     arc_at,
     arc_lengths,

@@ -10,6 +10,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.network import StreetNetwork, make_network
@@ -25,7 +26,6 @@ from relocbench.datasets.synthetic.town.shapes import poses
 from relocbench.datasets.synthetic.town.streets import Block, bays_of, ground, make_blocks, periodic_street
 from relocbench.errors import ConfigError, available
 
-SPLITS = ("train", "validation", "test")
 SMALLEST_M = 180.0
 _SEEDS_OF_CARS = 2**20
 
@@ -35,7 +35,7 @@ class Periodic:
     """The street with repeating facades, along which places a whole number of periods apart look alike."""
 
     street: int
-    """id in the network; :meth:`Path.on_street` gives the sections where a drive follows it"""
+    """id in the network; :attr:`Path.streets` has the sections where a drive follows it"""
     fronts: tuple[PeriodicFront, ...]
     """the rows of houses on its two sides"""
 
