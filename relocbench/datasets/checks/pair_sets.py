@@ -57,60 +57,17 @@ def check_pair_sets(
     out = {}
     with reporter.stage("checking pairs", len(names)) as advance:
         for name in names:
-            lines = read_pair_lines(layout.pair_file(name), findings)
-            rows: dict[PairKey, TableRow] = {}
-            if layout.pair_table(name).exists():
-                rows = read_pair_table(layout.pair_table(name), findings)
-                _check_table(layout, name, lines, rows, findings)
-                _check_negative_pairs(layout, name, lines, rows, version, findings)
-            _check_frames(layout, name, lines, rows, drives, findings)
+            pair_file, table = layout.pair_file(name), layout.pair_table(name)
+            lines = read_pair_lines(pair_file, findings)
+            rows = read_pair_table(table, findings) if table.exists() else {}
+            check = _PairSetCheck(name, pair_file, table, lines, rows, findings)
+            if table.exists():
+                check.table_agrees()
+                check.negative_pairs(version)
+            check.frames(layout, drives)
             out[name] = lines
             advance(1)
     return out
-
-
-def _check_table(
-    layout: DatasetLayout, name: str, lines: dict[PairKey, PoseLine], rows: dict[PairKey, TableRow], findings: Findings
-) -> None:
-    """Check that the pair file and its table agree."""
-    pair_file, table = layout.pair_file(name), layout.pair_table(name)
-    for key, row in rows.items():
-        line = lines.get(key)
-        if row.accepted != (line is not None):
-            where = "is missing from" if row.accepted else "was rejected but is listed in"
-            findings.fault(f"pair {key[0]} {key[1]} {where} {pair_file.name}", table, row.line)
-        elif line is not None and line.T_query_ref is not None:
-            values = {
-                "distance_m": (row.distance_m, float(np.linalg.norm(line.T_query_ref[:3, 3]))),
-                "angle_deg": (row.angle_deg, float(np.degrees(rotation_angle(line.T_query_ref[:3, :3])))),
-            }
-            for column, (stated, posed) in values.items():
-                if stated is not None and abs(stated - posed) > _TABLE_TOLERANCE * max(1.0, posed):
-                    findings.fault(
-                        f"{column} is {stated:.6g}, but {posed:.6g} by the pose in {pair_file.name}", table, row.line
-                    )
-    for key, line in lines.items():
-        if key not in rows:
-            findings.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", pair_file, line.line)
-
-
-def _check_negative_pairs(
-    layout: DatasetLayout,
-    name: str,
-    lines: dict[PairKey, PoseLine],
-    rows: dict[PairKey, TableRow],
-    version: int | None,
-    findings: Findings,
-) -> None:
-    """Check that the dataset may have pairs of different places, and that they are not told where truth is withheld."""
-    table = layout.pair_table(name)
-    elsewhere = [row for row in rows.values() if row.group == ELSEWHERE]
-    if elsewhere:
-        what = f"the group '{ELSEWHERE}' is that of negative pairs"
-        check_version(version, ELSEWHERE_VERSION, what, findings, table, elsewhere[0].line)
-    for row in elsewhere:
-        if (line := lines.get(row.key)) is not None and line.T_query_ref is None:
-            findings.fault("the truth is withheld, but the group says that it is a negative pair", table, row.line)
 
 
 def check_version(
@@ -121,130 +78,140 @@ def check_version(
         findings.fault(f"{what}, which format_version {needed} has; this dataset's is {version}", path, line)
 
 
-def _check_frames(
-    layout: DatasetLayout,
-    name: str,
-    lines: dict[PairKey, PoseLine],
-    rows: dict[PairKey, TableRow],
-    drives: dict[str, CheckedTraversal],
-    findings: Findings,
-) -> None:
-    """Check that the pairs' images and depth exist, or their poses, and that these agree with the traversals'."""
-    path = layout.pair_file(name)
-    parts = name.split("__")
-    if len(parts) != 3:
-        findings.fault("expected a pair file named REF__QUERY__CAM.txt", path)
-        return
-    unknown = [part for part in parts[:2] if part not in drives]
-    if unknown:
-        findings.fault(f"no traversal '{unknown[0]}'{available(unknown[0], drives)}", path)
-        return
-    reference, query, camera = drives[parts[0]], drives[parts[1]], parts[2]
-    for drive in (reference, query):
-        if drive.file is not None and camera not in {**drive.file.cameras, **drive.file.frames}:
-            findings.fault(f"traversal '{drive.layout.root.name}' has no camera '{camera}'", path)
+@dataclass(frozen=True, eq=False)
+class _PairSetCheck:
+    """One pair set: what was read of it, and where its faults go."""
+
+    name: str
+    path: Path
+    """the pair file"""
+    table: Path
+    lines: dict[PairKey, PoseLine]
+    rows: dict[PairKey, TableRow]
+    """of the table"""
+    findings: Findings
+
+    def table_agrees(self) -> None:
+        """Check that the pair file and its table agree."""
+        for key, row in self.rows.items():
+            line = self.lines.get(key)
+            if row.accepted != (line is not None):
+                where = "is missing from" if row.accepted else "was rejected but is listed in"
+                self.findings.fault(f"pair {key[0]} {key[1]} {where} {self.path.name}", self.table, row.line)
+            elif line is not None and line.T_query_ref is not None:
+                values = {
+                    "distance_m": (row.distance_m, float(np.linalg.norm(line.T_query_ref[:3, 3]))),
+                    "angle_deg": (row.angle_deg, float(np.degrees(rotation_angle(line.T_query_ref[:3, :3])))),
+                }
+                for column, (stated, posed) in values.items():
+                    if stated is not None and abs(stated - posed) > _TABLE_TOLERANCE * max(1.0, posed):
+                        what = f"{column} is {stated:.6g}, but {posed:.6g} by the pose in {self.path.name}"
+                        self.findings.fault(what, self.table, row.line)
+        for key, line in self.lines.items():
+            if key not in self.rows:
+                self.findings.fault(f"pair {key[0]} {key[1]} is missing from {self.table.name}", self.path, line.line)
+
+    def negative_pairs(self, version: int | None) -> None:
+        """Check that the dataset may have pairs of different places, and hides them where truth is withheld."""
+        negative = [row for row in self.rows.values() if row.group == ELSEWHERE]
+        if negative:
+            what = f"the group '{ELSEWHERE}' is that of negative pairs"
+            check_version(version, ELSEWHERE_VERSION, what, self.findings, self.table, negative[0].line)
+        for row in negative:
+            if (line := self.lines.get(row.key)) is not None and line.T_query_ref is None:
+                what = "the truth is withheld, but the group says that it is a negative pair"
+                self.findings.fault(what, self.table, row.line)
+
+    def frames(self, layout: DatasetLayout, drives: dict[str, CheckedTraversal]) -> None:
+        """Check that the pairs' images and depth exist, or their poses, and that these agree with the traversals'."""
+        parts = self.name.split("__")
+        if len(parts) != 3:
+            self.findings.fault("expected a pair file named REF__QUERY__CAM.txt", self.path)
             return
-    bare = [drive.file is not None and camera in drive.file.frames for drive in (reference, query)]
-    if all(bare):
-        _check_posed(path, reference, query, lines, rows, findings)
-    elif any(bare):
-        message = "has images in one of the two traversals and poses alone in the other; expected the same in both"
-        findings.fault(f"'{camera}' {message}", path)
-        return
-    else:
-        _check_images(layout, path, reference, query, camera, lines, findings)
-    _compare_poses(path, reference, query, camera, lines, rows, findings)
-
-
-def _check_images(
-    layout: DatasetLayout,
-    path: Path,
-    reference: CheckedTraversal,
-    query: CheckedTraversal,
-    camera: str,
-    lines: dict[PairKey, PoseLine],
-    findings: Findings,
-) -> None:
-    """Check that there are the images of all pairs, and the depth of their keyframes."""
-    for key, line in lines.items():
-        for drive, time in ((reference, key[0]), (query, key[1])):
-            if time not in drive.times["images", camera]:
-                findings.fault(f"no image {drive.layout.image(camera, time).relative_to(layout.root)}", path, line.line)
-        if key[0] not in reference.times["depth", camera] | reference.times["points", camera]:
-            findings.fault(f"keyframe {key[0]} has neither depth nor points", path, line.line)
-        elif (camera, key[0]) in reference.without_depth:
-            findings.fault(f"keyframe {key[0]} has no pixel with depth", path, line.line)
-
-
-def _check_posed(
-    path: Path,
-    reference: CheckedTraversal,
-    query: CheckedTraversal,
-    lines: dict[PairKey, PoseLine],
-    rows: dict[PairKey, TableRow],
-    findings: Findings,
-) -> None:
-    """Check that pairs of poses alone that were made from the traversals' poses have them; note what others lack."""
-    unposed = 0
-    for key, line in lines.items():
-        missing = [(d, time) for d, time in ((reference, key[0]), (query, key[1])) if time not in d.poses]
-        if missing and key in rows and _from_poses(rows[key].source):
-            drive, time = missing[0]
-            message = f"traversal '{drive.layout.root.name}' has no pose at {time}, from which the pair was made"
-            findings.fault(f"{message} ('{rows[key].source}')", path, line.line)
-        unposed += key[0] not in reference.poses
-    if unposed:
-        findings.note(f"{unposed} of {len(lines)} keyframes have no pose in poses.csv, and so no place on a map", path)
-
-
-def _from_poses(source: str) -> bool:
-    """Whether a pair was made from the poses of its traversals, as its source tells."""
-    return "poses" in source.lower().split()
-
-
-def _compare_poses(
-    path: Path,
-    reference: CheckedTraversal,
-    query: CheckedTraversal,
-    camera: str,
-    lines: dict[PairKey, PoseLine],
-    rows: dict[PairKey, TableRow],
-    findings: Findings,
-) -> None:
-    """Compare the pairs' poses with those of the traversals.
-
-    A pair whose source contains the word 'poses' was made from the traversals' poses and must agree with them; other
-    pairs may differ.
-    """
-    if reference.file is None or query.file is None:
-        return
-    T_rig_ref, T_rig_query = (_T_rig(d.file, camera) for d in (reference, query) if d.file)
-    elsewhere = []
-    for key, line in lines.items():
-        if line.T_query_ref is None or key[0] not in reference.poses or key[1] not in query.poses:
-            continue
-        T_query_ref = invert(query.poses[key[1]] @ T_rig_query) @ reference.poses[key[0]] @ T_rig_ref
-        offset = invert(T_query_ref) @ line.T_query_ref
-        metres = float(np.linalg.norm(offset[:3, 3]))
-        degrees = float(np.degrees(rotation_angle(offset[:3, :3])))
-        if metres <= POSE_TOLERANCE_M and degrees <= POSE_TOLERANCE_DEG:
-            continue
-        source = rows[key].source if key in rows else ""
-        if _from_poses(source):
-            findings.fault(
-                f"pose differs by {metres:.4g} m and {degrees:.4g} deg from poses.csv, its source ('{source}')",
-                path,
-                line.line,
-            )
+        unknown = [part for part in parts[:2] if part not in drives]
+        if unknown:
+            self.findings.fault(f"no traversal '{unknown[0]}'{available(unknown[0], drives)}", self.path)
+            return
+        reference, query, camera = drives[parts[0]], drives[parts[1]], parts[2]
+        for drive in (reference, query):
+            if drive.file is not None and camera not in {**drive.file.cameras, **drive.file.frames}:
+                self.findings.fault(f"traversal '{drive.layout.root.name}' has no camera '{camera}'", self.path)
+                return
+        bare = [drive.file is not None and camera in drive.file.frames for drive in (reference, query)]
+        if all(bare):
+            self._poses_exist(reference, query)
+        elif any(bare):
+            message = "has images in one of the two traversals and poses alone in the other; expected the same in both"
+            self.findings.fault(f"'{camera}' {message}", self.path)
+            return
         else:
-            elsewhere.append((metres, degrees))
-    if elsewhere:
-        metres, degrees = np.median(elsewhere, axis=0)
-        findings.note(
-            f"{len(elsewhere)} pairs, which have another source, differ from poses.csv "
-            f"(median {metres:.4g} m, {degrees:.4g} deg)",
-            path,
-        )
+            self._images_exist(layout, reference, query, camera)
+        self._poses_agree(reference, query, camera)
+
+    def _images_exist(
+        self, layout: DatasetLayout, reference: CheckedTraversal, query: CheckedTraversal, camera: str
+    ) -> None:
+        """Check that there are the images of all pairs, and the depth of their keyframes."""
+        for key, line in self.lines.items():
+            for drive, time in ((reference, key[0]), (query, key[1])):
+                if time not in drive.times["images", camera]:
+                    missing = drive.layout.image(camera, time).relative_to(layout.root)
+                    self.findings.fault(f"no image {missing}", self.path, line.line)
+            if key[0] not in reference.times["depth", camera] | reference.times["points", camera]:
+                self.findings.fault(f"keyframe {key[0]} has neither depth nor points", self.path, line.line)
+            elif (camera, key[0]) in reference.without_depth:
+                self.findings.fault(f"keyframe {key[0]} has no pixel with depth", self.path, line.line)
+
+    def _poses_exist(self, reference: CheckedTraversal, query: CheckedTraversal) -> None:
+        """Check that pairs of poses alone that were made from traversals' poses have them; note what others lack."""
+        unposed = 0
+        for key, line in self.lines.items():
+            missing = [(d, time) for d, time in ((reference, key[0]), (query, key[1])) if time not in d.poses]
+            if missing and self._from_poses(key):
+                drive, time = missing[0]
+                message = f"traversal '{drive.layout.root.name}' has no pose at {time}, from which the pair was made"
+                self.findings.fault(f"{message} ('{self.rows[key].source}')", self.path, line.line)
+            unposed += key[0] not in reference.poses
+        if unposed:
+            what = f"{unposed} of {len(self.lines)} keyframes have no pose in poses.csv, and so no place on a map"
+            self.findings.note(what, self.path)
+
+    def _from_poses(self, key: PairKey) -> bool:
+        """Whether a pair was made from the poses of its traversals, as its source tells."""
+        return key in self.rows and "poses" in self.rows[key].source.lower().split()
+
+    def _poses_agree(self, reference: CheckedTraversal, query: CheckedTraversal, camera: str) -> None:
+        """Compare the pairs' poses with those of the traversals.
+
+        A pair whose source contains the word 'poses' was made from the traversals' poses and must agree with them;
+        other pairs may differ.
+        """
+        if reference.file is None or query.file is None:
+            return
+        T_rig_ref, T_rig_query = (_T_rig(file, camera) for file in (reference.file, query.file))
+        others = []
+        for key, line in self.lines.items():
+            if line.T_query_ref is None or key[0] not in reference.poses or key[1] not in query.poses:
+                continue
+            T_query_ref = invert(query.poses[key[1]] @ T_rig_query) @ reference.poses[key[0]] @ T_rig_ref
+            offset = invert(T_query_ref) @ line.T_query_ref
+            metres = float(np.linalg.norm(offset[:3, 3]))
+            degrees = float(np.degrees(rotation_angle(offset[:3, :3])))
+            if metres <= POSE_TOLERANCE_M and degrees <= POSE_TOLERANCE_DEG:
+                continue
+            if self._from_poses(key):
+                source = self.rows[key].source
+                what = f"pose differs by {metres:.4g} m and {degrees:.4g} deg from poses.csv, its source ('{source}')"
+                self.findings.fault(what, self.path, line.line)
+            else:
+                others.append((metres, degrees))
+        if others:
+            metres, degrees = np.median(others, axis=0)
+            self.findings.note(
+                f"{len(others)} pairs, which have another source, differ from poses.csv "
+                f"(median {metres:.4g} m, {degrees:.4g} deg)",
+                self.path,
+            )
 
 
 def _T_rig(file: TraversalFile, name: str) -> Array:

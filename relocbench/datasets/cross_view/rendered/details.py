@@ -110,18 +110,18 @@ def _on_roofs(district: District, probe: _Probe, rng: np.random.Generator) -> li
             sizes = rng.random(3)
             if len(taken) >= most:
                 continue
-            here = probe.plane(middle, np.array([1.0, 0.0]), (0.1, 0.1))
-            if here is None or here[0] not in (Material.ROOF_TILES, Material.ROOF_FLAT):
+            spot = probe.plane(middle, np.array([1.0, 0.0]), (0.1, 0.1))
+            if spot is None or spot[0] not in (Material.ROOF_TILES, Material.ROOF_FLAT):
                 continue
-            if here[1][2] < 0.97:
-                along = np.array([-here[1][1], here[1][0]]) / float(np.hypot(*here[1][:2]))
+            if spot[1][2] < 0.97:
+                along = np.array([-spot[1][1], spot[1][0]]) / float(np.hypot(*spot[1][:2]))
                 detail = _on_slope(kind, sizes)
             else:
                 along = nearest_street(middle, district.network)[1]
                 detail = _on_flat(kind, sizes)
-            room = (detail.half[0] + 0.2, detail.half[1] * float(here[1][2]) + 0.2)
-            if _place(probe, middle, along, room, taken, here[0]) is not None:
-                found.append((detail, _frame(middle, here[2], along, here[1])))
+            room = (detail.half[0] + 0.2, detail.half[1] * float(spot[1][2]) + 0.2)
+            if _place(probe, middle, along, room, taken, spot[0]) is not None:
+                found.append((detail, _frame(middle, spot[2], along, spot[1])))
     return found
 
 

@@ -86,10 +86,10 @@ def _driven(network: StreetNetwork, chain: Sequence[int], length_m: float) -> se
     return {_street(u, v) for k, (u, v) in enumerate(pairwise(chain)) if at[k] < RUN_IN_M + length_m}
 
 
-def _ways_on(network: StreetNetwork, before: int, here: int) -> Iterator[int]:
+def _ways_on(network: StreetNetwork, before: int, node: int) -> Iterator[int]:
     """The nodes to which one can continue without turning back or making a hairpin turn."""
-    for onward in network.neighbours(here):
-        if onward != before and abs(float(turns_of(network.nodes[[before, here, onward]])[0])) < _SHARPEST:
+    for onward in network.neighbours(node):
+        if onward != before and abs(float(turns_of(network.nodes[[before, node, onward]])[0])) < _SHARPEST:
             yield onward
 
 
@@ -158,12 +158,12 @@ def _across(network: StreetNetwork, common: Sequence[int], length_m: float) -> l
     for k in range(1, len(common) - 1):
         if not MARGIN_M + _INSIDE_M <= at[k] <= length_m - MARGIN_M - _INSIDE_M:
             continue
-        here = common[k]
-        for before in network.neighbours(here):
-            for onward in _ways_on(network, before, here):
-                shared = (_street(before, here) in taken) + (_street(here, onward) in taken)
+        node = common[k]
+        for before in network.neighbours(node):
+            for onward in _ways_on(network, before, node):
+                shared = (_street(before, node) in taken) + (_street(node, onward) in taken)
                 if shared < 2:
-                    found.append((shared, abs(float(at[k]) - length_m / 2), [before, here, onward]))
+                    found.append((shared, abs(float(at[k]) - length_m / 2), [before, node, onward]))
     if not found:
         raise ConfigError(
             f"a route of {length_m - 2 * MARGIN_M:.0f} m has no crossing with other streets; increase --steps or "
@@ -182,9 +182,9 @@ def _grown(network: StreetNetwork, chain: Sequence[int], by_m: float, avoided: s
     out, driven = list(chain), dict.fromkeys((_street(u, v) for u, v in pairwise(chain)), 1)
     far = float(_along(network, chain)[-1]) + 0.7 * by_m + 60.0
     while _along(network, out)[-1] < far:
-        here = out[-1]
-        ways = list(_ways_on(network, out[-2], here)) or [w for w in network.neighbours(here) if w != out[-2]]
-        streets = {w: _street(here, w) for w in ways}
+        node = out[-1]
+        ways = list(_ways_on(network, out[-2], node)) or [w for w in network.neighbours(node) if w != out[-2]]
+        streets = {w: _street(node, w) for w in ways}
         out.append(min(ways, key=lambda w: (2 * driven.get(streets[w], 0) + (streets[w] in avoided), w)))
         driven[streets[out[-1]]] = driven.get(streets[out[-1]], 0) + 1
     return out
