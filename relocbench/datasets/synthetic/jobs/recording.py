@@ -27,6 +27,7 @@ from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.jobs.recording_work import (
     Composer,
+    DriveContext,
     RecordableDistrict,
     RendererFactory,
     town_compose,
@@ -185,8 +186,8 @@ def prepare(
     _write_poses(truth / "poses.csv", trajectory)
     _write_cars(truth / "moving_cars.csv", tracks)
     scans, pictures = _missing(target, target.lidars), _missing(target, target.cameras)
-    job = DriveJob(district, factors, target, trajectory, tracks, identity, truth, scans, pictures)
-    return Recorded(target.name, target.folder, truth), job
+    context = DriveContext(factors, target, trajectory, tracks, identity)
+    return Recorded(target.name, target.folder, truth), DriveJob(district, context, truth, scans, pictures)
 
 
 def path_length(frames: int, layout: str, style: DriveStyle | None = None) -> float:

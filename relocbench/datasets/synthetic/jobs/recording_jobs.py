@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
@@ -22,7 +22,6 @@ from relocbench.datasets.synthetic.jobs.recording_work import (
     write_images,
     write_scans,
 )
-from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory
 from relocbench.execution import Run, chunks
 from relocbench.progress import Reporter
 
@@ -40,11 +39,7 @@ class DriveJob:
     """The missing images and scans of a drive."""
 
     district: RecordableDistrict
-    factors: Factors
-    layout: Layout
-    trajectory: TrueTrajectory
-    tracks: Sequence[CarTrack]
-    seed: tuple[int, int]
+    drive: DriveContext
     truth: Path
     scans: Files
     pictures: Files
@@ -69,16 +64,7 @@ def carry_out(
             if id(job.district) not in pickled:
                 pickled[id(job.district)] = stack.enter_context(shared(job.district, job.truth))
         drives = [
-            DriveContext(
-                pickled[id(job.district)],
-                job.factors,
-                job.layout,
-                job.trajectory,
-                job.tracks,
-                job.seed,
-                renderer_factory,
-                compose,
-            )
+            replace(job.drive, district=pickled[id(job.district)], make_renderer=renderer_factory, compose=compose)
             for job in jobs
         ]
         both = list(zip(drives, jobs, strict=True))

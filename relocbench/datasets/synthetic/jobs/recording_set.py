@@ -104,17 +104,18 @@ def record_all(
                 factors = conditions[drive.condition].factors
                 recorded, job = prepare(drive.district, drive.path, factors, out, replace(options, number=drive.number))
                 jobs.append(job)
+                layout = job.drive.layout
                 rows.append(
                     RecordedDrive(
                         recorded.name,
-                        str(job.layout.folder.relative_to(out.resolve())),
+                        str(recorded.folder.relative_to(out.resolve())),
                         drive.split,
                         drive.condition,
                         drive.route,
                         drive.traversal,
-                        sum(len(job.layout.times[name]) for name in job.layout.cameras),
-                        sum(len(job.layout.times[name]) for name in job.layout.lidars),
-                        round(driven_m(job.trajectory, job.layout), 1),
+                        sum(len(layout.times[name]) for name in layout.cameras),
+                        sum(len(layout.times[name]) for name in layout.lidars),
+                        round(driven_m(job.drive.trajectory, layout), 1),
                     )
                 )
                 advance(1)

@@ -58,19 +58,31 @@ Composer = Callable[[Any, Factors, Sequence[MovingCar]], Mesh]
 """called with district, factors and moving cars"""
 
 
+def town_renderer(mesh: Mesh, factors: Factors, lamps: Array, seed: int, surroundings: Any) -> FrameRenderer:
+    from relocbench.datasets.synthetic.renderer.render import Renderer
+
+    return Renderer(mesh, factors, lamps, seed, surroundings)
+
+
+def town_compose(district: Any, factors: Factors, moving: Sequence[MovingCar]) -> Mesh:
+    from relocbench.datasets.synthetic.town.town import compose
+
+    return compose(district, factors, moving)
+
+
 @dataclass(frozen=True, eq=False)
 class DriveContext:
     """What all units of a drive share."""
 
-    district: Path
-    """the pickled district, which each worker reads once"""
     factors: Factors
     layout: Layout
     trajectory: TrueTrajectory
     tracks: Sequence[CarTrack]
     seed: tuple[int, int]
-    make_renderer: RendererFactory
-    compose: Composer
+    district: Path = Path()
+    """the pickled district, which each worker reads once; there is none before work begins"""
+    make_renderer: RendererFactory = town_renderer
+    compose: Composer = town_compose
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,15 +177,3 @@ def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:
         mesh = cars(np.eye(4)[None], np.array([track.variant]), np.array([_MOVING_INSTANCE + k]), Semantic.MOVING_CAR)
         objects.append(lidar.MovingObject(lidar.LidarScene(mesh), track, _CAR_RADIUS_M))
     return objects
-
-
-def town_renderer(mesh: Mesh, factors: Factors, lamps: Array, seed: int, surroundings: Any) -> FrameRenderer:
-    from relocbench.datasets.synthetic.renderer.render import Renderer
-
-    return Renderer(mesh, factors, lamps, seed, surroundings)
-
-
-def town_compose(district: Any, factors: Factors, moving: Sequence[MovingCar]) -> Mesh:
-    from relocbench.datasets.synthetic.town.town import compose
-
-    return compose(district, factors, moving)
