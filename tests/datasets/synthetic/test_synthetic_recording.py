@@ -6,6 +6,7 @@ import csv
 import math
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ from relocbench.datasets.importers.kitti import dataset as kitti
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors
 from relocbench.datasets.synthetic.drives import odometry
 from relocbench.datasets.synthetic.drives.utm import latitude_longitude
-from relocbench.datasets.synthetic.jobs.recording import Recorded, path_length, record
+from relocbench.datasets.synthetic.jobs.recording import DriveOptions, Recorded, path_length, prepare, record
+from relocbench.datasets.synthetic.jobs.recording_jobs import carry_out
 from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
 from relocbench.datasets.synthetic.layouts.kitti import KittiLayout
 from relocbench.datasets.synthetic.layouts.robotcar import mosaic, tags
@@ -499,6 +501,15 @@ def test_scans_of_kitti_are_compensated_unless_distorted_ones_are_asked_for(tmp_
         shares[distorted] = np.mean(nearest_surface(world[walls]) < 0.06)
     assert shares[False] > 0.99
     assert shares[True] < 0.96
+
+
+def test_scans_of_drives_recorded_together_show_each_its_own_traffic(tmp_path: Path) -> None:
+    options = DriveOptions("kitti", frames=2, scale=SCALE, cameras=(), rings=16, azimuths=400)
+    street = Street()
+    both = [prepare(street, StraightRoad(), TRAFFIC, tmp_path, replace(options, number=k)) for k in range(2)]
+    carry_out([job for _, job in both], Silent(), Run(), SolidTexture, street_mesh)
+    alone = drive(tmp_path / "alone", "kitti", frames=2, cameras=(), number=1)
+    assert hashes(both[1][0].folder / "velodyne") == hashes(alone.folder / "velodyne")
 
 
 def test_seeds_change_the_drive_and_numbers_the_day(tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ def write_scans(unit: Unit) -> Spent:
         (drive.district, drive.factors),
         lambda: lidar.LidarScene(drive.compose(_district(drive), drive.factors, ())),
     )
-    others = latest("cars", (drive.district, drive.factors), lambda: _moving_objects(drive.tracks))
+    others = latest("cars", (drive.district, drive.seed), lambda: _moving_objects(drive.tracks))
 
     def write(sensor: str, index: int) -> None:
         mount = layout.lidars[sensor]
