@@ -43,16 +43,10 @@ def with_aerial_details(district: District) -> District:
     """The town with details on roofs and in yards, and lawns without a visible grid. Deterministic in the town."""
     rng = np.random.default_rng([district.seed, SPLITS.index(district.split), 41])
     probe = _Probe(district.static)
-    found = [*_on_roofs(district, probe, rng), *_in_yards(district, probe, rng)]
+    placed = [*_on_roofs(district, probe, rng), *_in_yards(district, probe, rng)]
     meshes = [
-        instances(
-            detail.shape,
-            transform[None],
-            np.array([_FIRST_INSTANCE + k]),
-            np.array([rng.integers(1, 2**31)]),
-            detail.semantic,
-        )
-        for k, (detail, transform) in enumerate(found)
+        instances(detail.shape, transform[None], [_FIRST_INSTANCE + k], [rng.integers(1, 2**31)], detail.semantic)
+        for k, (detail, transform) in enumerate(placed)
     ]
     return replace(district, static=merge([_lawns(district.static), *meshes]))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -79,15 +78,15 @@ def render_missing(
 
 def render_unit(unit: PhotoUnit) -> Spent:
     """Render and write the images of a unit."""
-    start = time.perf_counter()
-    ready = None
-    for photo in unit.photos:
+
+    def write(photo: Photo) -> int:
         renderer = renderer_of(photo.town, unit.condition, seen_by(photo.view, unit.condition, unit.views))
         frame = renderer.render(unit.views.optics.camera(photo.view), photo.T_world_cam, photo.seed)
-        images.write_image(unit.root / photo.keys[0], frame.rgb)
-        ready = ready or time.perf_counter()
-    assert ready is not None
-    return Spent(len(unit.photos), ready - start, time.perf_counter() - ready)
+        path = unit.root / photo.keys[0]
+        images.write_image(path, frame.rgb)
+        return path.stat().st_size
+
+    return Spent.on(map(write, unit.photos))
 
 
 def renderer_of(town: DistrictSpec, condition: Factors, seen: Factors) -> Renderer:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -28,6 +29,16 @@ class Spent:
     seconds: float
     """time for the other files"""
     bytes: int = 0
+
+    @classmethod
+    def on(cls, sizes: Iterable[int]) -> Spent:
+        """The time to go through an iterator that writes a file at each step and yields its size in bytes."""
+        begin = ready = time.perf_counter()
+        files = total = 0
+        for size in sizes:
+            files, total = files + 1, total + size
+            ready = time.perf_counter() if files == 1 else ready
+        return cls(files, ready - begin, time.perf_counter() - ready, total)
 
 
 @dataclass(frozen=True)

@@ -127,21 +127,11 @@ def make_plans(
             for k, (name, condition) in enumerate(scene.items()):
                 for number in range(traversals):
                     identity = (SPLITS.index(split) * len(conditions) + k) * traversals + number
+                    own = traversal_name(split, name, number)
                     rng = np.random.default_rng([seed, 5, SPLITS.index(split), k, number])
                     driven = drive(route, steps, style, rng)
-                    cars = moving_cars(route, driven, condition.factors.traffic, LANE_M, rng)
-                    plans.append(
-                        TraversalPlan(
-                            traversal_name(split, name, number),
-                            identity,
-                            split,
-                            place,
-                            condition,
-                            first,
-                            driven,
-                            tuple(map(tuple, cars)),
-                            cameras.get(traversal_name(split, name, number)),
-                        )
-                    )
+                    cars = tuple(map(tuple, moving_cars(route, driven, condition.factors.traffic, LANE_M, rng)))
+                    plan = (own, identity, split, place, condition, first, driven, cars, cameras.get(own))
+                    plans.append(TraversalPlan(*plan))
             advance(1)
     return plans

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pickle
 import secrets
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import starmap
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -117,7 +117,7 @@ def _district(drive: DriveContext) -> Any:
 def write_images(unit: Unit) -> Spent:
     drive, layout = unit.drive, unit.drive.layout
 
-    def write(camera: str, index: int) -> None:
+    def write(camera: str, index: int) -> int:
         moment = int(layout.times[camera][index])
         present = cars_at(drive.tracks, moment)
         renderer = _renderer(drive, present)
@@ -125,9 +125,11 @@ def write_images(unit: Unit) -> Spent:
         pose = SensorMotion(drive.trajectory, mount.T_rig_cam)(np.array([moment]))[0]
         number = np.random.SeedSequence([*drive.seed, 5, sorted(layout.cameras).index(camera), index])
         picture = renderer.render(mount.camera, pose, int(number.generate_state(1)[0]))
-        layout.write_image(camera, layout.path(camera, index), picture.rgb)
+        path = layout.path(camera, index)
+        layout.write_image(camera, path, picture.rgb)
+        return path.stat().st_size
 
-    return _measured(unit, write)
+    return Spent.on(starmap(write, unit.work))
 
 
 def _renderer(drive: DriveContext, present: Sequence[MovingCar]) -> FrameRenderer:
@@ -148,26 +150,17 @@ def write_scans(unit: Unit) -> Spent:
     )
     others = latest("cars", (drive.district, drive.seed), lambda: _moving_objects(drive.tracks))
 
-    def write(sensor: str, index: int) -> None:
+    def write(sensor: str, index: int) -> int:
         mount = layout.lidars[sensor]
         rng = np.random.default_rng([*drive.seed, 7, sorted(layout.lidars).index(sensor), index])
         motion = SensorMotion(drive.trajectory, mount.T_rig_lidar)
         scan = lidar.scan(mount.lidar, scene, motion, int(layout.times[sensor][index]), drive.factors, rng, others)
         points = lidar.compensate(mount.lidar, scan, motion) if mount.compensated else scan.points
-        layout.write_scan(layout.path(sensor, index), points, scan.reflectance, scan.returned)
+        path = layout.path(sensor, index)
+        layout.write_scan(path, points, scan.reflectance, scan.returned)
+        return path.stat().st_size
 
-    return _measured(unit, write)
-
-
-def _measured(unit: Unit, write: Callable[[str, int], None]) -> Spent:
-    """Write the files of a unit and time it. The first file includes preparing the district and its ray tree."""
-    begin = ready = time.perf_counter()
-    for k, (sensor, index) in enumerate(unit.work):
-        write(sensor, index)
-        ready = ready if k else time.perf_counter()
-    layout = unit.drive.layout
-    size = sum(layout.path(sensor, index).stat().st_size for sensor, index in unit.work)
-    return Spent(len(unit.work), ready - begin, time.perf_counter() - ready, size)
+    return Spent.on(starmap(write, unit.work))
 
 
 def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:

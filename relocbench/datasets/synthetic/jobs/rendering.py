@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,20 +116,18 @@ def _unit(plan: TraversalPlan, steps: Sequence[StepWork]) -> RenderUnit:
 
 
 def render_unit(unit: RenderUnit) -> Spent:
-    """Render and write the frames of a unit."""
-    written, start = 0, time.perf_counter()
-    ready = None
-    for step in unit.steps:
-        renderer = scenes.renderer(unit.place, unit.factors, step.moving)
-        for work in step.frames:
-            frame = renderer.render(work.camera, work.T_world_cam, work.seed, shot=work.shot)
-            for kind, path in work.missing.items():
-                _WRITERS[kind](path, frame, work, unit)
-                written += path.stat().st_size
-            # The first image includes making the district and its ray tree, and compilation.
-            ready = ready or time.perf_counter()
-    assert ready is not None
-    return Spent(unit.images, ready - start, time.perf_counter() - ready, written)
+    """Render and write the frames of a unit. The first includes making the district and its ray tree."""
+
+    def written() -> Iterator[int]:
+        for step in unit.steps:
+            renderer = scenes.renderer(unit.place, unit.factors, step.moving)
+            for work in step.frames:
+                frame = renderer.render(work.camera, work.T_world_cam, work.seed, shot=work.shot)
+                for kind, path in work.missing.items():
+                    _WRITERS[kind](path, frame, work, unit)
+                yield sum(path.stat().st_size for path in work.missing.values())
+
+    return Spent.on(written())
 
 
 def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) -> None:

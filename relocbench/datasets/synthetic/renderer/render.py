@@ -169,20 +169,8 @@ class Renderer:
         reflected = np.full((len(lit), 3), -1, dtype=np.float32)
         if not samples.before.any():
             self._reflect(view, beam, samples, hits, reflected, width)
-        colour = shading.radiance(
-            view,
-            self._geometry,
-            self._setting,
-            self._sky,
-            self._skylight,
-            self._lamps,
-            beam,
-            samples,
-            hits,
-            lit,
-            reflected,
-        )
-        return colour, lit
+        scene = self._geometry, self._setting, self._sky, self._skylight, self._lamps
+        return shading.radiance(view, *scene, beam, samples, hits, lit, reflected), lit
 
     def _lit(self, view: View, hits: Hits, width: int) -> Floats:
         lit = np.ones(len(hits.depth), dtype=np.float32)
@@ -259,16 +247,8 @@ class Renderer:
             size = float(np.hypot(*down))
             down = down / size if size > 1e-6 else np.array([0.0, 1.0])
             particles = np.asarray(0.75 * self._sky.ambient + 0.35 * self._sky.horizon, dtype=np.float32)
-            draw_precipitation(
-                image,
-                depth,
-                (camera.fx, camera.fy),
-                (float(down[0]), float(down[1])),
-                f.rain_mm_h,
-                f.snowfall_mm_h,
-                particles,
-                falling,
-            )
+            focal, fall = (camera.fx, camera.fy), (float(down[0]), float(down[1]))
+            draw_precipitation(image, depth, focal, fall, f.rain_mm_h, f.snowfall_mm_h, particles, falling)
         if f.lens_drops > 0:
             image = add_lens_drops(image, f.lens_drops, drops)
         if shot is None:
