@@ -39,18 +39,9 @@ _POSE_COLUMNS = "tx ty tz qx qy qz qw"
 POSE_LINE = f"ref_ts query_ts [{_POSE_COLUMNS}]"
 """the columns of a line"""
 TABLE_COLUMNS = (
-    "ref_timestamp_ns",
-    "query_timestamp_ns",
-    "group",
-    "distance_m",
-    "angle_deg",
-    "overlap",
-    "sigma_translation_m",
-    "sigma_rotation_deg",
-    "source",
-    "accepted",
-    "reason",
-)
+    "ref_timestamp_ns", "query_timestamp_ns", "group", "distance_m", "angle_deg", "overlap",
+    "sigma_translation_m", "sigma_rotation_deg", "source", "accepted", "reason",
+)  # fmt: skip
 AXIS_COLUMNS = ("sigma_along_m", "sigma_across_m", "sigma_height_m")
 """further columns, present if known for any pair"""
 _NUMBERS = ("overlap", "sigma_translation_m", "sigma_rotation_deg", *AXIS_COLUMNS)

@@ -8,6 +8,7 @@ True poses are known and are written like those of the other pairs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -50,14 +51,11 @@ def with_different_places(
     centres = T_world_ref[:, :3, 3], T_world_query[:, :3, 3]
     draws = _exchanges(pairs, *centres, options.elsewhere_distance, rng)
     found = [
-        Pair(
-            pairs[r].ref_timestamp_ns,
-            pairs[q].query_timestamp_ns,
-            relative_pose(T_world_query[q], T_world_ref[r]),
+        replace(
+            pairs[r],
+            query_timestamp_ns=pairs[q].query_timestamp_ns,
+            T_query_ref=relative_pose(T_world_query[q], T_world_ref[r]),
             group=ELSEWHERE,
-            source=pairs[r].source,
-            sigma_translation_m=pairs[r].sigma_translation_m,
-            sigma_rotation_deg=pairs[r].sigma_rotation_deg,
         )
         for r, q in islice(draws, options.elsewhere)
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.build_options import PairingOptions
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.pairs.different_places import with_different_places
-from relocbench.datasets.pairs.posed_frames import PosedFrames, relative_pose
+from relocbench.datasets.pairs.posed_frames import PosedFrames, pair_of, relative_pose
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import rotation_angle
 
@@ -66,18 +67,8 @@ def make_pairs(
             else _why_none_near(reference, query, options, same_traversal, revisit_ns)
         )
         raise DatasetError(why, where)
-    pairs = [
-        Pair(
-            reference.timestamps[r],
-            query.timestamps[q],
-            relative_pose(query.T_world_cam[q], reference.T_world_cam[r]),
-            group=group,
-            source=source,
-            sigma_translation_m=sigma_translation_m,
-            sigma_rotation_deg=sigma_rotation_deg,
-        )
-        for r, q, group in found
-    ]
+    sigmas = {"sigma_translation_m": sigma_translation_m, "sigma_rotation_deg": sigma_rotation_deg}
+    pairs = [replace(pair_of(reference, r, query, q), group=group, source=source, **sigmas) for r, q, group in found]
     return with_different_places(pairs, reference, query, options, where) if options.elsewhere else pairs
 
 

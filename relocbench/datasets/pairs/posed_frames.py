@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.geometry import invert
 
@@ -53,6 +54,12 @@ def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | No
         frozenset(traversal.keyframe_timestamps(camera)),
         tuple(numbers[t] for t in times) if numbers is not None else (),
     )
+
+
+def pair_of(reference: PosedFrames, r: int, query: PosedFrames, q: int) -> Pair:
+    """The pair of the frames in row ``r`` and row ``q``, of which nothing but its pose is known."""
+    T_query_ref = relative_pose(query.T_world_cam[q], reference.T_world_cam[r])
+    return Pair(reference.timestamps[r], query.timestamps[q], T_query_ref)
 
 
 def relative_pose(T_world_query: Array, T_world_ref: Array) -> Array:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import gamma
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.pairs.posed_frames import PosedFrames, relative_pose
+from relocbench.datasets.pairs.posed_frames import PosedFrames, pair_of
 from relocbench.geometry import rotation_angle
 
 _SHAPE = 4.0
@@ -59,18 +59,9 @@ def drawn_pairs(
         if not near.size:
             continue
         best = near[np.argmin(np.abs(distance[near] - wanted))]
-        r = int(rows[best])
-        pairs.append(
-            Pair(
-                reference.timestamps[r],
-                query.timestamps[q],
-                relative_pose(T_world_query, reference.T_world_cam[r]),
-                group=group_of(float(distance[best])),
-                source="rendered poses",
-                sigma_translation_m=0.0,
-                sigma_rotation_deg=0.0,
-            )
-        )
+        pair = pair_of(reference, int(rows[best]), query, q)
+        exact = {"sigma_translation_m": 0.0, "sigma_rotation_deg": 0.0}
+        pairs.append(replace(pair, group=group_of(float(distance[best])), source="rendered poses", **exact))
     return pairs
 
 

@@ -17,35 +17,14 @@ _CLUTTER_PER_MM_H = (1e-4, 4e-3)
 """share of beams that falling rain and snow reflect, per mm/h"""
 
 _REFLECTANCE_OF = {
-    Material.ASPHALT: 0.15,
-    Material.COBBLES: 0.20,
-    Material.PAVEMENT: 0.25,
-    Material.KERB: 0.30,
-    Material.LANE_MARKING: 0.60,
-    Material.GRASS: 0.50,
-    Material.SOIL: 0.25,
-    Material.BRICK: 0.35,
-    Material.PLASTER: 0.55,
-    Material.STONE: 0.40,
-    Material.CONCRETE: 0.40,
-    Material.ROOF_TILES: 0.30,
-    Material.ROOF_FLAT: 0.15,
-    Material.WINDOW: 0.06,
-    Material.SHOP_WINDOW: 0.06,
-    Material.DOOR: 0.30,
-    Material.SHOP_SIGN: 0.40,
-    Material.WOOD: 0.40,
-    Material.METAL: 0.40,
-    Material.BARK: 0.35,
-    Material.LEAF: 0.50,
-    Material.HEDGE: 0.50,
-    Material.CAR_PAINT: 0.40,
-    Material.CAR_GLASS: 0.06,
-    Material.RUBBER: 0.05,
-    Material.TRAFFIC_SIGN: 5.0,
-    Material.LAMP: 0.30,
-    Material.PLASTIC: 0.30,
-}
+    Material.ASPHALT: 0.15, Material.COBBLES: 0.20, Material.PAVEMENT: 0.25, Material.KERB: 0.30,
+    Material.LANE_MARKING: 0.60, Material.GRASS: 0.50, Material.SOIL: 0.25, Material.BRICK: 0.35,
+    Material.PLASTER: 0.55, Material.STONE: 0.40, Material.CONCRETE: 0.40, Material.ROOF_TILES: 0.30,
+    Material.ROOF_FLAT: 0.15, Material.WINDOW: 0.06, Material.SHOP_WINDOW: 0.06, Material.DOOR: 0.30,
+    Material.SHOP_SIGN: 0.40, Material.WOOD: 0.40, Material.METAL: 0.40, Material.BARK: 0.35, Material.LEAF: 0.50,
+    Material.HEDGE: 0.50, Material.CAR_PAINT: 0.40, Material.CAR_GLASS: 0.06, Material.RUBBER: 0.05,
+    Material.TRAFFIC_SIGN: 5.0, Material.LAMP: 0.30, Material.PLASTIC: 0.30,
+}  # fmt: skip
 """diffuse reflectance near 905 nm: leaves are bright there, glass deflects the beam, signs are retroreflective"""
 _REFLECTANCE = np.array([_REFLECTANCE_OF[material] for material in Material])
 
