@@ -15,8 +15,8 @@ from relocbench.arrays import Array
 from relocbench.datasets.cross_view.rendered.flight import nearest_street
 from relocbench.datasets.cross_view.rendered.places import buildings
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
-from relocbench.datasets.synthetic.renderer.raycast import NOTHING, Scene
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
+from relocbench.datasets.synthetic.town.raycast import NOTHING, Scene
 from relocbench.datasets.synthetic.town.shapes import Shape, boxes, instances, join, quads
 from relocbench.datasets.synthetic.town.town import District
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from relocbench.arrays import Array, Bytes, Mask, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.echo import clutter, extinction, signal, surface_reflectance
-from relocbench.datasets.synthetic.renderer.raycast import Scene
 from relocbench.datasets.synthetic.town.mesh import Mesh
+from relocbench.datasets.synthetic.town.raycast import Scene
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Floats, Indices
-from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, View, ray
 from relocbench.datasets.synthetic.renderer.surfaces import Geometry, Hits, corner
 from relocbench.datasets.synthetic.renderer.vectors import cross, dot, subtract
+from relocbench.datasets.synthetic.town.raycast import NOTHING
 from relocbench.kernels import njit
 
 _CONTRAST = 0.04

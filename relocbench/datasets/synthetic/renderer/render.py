@@ -25,7 +25,6 @@ from relocbench.datasets.synthetic.renderer.edges import (
 )
 from relocbench.datasets.synthetic.renderer.lamps import Beam
 from relocbench.datasets.synthetic.renderer.materials import make_looks
-from relocbench.datasets.synthetic.renderer.raycast import NOTHING, Scene
 from relocbench.datasets.synthetic.renderer.response import apply_response, exposure_gain
 from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, Samples, View, direct_samples
 from relocbench.datasets.synthetic.renderer.sky import Sky, make_sky
@@ -34,6 +33,7 @@ from relocbench.datasets.synthetic.renderer.surfaces import Hits, Setting
 from relocbench.datasets.synthetic.renderer.textures import bake
 from relocbench.datasets.synthetic.renderer.weather import draw_precipitation, falling_extinction
 from relocbench.datasets.synthetic.town.mesh import Mesh
+from relocbench.datasets.synthetic.town.raycast import NOTHING, Scene
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Floats
-from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.vectors import Vector, add_scaled, dot
+from relocbench.datasets.synthetic.town.raycast import NOTHING
 from relocbench.kernels import njit
 
 PIXEL_OFFSETS = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]], dtype=np.float32)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from relocbench.arrays import Floats, Mask
-from relocbench.datasets.synthetic.renderer.raycast import Scene
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.raycast import Scene
 from relocbench.kernels import njit
 
 _CELL_M = 2.5

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Bytes, Floats, Mask
 from relocbench.datasets.synthetic.renderer.materials import CHOICES, Looks, scramble
-from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
 from relocbench.datasets.synthetic.renderer.textures import MACRO, Patterns, sample
 from relocbench.datasets.synthetic.renderer.vectors import Vector, add_scaled, cross, dot, smoothstep, subtract
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
+from relocbench.datasets.synthetic.town.raycast import NOTHING
 from relocbench.kernels import njit
 
 _ASPHALT = int(Material.ASPHALT)
