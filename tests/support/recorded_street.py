@@ -17,6 +17,7 @@ from small_street import Street
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.traversal import read_poses
 from relocbench.datasets.importers.boreas.recording import read_boreas
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
 from relocbench.datasets.sensors.image_files import ImageFiles
@@ -25,7 +26,7 @@ from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions
 from relocbench.datasets.synthetic.layouts.recorded import Layout
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
-from relocbench.geometry import interpolate_trajectory, invert, transform_from_tq
+from relocbench.geometry import interpolate_trajectory, invert
 from relocbench.metrics.pose.errors import pose_errors
 from relocbench.progress import Reporter, Silent
 
@@ -53,11 +54,8 @@ class StreetDrive:
 
     @cached_property
     def _motion(self) -> tuple[Times, Array]:
-        rows = [
-            r.split(",") for r in (self.root / "truth" / self.layout.name / "poses.csv").read_text().splitlines()[1:]
-        ]
-        values = np.array([[float(v) for v in row[1:]] for row in rows])
-        return np.array([int(row[0]) for row in rows]), transform_from_tq(values[:, :3], values[:, 3:])
+        poses = read_poses(self.root / "truth" / self.layout.name / "poses.csv")
+        return np.array(list(poses)), np.array(list(poses.values()))
 
     def T_world_car(self, times_ns: Times) -> Array:
         """(N, 4, 4) of the car, whose origin is on the road below its middle: x forward, y left, z up."""

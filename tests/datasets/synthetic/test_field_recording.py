@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from relocbench.arrays import Array, Image, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.core.schema import Transform
+from relocbench.datasets.core.traversal import read_poses
 from relocbench.datasets.groundtruth.odometry.local_map import plane_normals
 from relocbench.datasets.importers.robotcar.recording import read_robotcar, read_robotcar_drives
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
@@ -33,7 +34,6 @@ from relocbench.geometry import (
     invert,
     make_transform,
     rotation_angle,
-    transform_from_tq,
 )
 
 FRAMES = 64
@@ -50,10 +50,8 @@ class Truth:
 
     @classmethod
     def read(cls, folder: Path, T_town_rig: Array) -> Truth:
-        rows = [line.split(",") for line in (folder / "poses.csv").read_text().splitlines()[1:]]
-        values = np.array([[float(v) for v in row[1:]] for row in rows])
-        times = np.array([int(row[0]) for row in rows])
-        return cls(times, transform_from_tq(values[:, :3], values[:, 3:]), T_town_rig)
+        poses = read_poses(folder / "poses.csv")
+        return cls(np.array(list(poses)), np.array(list(poses.values())), T_town_rig)
 
     def at(self, times_ns: Times) -> Array:
         """(N, 4, 4) ``T_world_rig``"""

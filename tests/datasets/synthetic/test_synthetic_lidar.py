@@ -26,7 +26,7 @@ from relocbench.datasets.synthetic.lidar.lidar import (
     spinning,
     trace,
 )
-from relocbench.datasets.synthetic.town.mesh import Material
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, make_transform, se3_exp, so3_exp
 
