@@ -86,14 +86,15 @@ def values_by_time(
         RelocbenchError: (as ``error``) with file and line; or what ``parse`` raises.
     """
     values: dict[int, Value] = {}
-    last: int | None = None
+    latest: int | None = None
     for line, row in rows:
         with each():
             time = parse_timestamp(row[0] if row else "", path, line, error)
+            last, latest = latest, time if latest is None else max(latest, time)
+            value = parse(row[1:], line)
             if last is not None and time <= last:
                 raise error(f"timestamp {time} does not come after {last}", path, line)
-            last = time
-            values[time] = parse(row[1:], line)
+            values[time] = value
     return values
 
 
