@@ -164,6 +164,17 @@ def jpeg_bytes(image: Image, quality: int = 85) -> bytes:
     return bytes(data)
 
 
+def through_jpeg(rgb: Image, quality: float) -> Image:
+    """The image (H, W, 3) after a compression as JPEG, whose traces stay although it is then stored without loss.
+
+    ``quality`` is 1 to 100, rounded; colour is kept at half of the size.
+    """
+    data = np.frombuffer(jpeg_bytes(rgb, round(quality)), dtype=np.uint8)
+    back = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    assert back is not None
+    return np.ascontiguousarray(back[..., ::-1], dtype=np.uint8)
+
+
 def png_bytes(image: NDArray[Any]) -> bytes:
     """PNG of (H, W) grey or (H, W, 3) RGB, with settings that are small and fast for noisy images and smooth depth."""
     if image.ndim == 3:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from relocbench.arrays import Array, Floats, Image
+from relocbench.datasets.core.images import through_jpeg
 from relocbench.datasets.moved_views.kinds import Change
 
 _GAMMA = 2.2
@@ -143,8 +144,4 @@ def _compressed(image: Image, rng: np.random.Generator) -> Image:
     quality = int(rng.integers(*_JPEG_QUALITY))
     if rng.uniform() >= _JPEG_SHARE:
         return image
-    bgr = np.ascontiguousarray(image[..., ::-1])
-    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    if not done:
-        raise ValueError(f"cannot encode an image of {image.dtype} {image.shape}")
-    return np.ascontiguousarray(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1])
+    return through_jpeg(image, quality)

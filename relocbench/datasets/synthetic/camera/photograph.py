@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from relocbench.arrays import Floats, Image
+from relocbench.datasets.core.images import through_jpeg
 from relocbench.datasets.synthetic.camera import processing
 from relocbench.datasets.synthetic.camera.drops import sliding_drops, through_drops
 from relocbench.datasets.synthetic.camera.lens import behind_dirt, clearness, defocus, scatter, vignette
-from relocbench.datasets.synthetic.camera.sensor import through_jpeg, with_noise
+from relocbench.datasets.synthetic.camera.sensor import with_noise
 from relocbench.datasets.synthetic.camera.shot import Drifting, Shot, drift
 
 

@@ -1,12 +1,10 @@
-"""The sensor's noise, and JPEG compression, whose traces stay in the image although it is stored without loss."""
+"""The sensor's noise."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from relocbench.arrays import Floats, Image
-from relocbench.datasets.core.images import jpeg_bytes
+from relocbench.arrays import Floats
 
 
 def with_noise(light: Floats, read: float, shot: float, rng: np.random.Generator) -> Floats:
@@ -19,11 +17,3 @@ def with_noise(light: Floats, read: float, shot: float, rng: np.random.Generator
         return light
     deviation = np.sqrt(np.float32(read**2) + np.float32(shot**2) * np.maximum(light, 0))
     return np.asarray(light + deviation * rng.standard_normal(light.shape, dtype=np.float32), dtype=np.float32)
-
-
-def through_jpeg(rgb: Image, quality: float) -> Image:
-    """The image (H, W, 3) after JPEG compression with a quality of 1 to 100, rounded, and colour at half the size."""
-    data = np.frombuffer(jpeg_bytes(rgb, round(quality)), dtype=np.uint8)
-    back = cv2.imdecode(data, cv2.IMREAD_COLOR)
-    assert back is not None
-    return np.ascontiguousarray(back[..., ::-1], dtype=np.uint8)

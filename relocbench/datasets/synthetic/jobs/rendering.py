@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -172,7 +171,9 @@ def extra_path(root: Path, traversal: str, kind: str, camera: str, timestamp_ns:
 
 def write_normals(path: Path, normal: Floats) -> None:
     """Write unit normals (H, W, 3) in world axes as 16-bit RGB ``(n + 1) 32767.5``; the sky, (0, 0, 0), is mid grey."""
-    _write_png(path, np.rint((np.clip(normal, -1, 1) + 1) * 32767.5).astype(np.uint16)[..., ::-1])
+    stored = np.rint((np.clip(normal, -1, 1) + 1) * 32767.5).astype(np.uint16)[..., ::-1]
+    data = cv2.imencode(".png", np.ascontiguousarray(stored), [cv2.IMWRITE_PNG_COMPRESSION, 4])[1]
+    write_bytes(path, bytes(data))
 
 
 def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
@@ -184,10 +185,3 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
 def write_mask(path: Path, mask: Mask) -> None:
     """Write a mask (H, W) as 8-bit grey, 255 where it is true."""
     images.write_image(path, np.where(mask, 255, 0).astype(np.uint8))
-
-
-def _write_png(path: Path, image: NDArray[Any]) -> None:
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 4])
-    if not done:
-        raise ValueError(f"cannot encode an image of {image.dtype} {image.shape}")
-    write_bytes(path, bytes(data))
