@@ -244,7 +244,8 @@ def test_responses_rise_from_black_to_white(white: float, gamma: float, contrast
     light = np.linspace(-0.1, 1.2 * white, 300, dtype=np.float32)
     levels = processing.response(light, white, gamma, contrast)
     assert levels[0] == 0
-    np.testing.assert_allclose(levels[light >= white], 1.0, atol=1e-5)
+    # The S of a contrast below 1 is steep at white, where it enlarges the rounding of single precision.
+    np.testing.assert_allclose(levels[light >= white], 1.0, atol=max(1e-5, 2.4e-7**contrast))
     assert np.all(np.diff(levels) >= -1e-5)
     assert np.all(np.isfinite(levels))
 
