@@ -13,8 +13,8 @@ import numpy as np
 from small_street import SolidTexture, StraightRoad, Street, quads, street_mesh
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs.recording import LayoutName, Recorded, record
-from relocbench.datasets.synthetic.layouts.recorded import MovingCar
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, merge
 
 

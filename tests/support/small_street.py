@@ -10,7 +10,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.layouts.recorded import MovingCar
+from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge

@@ -329,15 +329,21 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
         if accepted != (key in lines):
             where = "is missing from" if accepted else "was rejected but is listed in"
             raise DatasetError(f"pair {key[0]} {key[1]} {where} {pair_file.name}", pair_table, number)
+        T_query_ref = lines[key].T_query_ref if accepted else None
+        value = {name: _optional(field[name], name, pair_table, number) for name in _NUMBERS}
         pairs.append(
             Pair(
-                *key,
-                T_query_ref=lines[key].T_query_ref if accepted else None,
-                group=field["group"],
-                source=field["source"],
-                accepted=accepted,
-                reason=field["reason"],
-                **{name: _optional(field[name], name, pair_table, number) for name in _NUMBERS},
+                key[0],
+                key[1],
+                T_query_ref,
+                field["group"],
+                value["overlap"],
+                value["sigma_translation_m"],
+                value["sigma_rotation_deg"],
+                field["source"],
+                accepted,
+                field["reason"],
+                *(value[name] for name in AXIS_COLUMNS),
             )
         )
     for key in lines:

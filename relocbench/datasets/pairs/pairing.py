@@ -67,8 +67,16 @@ def make_pairs(
             else _why_none_near(reference, query, options, same_traversal, revisit_ns)
         )
         raise DatasetError(why, where)
-    sigmas = {"sigma_translation_m": sigma_translation_m, "sigma_rotation_deg": sigma_rotation_deg}
-    pairs = [replace(pair_of(reference, r, query, q), group=group, source=source, **sigmas) for r, q, group in found]
+    pairs = [
+        replace(
+            pair_of(reference, r, query, q),
+            group=group,
+            source=source,
+            sigma_translation_m=sigma_translation_m,
+            sigma_rotation_deg=sigma_rotation_deg,
+        )
+        for r, q, group in found
+    ]
     return with_different_places(pairs, reference, query, options, where) if options.elsewhere else pairs
 
 

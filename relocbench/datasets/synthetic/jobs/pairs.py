@@ -60,8 +60,8 @@ def drawn_pairs(
             continue
         best = near[np.argmin(np.abs(distance[near] - wanted))]
         pair = pair_of(reference, int(rows[best]), query, q)
-        exact = {"sigma_translation_m": 0.0, "sigma_rotation_deg": 0.0}
-        pairs.append(replace(pair, group=group_of(float(distance[best])), source="rendered poses", **exact))
+        pair = replace(pair, group=group_of(float(distance[best])), source="rendered poses")
+        pairs.append(replace(pair, sigma_translation_m=0.0, sigma_rotation_deg=0.0))
     return pairs
 
 
