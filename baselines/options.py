@@ -17,7 +17,10 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Options:
-    """A dataclass of options, of which unknown keys are refused by name."""
+    """A dataclass of options, of which unknown keys are refused by name.
+
+    Where a value is out of range, or does not fit another one, constructing it raises :class:`OptionError`.
+    """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
@@ -82,11 +85,6 @@ def one_of(options: object, name: str, *choices: object) -> None:
     require(options, name, lambda value: value in choices, f"{', '.join(words[:-1])} or {words[-1]}")
 
 
-def options_to_dict(options: Any) -> dict[str, Any]:
-    """A dataclass of options as plain values, for JSON or YAML."""
-    return asdict(options)
-
-
 def options_from_dict(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
     """An instance of the dataclass ``kind`` from plain values; absent ones have their defaults.
 
@@ -122,8 +120,8 @@ def _quoted_value(value: object) -> str:
 
 
 def plain(options: Any) -> dict[str, Any]:
-    """As :func:`options_to_dict`, with lists instead of tuples, as YAML and JSON return them."""
-    values: dict[str, Any] = json.loads(json.dumps(options_to_dict(options)))
+    """A dataclass of options as plain values, with lists instead of tuples, as YAML and JSON return them."""
+    values: dict[str, Any] = json.loads(json.dumps(asdict(options)))
     return values
 
 

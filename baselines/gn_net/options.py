@@ -18,11 +18,7 @@ _MOST_WIDTHS, _MOST_CHANNELS, _COARSEST = 12, 8192, 6
 
 @dataclass(frozen=True)
 class NetworkOptions(Options):
-    """Shape of the feature network.
-
-    Raises:
-        OptionError: no network can have these options.
-    """
+    """Shape of the feature network."""
 
     widths: tuple[int, ...] = (32, 48, 64, 96, 128)
     """channels of the stages, finest resolution first; each stage halves the resolution"""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
-from baselines.options import options_from_dict, options_to_dict
+from baselines.options import options_from_dict
 from baselines.weights_file import check_enough, fill_network, read_card_of, read_carded, write_network
 from relocbench.errors import ConfigError, MethodError
 
@@ -28,7 +29,7 @@ def save_weights(path: Path, net: FeatureNet, card: Mapping[str, str]) -> None:
     wrong = [key for key, value in card.items() if not isinstance(key, str) or not isinstance(value, str)]
     if wrong:
         raise MethodError(f"the model card's entries must be text, {wrong[0]!r} is not", path)
-    write_network(path, _KIND, net, {"options": options_to_dict(net.options), "card": dict(card)})
+    write_network(path, _KIND, net, {"options": asdict(net.options), "card": dict(card)})
 
 
 def load_weights(path: Path) -> FeatureNet:

@@ -23,11 +23,7 @@ Stage = Literal["layer3", "layer4"]
 
 @dataclass(frozen=True)
 class AttentionOptions(Options):
-    """Where attention is applied, and its form.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Where attention is applied, and its form."""
 
     after: tuple[Stage, ...] = ()
     """stages of the backbone whose output it weights; attention after ``layer3`` is in front of ``layer4``"""

@@ -28,11 +28,7 @@ from baselines.options import Options, above_0, at_least, share_below_1
 
 @dataclass(frozen=True)
 class DecorrelationOptions(Options):
-    """Weight and constants of the loss.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Weight and constants of the loss."""
 
     weight: float = 0.0
     """share of the total, of which the instance loss has the rest; 0 disables the loss, the authors use 0.1"""

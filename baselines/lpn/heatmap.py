@@ -24,11 +24,7 @@ from baselines.options import Options, one_of, require
 
 @dataclass(frozen=True)
 class HeatmapOptions(Options):
-    """Options of the network that computes the masks.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Options of the network that computes the masks."""
 
     heat: Literal["sum", "mean"] = "sum"
     """whether h is the sum of the channels or their mean"""

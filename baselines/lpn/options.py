@@ -20,11 +20,7 @@ _MOST_PARTS, _MOST_WIDTH = 256, 65536
 
 @dataclass(frozen=True)
 class NetworkOptions(Options):
-    """Shape of the network; the defaults are LPN's.
-
-    Raises:
-        OptionError: no network can have these options.
-    """
+    """Shape of the network; the defaults are LPN's."""
 
     backbone: BackboneName = "resnet50"
     """``resnet18`` for small datasets; ``efficientnet-lite0``, whose ImageNet weights come with the extra

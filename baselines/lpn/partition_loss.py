@@ -39,11 +39,7 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True)
 class PartitionLossOptions(Options):
-    """Weight and form of the loss.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Weight and form of the loss."""
 
     weight: float = 0.0
     """weight relative to the cross-entropy of one part and view; 0 disables the loss"""

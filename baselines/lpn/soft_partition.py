@@ -29,11 +29,7 @@ _SPREAD = 0.001
 
 @dataclass(frozen=True)
 class SoftPartitionOptions(Options):
-    """How features are pooled.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """How features are pooled."""
 
     mean: PartMean = "all"
     """``all``: mean over all pixels, as in the paper; ``mask``: weighted mean, divided by the sum of probabilities"""

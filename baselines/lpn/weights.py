@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from baselines.lpn.network import LpnNetwork
 from baselines.lpn.options import NetworkOptions
-from baselines.options import at_least, options_from_dict, options_to_dict, require
+from baselines.options import at_least, options_from_dict, require
 from baselines.weights_file import check_enough, fill_network, holds_network, read_network, write_network
 from relocbench.errors import ConfigError, MethodError
 
@@ -47,8 +47,8 @@ def save_weights(path: Path, network: LpnNetwork, about: About) -> None:
         network: with its classifiers, so that a training can start from it.
         about: see there.
     """
-    metadata = {**options_to_dict(about), "views": list(about.views), "card": dict(about.card)}
-    whole = {"classes": network.classes, "network": options_to_dict(network.options), **metadata}
+    metadata = {**asdict(about), "views": list(about.views), "card": dict(about.card)}
+    whole = {"classes": network.classes, "network": asdict(network.options), **metadata}
     write_network(path, _KIND, network, whole)
 
 

@@ -30,11 +30,7 @@ _BEYOND = 0.5
 
 @dataclass(frozen=True)
 class AscentOptions(Options):
-    """Weight, margin and positions.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Weight, margin and positions."""
 
     weight: float = 0.0
     """weight relative to the contrastive loss; 0 disables the loss (GN-Net)"""

@@ -23,11 +23,7 @@ Form = Literal["distance", "squared"]
 
 @dataclass(frozen=True)
 class ContrastiveOptions(Options):
-    """Form, weights, margins and negatives.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Form, weights, margins and negatives."""
 
     weight: float = 1.0
     """weight of positives and negatives together; 0 disables the loss"""

@@ -28,11 +28,7 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True)
 class DescentOptions(Options):
-    """Weight, starts, damping and margin.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Weight, starts, damping and margin."""
 
     weight: float = 0.0
     """weight relative to the contrastive loss; 0 disables the loss (GN-Net)"""

@@ -26,11 +26,7 @@ from baselines.options import Options, above_0, at_least, one_of
 
 @dataclass(frozen=True)
 class GaussNewtonOptions(Options):
-    """Weights of the loss and its parts, and the choice of starts.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Weights of the loss and its parts, and the choice of starts."""
 
     weight: float = 0.5
     """weight relative to the contrastive loss; 0 disables the loss"""

@@ -22,11 +22,7 @@ from baselines.options import Options, above_0, at_least
 
 @dataclass(frozen=True)
 class InfoNceOptions(Options):
-    """Weight, temperature and the points that take part.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Weight, temperature and the points that take part."""
 
     weight: float = 0.0
     """weight relative to the contrastive loss; 0 disables the loss (GN-Net)"""

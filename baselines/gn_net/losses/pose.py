@@ -36,11 +36,7 @@ _FARTHEST = 50.0
 
 @dataclass(frozen=True)
 class PoseOptions(Options):
-    """Weight, steps and starts.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Weight, steps and starts."""
 
     weight: float = 0.0
     """weight relative to the contrastive loss; 0 disables the loss (GN-Net)"""

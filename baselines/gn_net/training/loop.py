@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from baselines.gn_net.training.batches import Batch, Batches
 from baselines.gn_net.training.curves import draw_curves
 from baselines.gn_net.training.options import IMAGENET, TrainOptions
 from baselines.gn_net.weights import load_weights, save_weights
-from baselines.options import options_to_dict
 from baselines.training.card import Description, weights_card
 from baselines.training.ema import EmaNetwork
 from baselines.training.log import Row
@@ -62,7 +61,7 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
         tracker: type[GnNet],
     ) -> None:
         self._data, self._tracker = dict(data.describe()), tracker
-        identity = {"name": tracker.name, "options": options_to_dict(options), "data": self._data}
+        identity = {"name": tracker.name, "options": asdict(options), "data": self._data}
         self._start = read_start(options)
         if self._start:
             identity["start"] = self._start.digest
@@ -200,7 +199,7 @@ def read_start(options: TrainOptions) -> _Start | None:
         return None
     path = Path(options.start)
     network = load_weights(path)
-    asked, found = options_to_dict(options.network), options_to_dict(network.options)
+    asked, found = asdict(options.network), asdict(network.options)
     if different := [f"{name} {found[name]}, not {asked[name]}" for name in asked if asked[name] != found[name]]:
         raise MethodError(f"cannot start from it: its network has {'; '.join(different)}", path)
     return _Start(network, sha256(path.read_bytes()).hexdigest())

@@ -24,11 +24,7 @@ IMAGENET: Final = "imagenet"
 
 @dataclass(frozen=True)
 class AugmentationOptions(Options):
-    """Strengths of the photometric changes of each image; 0 disables one. The geometry is never changed.
-
-    Raises:
-        OptionError: a strength is negative, or a probability above 1.
-    """
+    """Strengths of the photometric changes of each image; 0 disables one. The geometry is never changed."""
 
     probability: float = 0.8
     """probability that an image is changed at all"""
@@ -58,11 +54,7 @@ class AugmentationOptions(Options):
 
 @dataclass(frozen=True)
 class TrainOptions(Options):
-    """Everything that decides what is learnt, except the data.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Everything that decides what is learnt, except the data."""
 
     steps: int = 2000
     batch: int = 4

@@ -22,11 +22,7 @@ _ALIGNMENT = 16
 
 @dataclass(frozen=True)
 class TrainOptions(Options):
-    """Everything that decides what is learnt, except the data. The defaults are the recipe of LPN's authors.
-
-    Raises:
-        OptionError: a value is out of range.
-    """
+    """Everything that decides what is learnt, except the data. The defaults are the recipe of LPN's authors."""
 
     configuration: str = "lpn"
     """the system, which determines the stages and the default values of all other options"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Literal
 
 import pytest
@@ -35,7 +35,7 @@ from baselines.gn_net.losses.total import masked_mean
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.sampling import sample, sample_with_gradient
-from baselines.options import options_from_dict, options_to_dict
+from baselines.options import options_from_dict
 from relocbench.errors import ConfigError
 
 
@@ -580,7 +580,7 @@ def test_options_that_make_no_sense_are_named(values: dict[str, object], said: s
 
 
 def test_loss_options_survive_json() -> None:
-    assert options_from_dict(LossOptions, json.loads(json.dumps(options_to_dict(ALL)))) == ALL
+    assert options_from_dict(LossOptions, json.loads(json.dumps(asdict(ALL)))) == ALL
 
 
 @pytest.mark.parametrize("start", ["drawn", "integrated", "affine"])

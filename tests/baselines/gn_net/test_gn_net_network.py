@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.sampling import level_coordinates
 from baselines.gn_net.weights import load_weights, read_card, save_weights
-from baselines.options import options_from_dict, options_to_dict
+from baselines.options import options_from_dict
 from relocbench.errors import ConfigError, MethodError
 
 SMALL = NetworkOptions(widths=(4, 6, 8), finest=0, dim=3, levels=3)
@@ -210,7 +210,7 @@ def test_efficientnets_stages_are_an_encoder(tmp_path: Path) -> None:
 )
 def test_what_efficientnet_cannot_be_is_refused(changed: dict[str, object], names: tuple[object, ...]) -> None:
     with refused(ConfigError, "", None, *names):
-        options_from_dict(NetworkOptions, {**options_to_dict(LITE), **changed})
+        options_from_dict(NetworkOptions, {**asdict(LITE), **changed})
 
 
 def test_grey_images_are_repeated_and_pixels_scaled_to_one() -> None:
@@ -249,7 +249,7 @@ def test_options_that_make_no_sense_are_named(values: dict[str, object], said: s
 
 
 def test_options_survive_json() -> None:
-    assert options_from_dict(NetworkOptions, json.loads(json.dumps(options_to_dict(SMALL)))) == SMALL
+    assert options_from_dict(NetworkOptions, json.loads(json.dumps(asdict(SMALL)))) == SMALL
 
 
 @torch.no_grad()
@@ -289,7 +289,7 @@ def test_a_file_that_is_not_these_weights_is_one_line_with_its_path(tmp_path: Pa
     net = FeatureNet(SMALL)
     save_weights(path, net, {})
     whole = path.read_bytes()
-    about = {"gn-net": json.dumps({"version": 1, "options": options_to_dict(SMALL), "card": {}})}
+    about = {"gn-net": json.dumps({"version": 1, "options": asdict(SMALL), "card": {}})}
     tensors = load_file(path)
     if damage in ("cut", "short", "empty", "text"):
         bad = {"cut": whole[:-5], "short": whole[:100], "empty": b"", "text": b"weights\n" * 40}[damage]

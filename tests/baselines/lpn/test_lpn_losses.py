@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Literal, cast
 
 import pytest
@@ -18,7 +18,7 @@ from baselines.lpn.decorrelation import DecorrelationOptions, correlations, deco
 from baselines.lpn.losses import LossOptions, instance_loss, total_loss
 from baselines.lpn.network import View, ViewOutput
 from baselines.lpn.partition_loss import PartitionLossOptions, largest_spread, partition_loss, spread
-from baselines.options import options_from_dict, options_to_dict
+from baselines.options import options_from_dict
 from relocbench.errors import ConfigError
 
 FORMS = [
@@ -291,4 +291,4 @@ def test_options_that_make_no_sense_are_named(values: dict[str, object], said: s
 
 def test_options_survive_json() -> None:
     options = LossOptions(DecorrelationOptions(weight=0.1), PartitionLossOptions(weight=1.0, form="exponential"))
-    assert options_from_dict(LossOptions, json.loads(json.dumps(options_to_dict(options)))) == options
+    assert options_from_dict(LossOptions, json.loads(json.dumps(asdict(options)))) == options

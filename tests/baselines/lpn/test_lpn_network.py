@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import cast
 
@@ -33,7 +33,7 @@ from baselines.lpn.losses import total_loss
 from baselines.lpn.network import LpnNetwork, View, copy_weights
 from baselines.lpn.options import BackboneName, NetworkOptions
 from baselines.lpn.stages import ALL, INDUCED, Stage, enter, group_of
-from baselines.options import options_from_dict, options_to_dict
+from baselines.options import options_from_dict
 from relocbench.errors import ConfigError, MethodError
 
 SMALL = NetworkOptions(backbone="resnet18", parts=2, width=8)
@@ -374,9 +374,7 @@ def test_drone_and_satellite_share_a_branch_and_street_as_told(street: str) -> N
 
 @pytest.mark.parametrize(("partition", "parts"), [("soft", 2), ("heatmap", 3)])
 def test_masks_come_out_of_partitions_that_have_them(partition: str, parts: int) -> None:
-    net = LpnNetwork(
-        5, options_from_dict(NetworkOptions, {**options_to_dict(SMALL), "partition": partition, "parts": parts})
-    )
+    net = LpnNetwork(5, options_from_dict(NetworkOptions, {**asdict(SMALL), "partition": partition, "parts": parts}))
     masks = net("drone", pictures()).masks
     assert masks is not None
     assert masks.shape == (2, parts, 4, 4)
@@ -536,4 +534,4 @@ def test_options_that_make_no_sense_are_named(values: dict[str, object], said: s
 @pytest.mark.parametrize("name", CONFIGURATIONS)
 def test_options_survive_json(name: str) -> None:
     options = configuration(name).network
-    assert options_from_dict(NetworkOptions, json.loads(json.dumps(options_to_dict(options)))) == options
+    assert options_from_dict(NetworkOptions, json.loads(json.dumps(asdict(options)))) == options
