@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -17,6 +18,7 @@ from baselines.learned_pnp.images import network_input
 from relocbench.arrays import Image
 
 
+@dataclass(eq=False)
 class NetworkDetector(ABC):
     """A network that finds keypoints in an image, with a descriptor of norm 1 for each.
 
@@ -36,12 +38,15 @@ class NetworkDetector(ABC):
     multiple: ClassVar[int] = 1
     """both sides of an image are shrunk to multiples of so many pixels"""
 
-    def __init__(self, weights: Path, features: int, longest_px: int, device: str, cache_size: int = 0) -> None:
-        self.features = features
-        self.longest_px = longest_px
-        self.device = device
-        self._cache: FeatureCache[Features] = FeatureCache(cache_size)
-        self.net: Any = to_device(self.load(weights), device)
+    weights: Path
+    features: int
+    longest_px: int
+    device: str
+    cache_size: int = 0
+
+    def __post_init__(self) -> None:
+        self._cache: FeatureCache[Features] = FeatureCache(self.cache_size)
+        self.net: Any = to_device(self.load(self.weights), self.device)
 
     @abstractmethod
     def load(self, weights: Path) -> nn.Module:

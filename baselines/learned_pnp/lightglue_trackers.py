@@ -10,9 +10,8 @@ from pydantic import Field
 
 from baselines.feature_pnp.features import Features
 from baselines.learned_pnp import published
-from baselines.learned_pnp.aliked import Aliked
 from baselines.learned_pnp.detector import NetworkDetector
-from baselines.learned_pnp.disk import Disk
+from baselines.learned_pnp.kornia_networks import Aliked, Disk
 from baselines.learned_pnp.lightglue import LightGlue
 from baselines.learned_pnp.superpoint import SuperPoint
 from baselines.learned_pnp.trackers import NetworkPnp

@@ -13,11 +13,9 @@ from baselines.calibration import ALIKED_PNP, Calibration
 from baselines.feature_pnp.features import Features
 from baselines.feature_pnp.tracker import FeaturePnp
 from baselines.learned_pnp import published
-from baselines.learned_pnp.aliked import Aliked, AlikedModel
 from baselines.learned_pnp.detector import NetworkDetector
-from baselines.learned_pnp.disk import Disk
+from baselines.learned_pnp.kornia_networks import Aliked, AlikedModel, Disk, XFeat
 from baselines.learned_pnp.superpoint import SuperPoint
-from baselines.learned_pnp.xfeat import XFeat
 from baselines.published_weights import by_place, find_weights
 from relocbench.arrays import Floats, Image, Indices
 from relocbench.weights import PublishedFile

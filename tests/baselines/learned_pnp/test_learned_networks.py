@@ -22,11 +22,10 @@ from torch import Tensor, nn
 import baselines.learned_pnp as learned_pnp
 from baselines.feature_pnp.features import Features
 from baselines.learned_pnp.detector import NetworkDetector
-from baselines.learned_pnp.disk import Disk
+from baselines.learned_pnp.kornia_networks import Disk, XFeat
 from baselines.learned_pnp.lightglue import LightGlue
 from baselines.learned_pnp.loftr import Loftr, LoftrModel
 from baselines.learned_pnp.superpoint import SuperPoint, SuperPointNetwork
-from baselines.learned_pnp.xfeat import XFeat
 from relocbench.arrays import Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError

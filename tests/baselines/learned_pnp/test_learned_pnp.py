@@ -20,7 +20,7 @@ from safetensors.torch import save_file
 from small_dataset import ACROSS, make_small_dataset
 
 from baselines.learned_pnp import AlikedPnp
-from baselines.learned_pnp.aliked import Aliked
+from baselines.learned_pnp.kornia_networks import Aliked
 from baselines.learned_pnp.trackers import mutual_nearest
 from relocbench.arrays import Image
 from relocbench.errors import MethodError
@@ -47,7 +47,7 @@ def pattern(height: int, width: int, seed: int = 0) -> Image:
 
 def test_remembered_features_are_those_that_the_network_finds(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = [pattern(96, 128, seed) for seed in (0, 1, 2)]
-    forgetful, detector = (Aliked(drawn, 200, 1280, "cpu", "t16", cache_size) for cache_size in (0, 2))
+    forgetful, detector = (Aliked(drawn, 200, 1280, "cpu", cache_size, model="t16") for cache_size in (0, 2))
     passed: list[torch.Tensor] = []
     find = detector.find
 
@@ -90,7 +90,7 @@ def test_weights_are_read_from_both_kinds_of_file(drawn: Path, tmp_path: Path) -
     tensors = torch.load(drawn, weights_only=True)
     save_file(tensors, tmp_path / "same.safetensors")
     image = pattern(96, 128)
-    found = [Aliked(path, 200, 1280, "cpu", "t16")(image) for path in (drawn, tmp_path / "same.safetensors")]
+    found = [Aliked(path, 200, 1280, "cpu", model="t16")(image) for path in (drawn, tmp_path / "same.safetensors")]
     assert len(found[0]) > 0
     np.testing.assert_array_equal(found[0].uv, found[1].uv)
     np.testing.assert_array_equal(found[0].descriptors, found[1].descriptors)
@@ -114,7 +114,7 @@ def test_weights_of_another_network_are_refused_by_name(
     change(tensors)
     torch.save(tensors, tmp_path / "other.pth")
     with refused(MethodError, tmp_path / "other.pth", None, *names):
-        Aliked(tmp_path / "other.pth", 200, 1280, "cpu", "t16")
+        Aliked(tmp_path / "other.pth", 200, 1280, "cpu", model="t16")
 
 
 def test_files_that_are_no_weights_are_refused(drawn: Path, tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_without_kornia_one_line_says_what_to_install(drawn: Path, monkeypatch: 
 
 
 def test_grey_images_and_small_ones(drawn: Path) -> None:
-    detector = Aliked(drawn, 100, 1280, "cpu", "t16")
+    detector = Aliked(drawn, 100, 1280, "cpu", model="t16")
     image = pattern(96, 128)[..., 1]
     of_grey, of_three = detector(image), detector(np.stack([image] * 3, axis=-1))
     np.testing.assert_array_equal(of_grey.uv, of_three.uv)
@@ -163,8 +163,8 @@ def test_keypoints_of_a_shrunk_image_are_pixels_of_the_original(real_data: Calla
     weights = real_data("weights") / "aliked-t16.pth"
     small = pattern(160, 224)
     large = np.asarray(cv2.resize(small, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
-    direct = Aliked(weights, 300, 1280, "cpu", "t16")(small)
-    shrunk = Aliked(weights, 300, 224, "cpu", "t16")(large)  # the same image again, by areas of 2 x 2
+    direct = Aliked(weights, 300, 1280, "cpu", model="t16")(small)
+    shrunk = Aliked(weights, 300, 224, "cpu", model="t16")(large)  # the same image again, by areas of 2 x 2
     np.testing.assert_allclose(shrunk.uv, (direct.uv + 0.5) * 2.0 - 0.5, atol=1e-9)
     assert set(shrunk.scale) == {2.0}
     assert set(direct.scale) == {1.0}
@@ -175,7 +175,7 @@ def test_keypoints_move_with_the_image(real_data: Callable[[str], Path]) -> None
     weights = real_data("weights") / "aliked-n16.pth"
     path = min((real_data("kitti_odometry") / "sequences" / "06" / "image_0").glob("*.png"))
     whole = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
-    detector = Aliked(weights, 500, 1280, "cpu", "n16")
+    detector = Aliked(weights, 500, 1280, "cpu", model="n16")
     here, there = detector(whole[100:292, 400:720]), detector(whole[103:295, 405:725])
     offset = here.uv[:, None] - (there.uv + np.array([5.0, 3.0]))[None]
     nearest = offset[np.arange(len(here)), np.linalg.norm(offset, axis=-1).argmin(axis=1)]
