@@ -35,11 +35,6 @@ def device_named(name: str) -> torch.device:
         return torch.device(name)
 
 
-def half_precision(chosen: bool | None, device: torch.device) -> bool:
-    """Whether a network computes in bfloat16: as chosen, or if None, only on a GPU."""
-    return device.type == "cuda" if chosen is None else chosen
-
-
 @contextmanager
 def _refused_by_name(name: str) -> Iterator[None]:
     try:

@@ -9,24 +9,24 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
+import cv2
 import numpy as np
 import torch
 import yaml
 from torch import Tensor, nn
-from torch.utils.data import Dataset
+from torch.utils.data import DataLoader, Dataset
 
-from baselines.device import device_named, half_precision
+from baselines.device import device_named
 from baselines.files import write_whole
 from baselines.options import plain
 from baselines.training.card import Description, model_card, score_rows
 from baselines.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
 from baselines.training.checkpoint_content import check_state, restore_network, restore_optimiser
 from baselines.training.ema import EmaNetwork
-from baselines.training.loading import batches_in_order
 from baselines.training.log import SECONDS, Row, Table, Window
 from baselines.training.tensorboard import EventFile
 from relocbench.errors import MethodError
@@ -34,6 +34,8 @@ from relocbench.training import TrainingReport, TrainingRun, ValidationScores
 
 Network = TypeVar("Network", bound=nn.Module)
 Batch = TypeVar("Batch")
+_PREFETCH = 2
+"""batches that each background process has ready"""
 _DRAW_EVERY_S = 10.0
 """the curves of a long training are drawn at its validations, but no more often than this"""
 
@@ -161,10 +163,6 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         """What is reported of a validation, line by line."""
         yield percentages(scores.together)
 
-    def written_options(self) -> dict[str, Any]:
-        """The options as ``config.yaml`` has them, which ``--config`` takes."""
-        return plain(self.options)
-
     def on_new_best(self) -> None:
         """Called when the weights have scored best so far."""
 
@@ -183,7 +181,8 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
     @property
     def half(self) -> bool:
         """Whether the network computes in bfloat16."""
-        return half_precision(self.options.mixed_precision, self.device)
+        chosen = self.options.mixed_precision
+        return self.device.type == "cuda" if chosen is None else chosen
 
     def resume(self) -> None:
         """Begin at the first step, or where the folder's checkpoint stands.
@@ -215,7 +214,7 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         Raises:
             MethodError: the loss or its gradient is no longer finite.
         """
-        write_whole(self.run.out / "config.yaml", yaml.safe_dump(self.written_options(), sort_keys=False))
+        write_whole(self.run.out / "config.yaml", yaml.safe_dump(plain(self.options), sort_keys=False))
         since, left = time.monotonic() - self.seconds, self.steps - self.step
         if left:
             self.announce()
@@ -332,3 +331,32 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
 def percentages(values: Mapping[str, float]) -> str:
     """Metrics in one line, in percent."""
     return ", ".join(f"{name} {100 * value:.1f} %" for name, value in values.items())
+
+
+def batches_in_order(batches: Dataset[Batch], first: int, last: int, workers: int, pin_memory: bool) -> Iterator[Batch]:
+    """The batches of the steps from ``first`` to ``last``, excluding it, in order.
+
+    Args:
+        batches: the batch of each step.
+        first: a step, counted from 0.
+        last: the first step that is left out.
+        workers: number of background processes; 0: read in this process.
+        pin_memory: whether to place batches in page-locked memory, for a GPU.
+    """
+    loader = DataLoader(
+        batches,
+        batch_size=None,
+        sampler=range(first, last),
+        num_workers=workers,
+        worker_init_fn=_one_thread,
+        prefetch_factor=_PREFETCH if workers else None,
+        multiprocessing_context="spawn" if workers else None,
+        pin_memory=pin_memory,
+        generator=torch.Generator().manual_seed(0),  # the loader draws a seed that nothing uses
+    )
+    return iter(loader)
+
+
+def _one_thread(_: int) -> None:
+    """Leave the cores to the training; the loader limits torch's threads in the same way."""
+    cv2.setNumThreads(1)

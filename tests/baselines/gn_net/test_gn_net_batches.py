@@ -21,7 +21,7 @@ from baselines.gn_net.training.crops import cut_pair, mirrored, scaled
 from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import AugmentationOptions, TrainOptions
 from baselines.options import options_from_dict
-from baselines.training.loading import batches_in_order
+from baselines.training.loop import batches_in_order
 from relocbench.arrays import Array
 from relocbench.errors import ConfigError
 from relocbench.training import TrainingPair

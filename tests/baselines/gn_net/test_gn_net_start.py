@@ -9,9 +9,8 @@ import poselib
 import pytest
 
 from baselines.alignment import FeaturePyramid
-from baselines.gn_net.correspondence import Landmarks, match_landmarks
+from baselines.gn_net.correspondence import Landmarks, add_window_distances, match_landmarks
 from baselines.gn_net.start import StartSettings, find_landmarks
-from baselines.gn_net.window_kernel import add_window_distances
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, apply, make_transform, rotation_angle, so3_exp
 from relocbench.tracking import KeyframePoints
