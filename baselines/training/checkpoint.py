@@ -7,32 +7,44 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import AfterValidator, ConfigDict, Field, Strict, TypeAdapter, ValidationError
 from torch import Tensor, nn
 
 from baselines.files import write_whole
 from baselines.torch_file import load_torch_file
-from baselines.training.checkpoint_content import fault_of
 from relocbench.errors import MethodError
 from relocbench.training import ValidationScores
 
 _VERSION = 1
 
 StateDict = dict[str, Tensor]
+Number = Annotated[float, Strict()]
+Count = Annotated[int, Strict(), Field(ge=0)]
+_CONTENT = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+
+
+def _whole_scores(scores: dict[str, Any]) -> dict[str, Any]:
+    known = {field.name for field in fields(ValidationScores)}
+    if scores and not known - {"messages"} <= scores.keys() <= known:
+        raise ValueError("expected the scores of a validation")
+    return scores
 
 
 @dataclass
 class Best:
     """The best weights so far, and their scores."""
 
-    step: int
-    score: float
+    __pydantic_config__ = _CONTENT
+
+    step: Count
+    score: Number
     weights: StateDict
-    scores: dict[str, Any]
+    scores: Annotated[dict[str, Any], AfterValidator(_whole_scores)]
     """``ValidationScores`` as plain values; empty without validation"""
 
     @classmethod
@@ -55,20 +67,22 @@ class Best:
 class Checkpoint:
     """The state of a training after ``step`` steps."""
 
+    __pydantic_config__ = _CONTENT
+
     identity: dict[str, Any]
     """options and data as plain values; another training must not resume from here"""
-    step: int
+    step: Count
     net: StateDict
     optimiser: dict[str, Any]
     mean_net: StateDict | None
     """the averaged weights, if there are any"""
-    window: dict[str, float]
+    window: dict[str, Number]
     """sums of the values whose means are the next row of the log"""
-    window_steps: int
-    seconds: float
+    window_steps: Count
+    seconds: Annotated[Number, Field(ge=0)]
     """spent so far, over all runs"""
-    best: Best | None = None
-    messages: list[str] = field(default_factory=list)
+    best: Best | None
+    messages: list[str]
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
@@ -96,11 +110,13 @@ def load_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | Non
         raise MethodError(f"not a whole checkpoint ({bad}); remove it to train from the start", path) from bad
     if not isinstance(values, dict) or values.pop("version", None) != _VERSION:
         raise MethodError(f"a checkpoint of another version, expected version {_VERSION}", path)
-    fault = fault_of(values)
-    if fault:
-        raise MethodError(f"not a checkpoint of this program: {fault}; remove it to train from the start", path)
-    best = values.pop("best")
-    found = Checkpoint(**values, best=None if best is None else Best(**best))
+    try:
+        found = TypeAdapter(Checkpoint).validate_python(values)
+    except ValidationError as bad:
+        first = bad.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        fault = f"not a checkpoint of this program: {place}: {first['msg']}"
+        raise MethodError(f"{fault}; remove it to train from the start", path) from bad
     changed = list(_differences(found.identity, identity))
     if changed:
         raise MethodError(
@@ -109,10 +125,10 @@ def load_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | Non
     return found
 
 
-def _differences(there: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
     out = []
-    for key in sorted(there.keys() | now.keys()):
-        a, b = there.get(key), now.get(key)
+    for key in sorted(before.keys() | now.keys()):
+        a, b = before.get(key), now.get(key)
         if isinstance(a, Mapping) and isinstance(b, Mapping):
             out += _differences(a, b, f"{prefix}{key}.")
         elif a != b:

@@ -13,45 +13,6 @@ from baselines.weights_file import difference
 from relocbench.errors import MethodError
 
 
-def fault_of(values: Mapping[str, Any]) -> str | None:
-    """What is wrong with a checkpoint's entries, in words; None if nothing is."""
-    for key, kinds in _KINDS.items():
-        if key not in values:
-            return f"it has no '{key}'"
-        if not isinstance(values[key], kinds) or isinstance(values[key], bool):
-            return f"its '{key}' is a {type(values[key]).__name__}"
-    others = sorted(map(str, values.keys() - _KINDS.keys()))
-    if others:
-        return f"it has '{others[0][:40]}'"
-    if min(values["step"], values["window_steps"], values["seconds"]) < 0:
-        return "one of its counts is negative"
-    if not all(isinstance(value, int | float) for value in values["window"].values()):
-        return "its 'window' holds values that are not numbers"
-    states = [values["net"], values["mean_net"] or {}]
-    if values["best"] is not None:
-        if values["best"].keys() != {"step", "score", "weights", "scores"}:
-            return "its 'best' has other entries"
-        if not isinstance(values["best"]["weights"], dict) or not _are_scores(values["best"]["scores"]):
-            return "its 'best' has other entries"
-        if not all(isinstance(values["best"][key], int | float) for key in ("step", "score")):
-            return "its 'best' has other entries"
-        states.append(values["best"]["weights"])
-    if not all(isinstance(tensor, Tensor) for state in states for tensor in state.values()):
-        return "its weights are not all tensors"
-    return None
-
-
-_KINDS: dict[str, type | tuple[type, ...]] = {
-    "identity": dict, "step": int, "net": dict, "optimiser": dict, "mean_net": (dict, type(None)), "window": dict,
-    "window_steps": int, "seconds": (int, float), "best": (dict, type(None)), "messages": list,
-}  # fmt: skip
-
-
-def _are_scores(scores: Any) -> bool:
-    known = {"together", "by_conditions", "pairs", "messages"}
-    return isinstance(scores, dict) and (not scores or known - {"messages"} <= scores.keys() <= known)
-
-
 def restore_network(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
     """Load the weights of a checkpoint.
 

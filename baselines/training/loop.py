@@ -308,6 +308,7 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
             window_steps=self.window.steps,
             seconds=self.seconds,
             best=self.best,
+            messages=[],
         )
         save_checkpoint(self._checkpoint, checkpoint)
 

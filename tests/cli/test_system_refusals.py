@@ -245,7 +245,7 @@ def _write_checkpoint(path: Path) -> None:
     import torch
 
     net = {"w": torch.zeros(50_000)}
-    save_checkpoint(path, Checkpoint({}, 1, net, {}, None, {}, 0, 0.0))
+    save_checkpoint(path, Checkpoint({}, 1, net, {}, None, {}, 0, 0.0, None, []))
 
 
 def _write_figure(path: Path) -> None:

@@ -102,7 +102,7 @@ def write_weights(root: Path) -> None:
     states = {name: tensor.clone() for name, tensor in small.state_dict().items()}
     optimiser = torch.optim.Adam(small.parameters()).state_dict()
     save_checkpoint(
-        folder / "checkpoint.pt", Checkpoint({"seed": 0}, 3, states, optimiser, None, {"loss": 1.5}, 1, 2.5)
+        folder / "checkpoint.pt", Checkpoint({"seed": 0}, 3, states, optimiser, None, {"loss": 1.5}, 1, 2.5, None, [])
     )
     table = Table(folder / "log.csv", 0)
     for step in range(1, 4):
