@@ -12,9 +12,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import NoReturn
 
 INTERRUPTED = 130
@@ -40,6 +40,7 @@ def interruptible() -> Iterator[None]:
     threading.Thread(target=_see_that_it_ends, args=(reader,), daemon=True).start()
     wakeup = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     before = {number: signal.signal(number, _interrupt) for number in _SIGNALS}
+    hook, sys.excepthook = sys.excepthook, _of_other_threads(sys.excepthook)
     _told.clear()
     try:
         yield
@@ -48,6 +49,7 @@ def interruptible() -> Iterator[None]:
             for number, handler in before.items():
                 signal.signal(number, handler)
             signal.set_wakeup_fd(wakeup)
+            sys.excepthook = hook
             os.close(writer)
 
 
@@ -80,10 +82,25 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+def _of_other_threads(hook: Callable[..., object]) -> Callable[..., object]:
+    """The same, but silent about what other threads meet once a signal has come.
+
+    A thread of :mod:`multiprocessing` that hands files to workers meets their end, and may be told of it before this
+    process hears of the signal that ended them.
+    """
+
+    def of_all(kind: type[BaseException], value: BaseException, trace: TracebackType | None) -> None:
+        if threading.current_thread() is threading.main_thread() or not _heard.wait(_GRACE_S / 3):
+            hook(kind, value, trace)
+
+    return of_all
+
+
 def _see_that_it_ends(reader: int) -> None:
     """Woken by the signal itself, which the main thread may not hear for long."""
     while word := os.read(reader, 1):
         if word[0] in _SIGNALS:
+            _heard.set()
             threading.Event().wait(_GRACE_S)
             if not _told.is_set():
                 os.write(2, f"{_MESSAGE}\n".encode())  # not by the stream, which the main thread may hold

@@ -134,6 +134,26 @@ def test_one_ctrl_c_ends_a_command_that_does_not_hear_of_it(tmp_path: Path) -> N
 
 
 @pytest.mark.thorough
+def test_what_other_threads_meet_after_a_ctrl_c_is_not_printed(tmp_path: Path) -> None:
+    """As multiprocessing's thread does that hands files to workers, when these have ended."""
+    program = (
+        "import pathlib, sys, threading, time, relocbench.cli, relocbench.cli.app\n"
+        "import relocbench.cli.interruption as interruption\n"
+        "def meet():\n"
+        "    interruption._heard.wait()\n"
+        "    sys.excepthook(EOFError, EOFError(), None)\n"
+        "def work(**_):\n"
+        "    threading.Thread(target=meet, daemon=True).start()\n"
+        "    pathlib.Path('mark').touch()\n"
+        "    time.sleep(1000)\n"
+        "relocbench.cli.app._commands = lambda: work\n"
+        "relocbench.cli.main()\n"
+    )
+    err = interrupted([sys.executable, "-c", program], (tmp_path / "mark").exists, signal.SIGINT, True, tmp_path)
+    assert "EOFError" not in err
+
+
+@pytest.mark.thorough
 def test_one_ctrl_c_ends_a_leaderboard_and_the_same_command_writes_it_later(dataset: Dataset, tmp_path: Path) -> None:
     results, out, mark = tmp_path / "results", tmp_path / "out", tmp_path / "mark"
     assert relocbench("evaluate", "-d", dataset.root, "-m", "identity", "-j", 0, "-o", results, "-q").status == 0
