@@ -10,10 +10,12 @@ from torch import Tensor, nn
 
 from baselines.torch_file import load_torch_file
 from baselines.weights_file import difference, read_tensors
-from relocbench.errors import MethodError
+from relocbench.errors import MethodError, quoted
 from relocbench.weights import PublishedFile
 
 _SAFETENSORS = ".safetensors"
+COUNTER = ".num_batches_tracked"
+"""of a batch normalisation: absent in older files and without influence"""
 
 
 def cache_of(file: PublishedFile) -> Path:
@@ -91,3 +93,25 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
             raise MethodError(f"'{name}' holds numbers that are not finite", path)
     network.load_state_dict({**expected, **known})
     network.eval()
+
+
+def check_floats(expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor], path: Path, what: str) -> None:
+    """Check that a file has the tensors of a network, as floats of any precision; counters do not matter.
+
+    Args:
+        what: was expected, in words.
+
+    Raises:
+        MethodError: a tensor is missing, unknown, of another shape, or not of finite floats; it is named.
+    """
+    for name in sorted(expected.keys() | tensors.keys()):
+        if name.endswith(COUNTER):
+            continue
+        if name not in tensors or name not in expected:
+            fault = "missing" if name in expected else "not part of this network"
+            raise MethodError(f"{quoted(name)} is {fault}; expected {what}", path)
+        shape, wanted = tuple(tensors[name].shape), tuple(expected[name].shape)
+        if shape != wanted:
+            raise MethodError(f"'{name}' is {shape}, expected {wanted} of {what}", path)
+        if not tensors[name].is_floating_point() or not bool(tensors[name].isfinite().all()):
+            raise MethodError(f"'{name}' holds values that are not finite floats; expected {what}", path)

@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from baselines.gn_net.encoder import Filter, make_encoder
 from baselines.gn_net.options import NetworkOptions
-from baselines.initialisation import Foldable, convolution
+from baselines.initialisation import Foldable, convolution, draw_weights
 from relocbench.arrays import Image
 
 _LEAST = 1e-6
@@ -143,11 +143,7 @@ class FeatureNet(nn.Module):
 
     def _draw_weights(self, generator: torch.Generator) -> None:
         """Initialise as He et al., 2015; heads start with features of about unit norm and equal confidences."""
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d):
-                nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
-                if module.bias is not None:
-                    nn.init.zeros_(module.bias)
+        draw_weights(self, generator, "fan_in")
         for head in self.confidences:
             nn.init.zeros_(cast(Tensor, head.weight))
         for head in self.heads:

@@ -1,22 +1,23 @@
-"""Backbone weights from a user's file, such as the ImageNet weights that torchvision publishes."""
+"""Backbone weights from a user's file, and between those that a training started from and those it ended with."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from pathlib import Path
+from typing import cast
 
+import torch
 from torch import Tensor
 
-from baselines.efficientnet_lite import are_published, from_published
+from baselines.efficientnet_lite import IMAGENET_WEIGHTS, are_published, from_published, published_file
 from baselines.lpn.backbone import Backbone
-from baselines.lpn.weights import are_weights, load_weights
-from baselines.torch_file import load_torch_file
-from baselines.weights_file import read_tensors
+from baselines.lpn.network import Branch, LpnNetwork
+from baselines.lpn.weights import About, are_weights, load_weights
+from baselines.published_weights import check_floats, read_weights
 from relocbench.errors import MethodError
 
 _CLASSIFIER = ("fc.weight", "fc.bias")
-_COUNTER = ".num_batches_tracked"
-"""absent in older files and without influence"""
 
 
 def load_backbone(path: Path, backbone: Backbone) -> None:
@@ -36,36 +37,51 @@ def load_backbone(path: Path, backbone: Backbone) -> None:
         tensors = {f"encoder.{name}": tensor for name, tensor in from_published(tensors).items()}
     expected = backbone.state_dict()
     found = {name: tensor for name, tensor in tensors.items() if name not in _CLASSIFIER}
-    for name in sorted(expected.keys() | found.keys()):
-        if name.endswith(_COUNTER):
-            continue
-        if name not in found or name not in expected:
-            what = "is missing" if name in expected else "is not part of it"
-            raise MethodError(f"weights of another network than this backbone: '{name}' {what}", path)
-        if found[name].shape != expected[name].shape:
-            shapes = f"{tuple(found[name].shape)}, expected {tuple(expected[name].shape)}"
-            raise MethodError(f"weights of another network than this backbone: '{name}' is {shapes}", path)
-        if not found[name].is_floating_point() or not bool(found[name].isfinite().all()):
-            raise MethodError(f"'{name}' holds values that are not finite numbers", path)
+    check_floats(expected, found, path, "the weights of this backbone")
     backbone.load_state_dict({name: found.get(name, tensor).to(tensor.dtype) for name, tensor in expected.items()})
 
 
 def _read(path: Path) -> Mapping[str, Tensor]:
-    if not path.is_file():
-        raise MethodError("no such file of weights", path)
     if are_weights(path):
         return load_weights(path)[0].branch("satellite").backbone.state_dict()
-    if path.suffix == ".safetensors":
-        return read_tensors(path)[1]
-    try:
-        content = load_torch_file(path)
-    except ValueError as bad:
-        expected = "expected a state dict, saved by torch.save or as .safetensors"
-        raise MethodError(f"not a readable file of weights ({bad}): {expected}", path) from bad
-    if (
-        not isinstance(content, Mapping)
-        or not all(isinstance(value, Tensor) for value in content.values())
-        or not all(isinstance(name, str) for name in content)
-    ):
-        raise MethodError("not a state dict: expected only names and tensors", path)
-    return content
+    return read_weights(path)
+
+
+@torch.no_grad()
+def move_towards_imagenet(network: LpnNetwork, about: About, trained_share: float, path: Path) -> None:
+    """Move each backbone to w = (1 - a) w_ImageNet + a w_trained, with its running means and variances.
+
+    A network that was fine-tuned on one kind of images gains there and loses elsewhere. On the straight way between the
+    two sets of weights there are networks that keep most of both (Wortsman et al., "Robust fine-tuning of zero-shot
+    models", CVPR 2022: WiSE-FT).
+
+    Args:
+        network: changed in place.
+        about: what its file says.
+        trained_share: a, in [0, 1]; 1 changes nothing.
+        path: the file, for messages.
+
+    Raises:
+        MethodError: the training did not start from EfficientNet-Lite0's ImageNet weights, or the package that holds
+            them is not installed (the extra ``pretrained``).
+    """
+    if trained_share == 1:
+        return
+    if about.backbone_start != IMAGENET_WEIGHTS:
+        raise MethodError(
+            f"trained_share={trained_share:g} needs a training that started from ImageNet's weights of "
+            "EfficientNet-Lite0 (--backbone-weights imagenet); the backbone of this one started from "
+            f"{about.backbone_start}",
+            path,
+        )
+    for branch in network.branches.values():
+        trained = cast(Branch, branch).backbone
+        start = copy.deepcopy(trained)
+        load_backbone(published_file(), start)
+        states = start.state_dict(), trained.state_dict()
+        trained.load_state_dict(
+            {
+                name: torch.lerp(states[0][name], value, trained_share) if value.is_floating_point() else value
+                for name, value in states[1].items()
+            }
+        )

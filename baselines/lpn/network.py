@@ -191,12 +191,11 @@ def copy_weights(source: LpnNetwork, target: LpnNetwork) -> None:
     """
     given, wanted = source.state_dict(), target.state_dict()
     for name in sorted(given.keys() | wanted.keys()):
-        here, there = given.get(name), wanted.get(name)
-        same = here is not None and there is not None and here.shape == there.shape
+        same = name in given and name in wanted and given[name].shape == wanted[name].shape
         if not same and ".partition." not in name:
             raise ValueError(f"the networks differ in more than their partition: '{name}'")
         if same:
-            wanted[name] = cast(Tensor, here)
+            wanted[name] = given[name]
     target.load_state_dict(wanted)
 
 

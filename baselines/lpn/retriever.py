@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor
 
 from baselines.device import to_device
-from baselines.lpn.averaging import move_towards_imagenet
+from baselines.lpn.backbone_weights import move_towards_imagenet
 from baselines.lpn.configurations import configuration
 from baselines.lpn.descriptor import Turns, descriptors, over_symmetries, parts_of
 from baselines.lpn.dmli import aligned_distance

@@ -63,16 +63,16 @@ def load_weights(path: Path) -> tuple[LpnNetwork, About]:
     Raises:
         MethodError: the file is missing, damaged, of another kind, or does not fit the network that it describes.
     """
-    told, tensors = read_network(path, _KIND)
+    stated, tensors = read_network(path, _KIND)
     try:
-        options = options_from_dict(NetworkOptions, told.pop("network"))
-        classes = told.pop("classes")
+        options = options_from_dict(NetworkOptions, stated.pop("network"))
+        classes = stated.pop("classes")
         if type(classes) is not int or classes < 1:
             raise ConfigError("its number of classes is not a positive whole number")
-        about = options_from_dict(About, told)
+        about = options_from_dict(About, stated)
     except (ConfigError, KeyError, ValueError, TypeError) as bad:
-        told_of = " ".join(str(bad).split())[:200]
-        raise MethodError(f"its description of the network is not understood ({told_of})", path) from bad
+        reason = " ".join(str(bad).split())[:200]
+        raise MethodError(f"its description of the network is not understood ({reason})", path) from bad
     check_enough(tensors, options.least_parameters + options.parts * options.width * classes, path)
     network = LpnNetwork(classes, options)
     fill_network(network, tensors, path)

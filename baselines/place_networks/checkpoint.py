@@ -9,15 +9,13 @@ from typing import TypeVar
 import torch
 from torch import Tensor, nn
 
-from baselines.published_weights import read_weights
+from baselines.published_weights import COUNTER, check_floats, read_weights
 from relocbench.errors import MethodError, quoted
 
 Network = TypeVar("Network", bound=nn.Module)
 State = Mapping[str, Tensor]
 _ENTRIES = ("state_dict", "model_state_dict")
 """of the checkpoint of a training, beside which there are the optimiser and scores"""
-_COUNTER = ".num_batches_tracked"
-"""of a batch normalisation: absent in older files and without influence"""
 
 
 def read_state(path: Path) -> dict[str, Tensor]:
@@ -71,18 +69,8 @@ def filled(network: Network, state: State, path: Path, what: str) -> Network:
         MethodError: a tensor is missing, unknown, of another shape, or not of finite floats; it is named.
     """
     expected = network.state_dict()
-    for name in sorted(expected.keys() | state.keys()):
-        if name.endswith(_COUNTER):
-            continue
-        if name not in state or name not in expected:
-            fault = "missing" if name in expected else "not part of this network"
-            raise MethodError(f"{quoted(name)} is {fault}; expected {what}", path)
-        shape, wanted = tuple(state[name].shape), tuple(expected[name].shape)
-        if shape != wanted:
-            raise MethodError(f"'{name}' is {shape}, expected {wanted} of {what}", path)
-        if not state[name].is_floating_point() or not bool(state[name].isfinite().all()):
-            raise MethodError(f"'{name}' holds values that are not finite floats; expected {what}", path)
-    given = {name: state[name].float() for name in expected if not name.endswith(_COUNTER)}
-    counters = {name: torch.zeros((), dtype=torch.long) for name in expected if name.endswith(_COUNTER)}
+    check_floats(expected, state, path, what)
+    given = {name: state[name].float() for name in expected if not name.endswith(COUNTER)}
+    counters = {name: torch.zeros((), dtype=torch.long) for name in expected if name.endswith(COUNTER)}
     network.load_state_dict({**given, **counters}, assign=True)
     return network.eval().requires_grad_(False)

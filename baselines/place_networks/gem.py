@@ -24,8 +24,6 @@ from relocbench.errors import MethodError
 
 _LEAST = 1e-6
 """to which smaller values are raised before their power is taken"""
-_LEAST_SIDE_PX = 32
-"""of an image, of which a ResNet leaves one pixel"""
 
 
 class UnitNorm(nn.Module):
@@ -50,8 +48,6 @@ class GeM(nn.Module):
 class GemNetwork(PlaceNetwork):
     """The network of CosPlace and EigenPlaces on a backbone."""
 
-    least = f"{_LEAST_SIDE_PX} pixels a side"
-
     def __init__(self, backbone: Backbone, dimensions: int) -> None:
         super().__init__()
         self.kind, self.on, self.dimensions = backbone, str(backbone), dimensions
@@ -62,9 +58,6 @@ class GemNetwork(PlaceNetwork):
 
     def forward(self, images: Tensor) -> Tensor:
         return cast(Tensor, self.aggregation(self.backbone(images)))
-
-    def takes(self, height: int, width: int) -> bool:
-        return min(height, width) >= _LEAST_SIDE_PX
 
 
 def load_gem(path: Path, method: str) -> GemNetwork:

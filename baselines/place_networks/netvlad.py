@@ -25,7 +25,6 @@ from relocbench.errors import MethodError
 _LAYOUTS = (("encoder", "pool"), ("backbone", "aggregation"))
 """names of the backbone and of the layer"""
 _WHITENING = "WPCA.0"
-_LEAST_SIDE_PX = 32
 
 
 class NetVladLayer(nn.Module):
@@ -54,8 +53,6 @@ class NetVladNetwork(PlaceNetwork):
         layout: names of the backbone and of the layer in files.
     """
 
-    least = f"{_LEAST_SIDE_PX} pixels a side"
-
     def __init__(
         self, backbone: Backbone, clusters: int, bias: bool, whitened: int | None, layout: tuple[str, str]
     ) -> None:
@@ -77,9 +74,6 @@ class NetVladNetwork(PlaceNetwork):
             return vectors
         projection = cast(nn.Conv2d, self.WPCA[0])
         return functional.normalize(functional.linear(vectors, projection.weight.flatten(1), projection.bias), dim=1)
-
-    def takes(self, height: int, width: int) -> bool:
-        return min(height, width) >= _LEAST_SIDE_PX
 
 
 def load_netvlad(path: Path) -> NetVladNetwork:

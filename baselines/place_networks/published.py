@@ -38,34 +38,27 @@ EIGENPLACES: Dimensions = {
 
 def cosplace(backbone: BackboneName, dimensions: int) -> PublishedFile:
     """CosPlace's file of a backbone and a number of dimensions. Raises MethodError if there is none."""
-    _check("CosPlace", COSPLACE, backbone, dimensions)
-    name = f"{backbone}_{dimensions}_cosplace.pth"
-    return PublishedFile(
-        name=name,
-        address=f"https://github.com/gmberton/CosPlace/releases/download/v1.0/{name}",
-        publisher="gmberton/CosPlace, release v1.0 (Berton et al.)",
-        licence="that of gmberton/CosPlace, in its file LICENSE",
-    )
+    return _of_berton("CosPlace", COSPLACE, backbone, dimensions, "that of gmberton/CosPlace, in its file LICENSE")
 
 
 def eigenplaces(backbone: BackboneName, dimensions: int) -> PublishedFile:
     """EigenPlaces' file of a backbone and a number of dimensions. Raises MethodError if there is none."""
-    _check("EigenPlaces", EIGENPLACES, backbone, dimensions)
-    name = f"{backbone}_{dimensions}_eigenplaces.pth"
-    return PublishedFile(
-        name=name,
-        address=f"https://github.com/gmberton/EigenPlaces/releases/download/v1.0/{name}",
-        publisher="gmberton/EigenPlaces, release v1.0 (Berton et al.)",
-        licence="MIT",
-    )
+    return _of_berton("EigenPlaces", EIGENPLACES, backbone, dimensions, "MIT")
 
 
-def _check(method: str, known: Dimensions, backbone: BackboneName, dimensions: int) -> None:
+def _of_berton(method: str, known: Dimensions, backbone: BackboneName, dimensions: int, licence: str) -> PublishedFile:
     if dimensions not in known.get(backbone, ()):
         available = "; ".join(f"{name}: {', '.join(map(str, sizes))}" for name, sizes in known.items())
         raise MethodError(
             f"there are no weights of {method} on {backbone} with {dimensions} dimensions; available: {available}"
         )
+    name = f"{backbone}_{dimensions}_{method.lower()}.pth"
+    return PublishedFile(
+        name=name,
+        address=f"https://github.com/gmberton/{method}/releases/download/v1.0/{name}",
+        publisher=f"gmberton/{method}, release v1.0 (Berton et al.)",
+        licence=licence,
+    )
 
 
 _PATCH_NETVLAD: Mapping[NetVladModel, tuple[str, int | None]] = {
