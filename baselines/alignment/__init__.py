@@ -8,14 +8,14 @@
 from baselines.alignment.direct.kernel import linearize
 from baselines.alignment.direct.settings import Settings
 from baselines.alignment.direct.solver import Alignment, align, align_best
-from baselines.alignment.features.pyramid import FeatureLevel, FeaturePyramid
-from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
+from baselines.alignment.features.pyramid import FeaturePyramid
+from baselines.alignment.features.reference import ReferenceFeatures
 from baselines.alignment.features.settings import LM_RELOC_DAMPING, FeatureSettings
 from baselines.alignment.features.solver import FeatureAlignment, align_features, align_features_best, coarsest_level
 from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels, match_pixels_by_level
-from baselines.alignment.shared.damping import DSO_DAMPING, Damping
+from baselines.alignment.shared.damping import DSO_DAMPING
 from baselines.alignment.shared.depth_map import LevelPoints, coarse_points, sample_points
-from baselines.alignment.shared.levels import ABANDON_FACTOR, LevelOutcome
+from baselines.alignment.shared.levels import ABANDON_FACTOR
 from baselines.alignment.shared.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
 from baselines.alignment.shared.selection import choose_points, select_pixels
 from baselines.alignment.shared.starts import Start, moved_along, small_rotations
@@ -27,14 +27,10 @@ __all__ = [
     "LM_RELOC_DAMPING",
     "SINGLE_PIXEL",
     "Alignment",
-    "Damping",
     "FeatureAlignment",
-    "FeatureLevel",
-    "FeaturePoints",
     "FeaturePyramid",
     "FeatureSettings",
     "Level",
-    "LevelOutcome",
     "LevelPoints",
     "MatchSettings",
     "ReferenceFeatures",

@@ -96,26 +96,23 @@ def run_units(
     function: Callable[[Unit], Result],
     units: Sequence[Unit],
     run: Run = Run(),
-    *,
-    on_lost: Callable[[Unit], Result] | None = None,
 ) -> Iterator[tuple[int, Result]]:
     """Run ``function`` on every unit and yield (index, result) as they finish.
 
     Args:
         function: can be imported by name (worker processes import it) and pickled, as can its arguments and results.
         run: with at most one worker, this process does the work. Limits are not enforced here.
-        on_lost: returns a result for a unit on which a worker died twice; without it that is an error.
 
     Raises:
         RelocbenchError: a worker died twice on the same unit, or no scheduler or worker is left.
         Exception: whatever ``function`` raises, immediately; units that have finished have written their output.
     """
     if run.scheduler is not None:
-        yield from run_on_cluster(function, units, run.scheduler, on_lost)
+        yield from run_on_cluster(function, units, run.scheduler)
     elif run.workers <= 1 or len(units) <= 1:
         yield from _run_here(function, units)
     else:
-        yield from run_on_processes(function, units, run.workers, on_lost)
+        yield from run_on_processes(function, units, run.workers)
 
 
 def run_limited(

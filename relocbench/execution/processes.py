@@ -33,26 +33,19 @@ def kept_workers() -> Iterator[None]:
 
     A process that has imported its libraries and constructed its method continues at once; a fresh one takes seconds.
     """
-    if _kept.get() is not None:
-        yield
-        return
-    pool = Pool()
-    token = _kept.set(pool)
-    try:
-        yield
-    finally:
-        _kept.reset(token)
-        pool.close()
+    with _pool_to_use() as pool:
+        token = _kept.set(pool)
+        try:
+            yield
+        finally:
+            _kept.reset(token)
 
 
 _kept: ContextVar[Pool | None] = ContextVar("_kept", default=None)
 
 
 def run_on_processes(
-    function: Callable[[Unit], Result],
-    units: Iterable[Unit],
-    workers: int,
-    on_lost: Callable[[Unit], Result] | None,
+    function: Callable[[Unit], Result], units: Iterable[Unit], workers: int
 ) -> Iterator[tuple[int, Result]]:
     """Run units without limits; a worker that dies (killed, or crashed) costs its unit one of two tries."""
     tries: dict[int, int] = {}
@@ -60,12 +53,11 @@ def run_on_processes(
     def again(index: int, unit: Unit, loss: Loss) -> Iterator[Result]:
         tries[index] = tries.get(index, 0) + 1
         if tries[index] >= _TRIES:
-            if on_lost is None:
-                raise RelocbenchError(
-                    f"a worker process died {_TRIES} times on unit {index} ({str(unit)[:200]}): {loss.words}; "
-                    "out of memory, or a crash in native code"
-                )
-            yield on_lost(unit)
+            raise RelocbenchError(
+                f"a worker process died {_TRIES} times on unit {index} ({str(unit)[:200]}): {loss.words}; "
+                "out of memory, or a crash in native code"
+            )
+        return iter(())
 
     with _pool_to_use() as pool:
         yield from pool.run(function, units, workers, again, None)

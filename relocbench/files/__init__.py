@@ -8,7 +8,6 @@ and lengths are limited, so that no file costs more than its reading.
 from relocbench.files.json_text import parse_json, read_journal
 from relocbench.files.names import (
     MAX_FOLDER_BYTES,
-    MAX_JOINED_BYTES,
     check_distinct,
     check_joined_name,
     check_label,
@@ -48,14 +47,11 @@ from relocbench.files.yaml_files import (
     load_yaml_values,
     yaml_line,
 )
-from relocbench.files.yaml_text import MAX_DEPTH, MAX_NODES, YamlFault, YamlPlaces, parse_yaml, parse_yaml_setting
+from relocbench.files.yaml_text import YamlFault, YamlPlaces, parse_yaml, parse_yaml_setting
 
 __all__ = [
     "CHUNK_ROWS",
-    "MAX_DEPTH",
     "MAX_FOLDER_BYTES",
-    "MAX_JOINED_BYTES",
-    "MAX_NODES",
     "YamlFault",
     "YamlPlaces",
     "atomic_write",

@@ -65,11 +65,8 @@ def check_label(name: str, what: str) -> str:
     return name
 
 
-def check_joined_name(name: str, what: str, parts: int | None = None, most_bytes: int = MAX_JOINED_BYTES) -> str:
+def check_joined_name(name: str, what: str, most_bytes: int = MAX_JOINED_BYTES) -> str:
     """Names joined by ``__``, each as :func:`check_name` wants it, as the pair set ``REF__QUERY__CAM``.
-
-    Args:
-        parts: how many, if that is known.
 
     Raises:
         ValueError: with one line of what is wrong.
@@ -77,8 +74,6 @@ def check_joined_name(name: str, what: str, parts: int | None = None, most_bytes
     if len(name.encode(errors="replace")) > most_bytes:
         raise ValueError(f"{what} {quoted(name)} has more than {most_bytes} bytes")
     names = name.split("__")
-    if parts is not None and len(names) != parts:
-        raise ValueError(f"{what} {quoted(name)} has {len(names)} parts joined by '__', expected {parts}")
     for part in names:
         # A dataset's name may be joined of several by other means, and be as long.
         check_name(part, f"{what} {quoted(name)}: its part" if len(names) > 1 else what, most_bytes)

@@ -1,7 +1,6 @@
 """Finding and configuring methods, and talking to methods that are programs."""
 
 from relocbench.methods.discovery import (
-    ENTRY_POINT_GROUP,
     KINDS,
     RETRIEVERS,
     SUBPROCESS,
@@ -17,17 +16,14 @@ from relocbench.methods.discovery import (
     parse_methods,
     target_of,
 )
-from relocbench.methods.parameters import Parameter
 
 __all__ = [
-    "ENTRY_POINT_GROUP",
     "KINDS",
     "RETRIEVERS",
     "SUBPROCESS",
     "TRACKERS",
     "MethodKind",
     "MethodSpec",
-    "Parameter",
     "distribution_version",
     "installed_methods",
     "kind_of",

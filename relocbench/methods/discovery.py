@@ -27,7 +27,6 @@ from relocbench.files import YamlFault, check_distinct, check_label, first_fault
 from relocbench.methods.lookup import call_third_party, entry_points_of, load_dotted
 from relocbench.methods.parameters import Parameter, parameters_of_factory
 
-ENTRY_POINT_GROUP = "relocbench.methods"
 SUBPROCESS = "subprocess:"
 START = "start"
 """the setting that names the tracker whose pose another one starts from"""
@@ -53,7 +52,7 @@ class MethodKind:
     """whether it can be a program"""
 
 
-TRACKERS = MethodKind("method", "a tracker", ENTRY_POINT_GROUP, "track", "tracking", "evaluate", programs=True)
+TRACKERS = MethodKind("method", "a tracker", "relocbench.methods", "track", "tracking", "evaluate", programs=True)
 RETRIEVERS = MethodKind(
     "retriever", "a retriever", "relocbench.retrievers", "describe", "retrieval", "evaluate-retrieval", programs=False
 )

@@ -2,7 +2,6 @@
 
 from relocbench.metrics.pose.confidence import (
     CONFIDENT,
-    PrecisionRecall,
     precision_recall,
     risk_coverage_area,
 )
@@ -14,9 +13,8 @@ from relocbench.metrics.pose.failure_policy import (
     answered_pairs,
     infinite_where_failed,
     mean_over_pair_sets,
-    place_predictions,
 )
-from relocbench.metrics.pose.matching import MatchingQuality, OffsetShare, matching_quality
+from relocbench.metrics.pose.matching import matching_quality
 from relocbench.metrics.pose.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
 from relocbench.metrics.pose.registry import CORRECT, METRICS, Metric, PairScores, metric_named, shown_in, within
 from relocbench.metrics.pose.summary import PairSetSummary, Spread, spread_over_seeds, summarize, totals
@@ -27,14 +25,11 @@ from relocbench.metrics.retrieval.measures import (
     RETRIEVAL_METRICS,
     Denominator,
     RetrievalScores,
-    RetrievalSummary,
     per_group,
     score_retrieval,
     summarize_retrieval,
 )
 from relocbench.metrics.retrieval.plausibility import (
-    TableCheck,
-    TableFault,
     check_single_positive_tables,
     single_positive_fault,
 )
@@ -62,7 +57,6 @@ from relocbench.metrics.statistics.intervals import (
     mean_interval,
     median_interval,
     paired_difference,
-    share_interval,
 )
 from relocbench.metrics.statistics.ranks import generator, rank_with_ties
 from relocbench.metrics.statistics.roads import by_place
@@ -80,22 +74,16 @@ __all__ = [
     "Difference",
     "DifferentPlaces",
     "Interval",
-    "MatchingQuality",
     "Metric",
-    "OffsetShare",
     "PairScores",
     "PairSetSummary",
     "PoseErrors",
-    "PrecisionRecall",
     "Radius",
     "Ranking",
     "Ratio",
     "Relevance",
     "RetrievalScores",
-    "RetrievalSummary",
     "Spread",
-    "TableCheck",
-    "TableFault",
     "align_predictions",
     "answered_pairs",
     "area_shares",
@@ -115,7 +103,6 @@ __all__ = [
     "metric_named",
     "paired_difference",
     "per_group",
-    "place_predictions",
     "pose_errors",
     "precision_recall",
     "radius_of",
@@ -130,7 +117,6 @@ __all__ = [
     "relevance_within",
     "risk_coverage_area",
     "score_retrieval",
-    "share_interval",
     "shown_in",
     "single_positive_fault",
     "sorted_finite",

@@ -40,11 +40,11 @@ def code(text: str) -> str:
     return f"{ticks}{gap}{plain}{gap}{ticks}"
 
 
-def fenced(lines: Sequence[str], language: str = "sh") -> str:
-    """Lines as a fenced code block, control characters as escapes; the fence is longer than any run of backticks."""
+def fenced(lines: Sequence[str]) -> str:
+    """Lines of a shell as fenced code, control characters as escapes; the fence is longer than all backticks within."""
     shown = ["".join(c if c.isprintable() else ascii(c)[1:-1] for c in line) for line in lines]
     fence = "`" * max(3, *(_longest_run(line) + 1 for line in shown), 3)
-    return "\n".join([f"{fence}{language}", *shown, fence])
+    return "\n".join([f"{fence}sh", *shown, fence])
 
 
 def table_text(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int) -> str:

@@ -115,7 +115,7 @@ def test_a_unit_that_kills_every_worker_is_lost_and_its_neighbours_are_not(dask:
         given_up.append(unit[0])
         return "lost"
 
-    results = dict(run_units(die_at, units, Run(scheduler=where(dask)), on_lost=give_up))
+    results = dict(cluster.run_on_cluster(die_at, units, where(dask), give_up))
     assert [results[i] for i in range(5)] == ["a", "lost", "b", "c", "d"]
     assert given_up == ["deadly"]
     assert (tmp_path / "started").read_text().split().count("deadly") == 2

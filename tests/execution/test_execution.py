@@ -93,11 +93,6 @@ def test_a_unit_that_kills_every_worker_is_named() -> None:
         list(run_units(die, [1, 2], Run(2)))
 
 
-def test_a_lost_unit_can_be_given_a_result() -> None:
-    results = dict(run_units(die, [5, 6], Run(2), on_lost=lambda unit: -unit))
-    assert results == {0: -5, 1: -6}
-
-
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_users_mistake_keeps_its_file_and_line_across_processes(workers: int) -> None:
     with refused(DatasetError, "file.txt", 3) as caught:

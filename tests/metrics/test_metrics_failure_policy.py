@@ -12,7 +12,6 @@ from relocbench.metrics import (
     answered_pairs,
     infinite_where_failed,
     mean_over_pair_sets,
-    place_predictions,
     pose_errors,
     summarize,
     totals,
@@ -22,8 +21,7 @@ PAIRS = [(10, 100), (20, 200), (30, 300)]
 
 
 def test_missing_answer_has_infinite_errors() -> None:
-    index = align_predictions(PAIRS, [PAIRS[0], PAIRS[2]])
-    poses = place_predictions(index, np.stack([np.eye(4), np.eye(4)]))
+    poses = np.stack([np.eye(4), np.full((4, 4), np.nan), np.eye(4)])
     errors = pose_errors(poses, np.tile(np.eye(4), (3, 1, 1)))
     np.testing.assert_array_equal(errors.translation_error_m, [0, np.inf, 0])
     np.testing.assert_array_equal(errors.rotation_error_deg, [0, np.inf, 0])
@@ -86,17 +84,6 @@ def test_failure_is_not_replaced_by_the_identity_even_where_the_identity_is_exac
 
 def test_alignment_finds_each_answer_in_any_order() -> None:
     np.testing.assert_array_equal(align_predictions(PAIRS, [(30, 300), (10, 100)]), [1, -1, 0])
-
-
-def test_placed_values_follow_the_set_and_are_nan_where_missing() -> None:
-    index = align_predictions(PAIRS, [(30, 300), (10, 100)])
-    np.testing.assert_array_equal(place_predictions(index, [3.0, 1.0]), [1.0, np.nan, 3.0])
-
-
-def test_nothing_predicted_leaves_every_pair_missing() -> None:
-    index = align_predictions(PAIRS, [])
-    np.testing.assert_array_equal(index, [-1, -1, -1])
-    assert np.isnan(place_predictions(index, np.zeros((0, 4, 4)))).all()
 
 
 def test_unknown_pair_is_an_error_that_names_file_line_and_pair() -> None:

@@ -226,7 +226,7 @@ def test_risk_coverage_area_hand_value() -> None:
 
 
 @given(st.integers(1, 30), st.integers(0, 2**32 - 1))
-def test_the_risk_coverage_curve_ends_at_all_answers(n: int, seed: int) -> None:
+def test_precision_over_coverage_ends_at_all_answers(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     correct, answered = rng.random(n) < 0.5, rng.random(n) < 0.8
     correct &= answered
@@ -234,7 +234,7 @@ def test_the_risk_coverage_curve_ends_at_all_answers(n: int, seed: int) -> None:
     assert np.all(np.diff(curve.coverage) > 0)
     if answered.any():
         assert curve.coverage[-1] == pytest.approx(answered.mean())
-        assert curve.risk[-1] == pytest.approx(1 - correct.sum() / answered.sum())
+        assert curve.precision[-1] == pytest.approx(correct.sum() / answered.sum())
     else:
         assert len(curve.coverage) == 0
 

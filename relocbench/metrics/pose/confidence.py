@@ -25,11 +25,6 @@ class PrecisionRecall:
     """(K,) answers whose confidence is at least that high, as a share of all pairs of the set"""
 
     @property
-    def risk(self) -> Array:
-        """(K,) over :attr:`coverage` the risk-coverage curve (Geifman and El-Yaniv, NIPS 2017): ``1 - precision``."""
-        return 1.0 - self.precision
-
-    @property
     def area(self) -> float:
         """``sum_k (recall_k - recall_{k-1}) precision_k``: no interpolation, in 0..1."""
         return float(np.sum(np.diff(self.recall, prepend=0.0) * self.precision))

@@ -93,18 +93,6 @@ def align_predictions(
     return index
 
 
-def place_predictions(index: Indices, values: ArrayLike, missing: float = np.nan) -> Array:
-    """Predicted values (M, ...) rearranged to the order of the set's pairs (N, ...), ``missing`` where there is none.
-
-    ``index`` is what :func:`align_predictions` returned.
-    """
-    v = np.asarray(values, dtype=np.float64)
-    placed = np.full((len(index), *v.shape[1:]), missing)
-    found = index >= 0
-    placed[found] = v[index[found]]
-    return placed
-
-
 def mean_over_pair_sets(values: Sequence[float | None]) -> float | None:
     """The mean over all pair sets, each with equal weight; None (a blank total) when any of them has no value."""
     present = [value for value in values if value is not None]

@@ -7,7 +7,7 @@ share of solutions that end within a threshold of the truth, over all starts and
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,9 @@ from relocbench.arrays import Mask
 from relocbench.metrics.pose.failure_policy import infinite_where_failed
 
 THRESHOLDS_PX: tuple[float, ...] = (1, 3)
+"""distances within which a correspondence is found, inclusive"""
 OFFSET_EDGES_PX: tuple[float, ...] = (0, 1, 2, 4, 8, 16)
+"""of the groups of start offsets; a start on an edge belongs to the group below"""
 _DIGITS = 6
 """Distances are rounded to 1e-6 px, so that a start drawn 8 px from the truth lies in the group up to 8 px."""
 
@@ -45,22 +47,13 @@ class MatchingQuality:
     by_offset: tuple[OffsetShare, ...]
 
 
-def matching_quality(
-    end_px: ArrayLike,
-    truth_px: ArrayLike,
-    start_offset_px: ArrayLike,
-    *,
-    thresholds_px: Sequence[float] = THRESHOLDS_PX,
-    offset_edges_px: Sequence[float] = OFFSET_EDGES_PX,
-) -> MatchingQuality:
+def matching_quality(end_px: ArrayLike, truth_px: ArrayLike, start_offset_px: ArrayLike) -> MatchingQuality:
     """Shares of correspondences that end within each threshold of the truth.
 
     Args:
         end_px: (N, 2) where the solver ended; NaN where it failed or left the image, which counts as not found.
         truth_px: (N, 2) the true query pixels.
         start_offset_px: (N, 2) start minus truth, or (N,) its length.
-        thresholds_px: distances within which a correspondence is found, inclusive.
-        offset_edges_px: ascending edges of the groups of start offsets; a start on an edge belongs to the group below.
 
     Raises:
         ValueError: the shapes do not fit, there are no correspondences, or a start offset lies outside
@@ -73,19 +66,19 @@ def matching_quality(
     if n == 0 or truth.shape != (n, 2) or end.shape != (n, 2) or start.shape != (n,):
         raise ValueError("matching needs end_px and truth_px (N, 2) and start_offset_px (N, 2) or (N,), N >= 1")
     start = np.round(start, _DIGITS)
-    if not np.isfinite(truth).all() or not np.all((start >= offset_edges_px[0]) & (start <= offset_edges_px[-1])):
+    if not np.isfinite(truth).all() or not np.all((start >= OFFSET_EDGES_PX[0]) & (start <= OFFSET_EDGES_PX[-1])):
         raise ValueError(
-            f"start offsets must lie in {offset_edges_px[0]}..{offset_edges_px[-1]} px and true pixels be finite"
+            f"start offsets must lie in {OFFSET_EDGES_PX[0]}..{OFFSET_EDGES_PX[-1]} px and true pixels be finite"
         )
     answered: Mask = np.all(np.isfinite(end), axis=1)
     distance = np.round(np.linalg.norm(np.where(answered[:, None], end, 0) - truth, axis=-1), _DIGITS)
     distance = infinite_where_failed(distance, answered)
 
-    names = {f"match@{t:g}px": t for t in thresholds_px}
+    names = {f"match@{t:g}px": t for t in THRESHOLDS_PX}
     groups = []
-    for low, high in itertools.pairwise(offset_edges_px):
+    for low, high in itertools.pairwise(OFFSET_EDGES_PX):
         inside = (start > low) & (start <= high)
-        if low == offset_edges_px[0]:
+        if low == OFFSET_EDGES_PX[0]:
             inside |= start == low
         count = int(inside.sum())
         share = {k: float(np.mean(distance[inside] <= t)) if count else None for k, t in names.items()}

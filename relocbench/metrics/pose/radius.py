@@ -26,6 +26,7 @@ from relocbench.arrays import Array
 from relocbench.metrics.statistics.intervals import LEVEL, Interval, linear_interval
 
 HALF = 0.5
+"""the wanted share of successes"""
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,8 @@ class Ratio:
     interval: Interval | None
 
 
-def success_radius(offsets: ArrayLike, shares: ArrayLike, share: float = HALF, *, relative: bool = False) -> Radius:
-    """The offset at which the share of successes falls below ``share``.
+def success_radius(offsets: ArrayLike, shares: ArrayLike, *, relative: bool = False) -> Radius:
+    """The offset at which the share of successes falls below a half.
 
     Args:
         offsets: (K,) ascending, not negative.
@@ -62,15 +63,14 @@ def success_radius(offsets: ArrayLike, shares: ArrayLike, share: float = HALF, *
     """
     x, y = _checked(offsets, np.asarray(shares, dtype=np.float64))
     y = _relative(y) if relative else y
-    value = float(_radii(x, y, share))
-    return Radius(value, beyond=bool(np.all(y >= share)))
+    value = float(_radii(x, y, HALF))
+    return Radius(value, beyond=bool(np.all(y >= HALF)))
 
 
 def radius_of(
     pair_sets: Sequence[ArrayLike],
     offsets: ArrayLike,
     *,
-    share: float = HALF,
     relative: bool = False,
     level: float = LEVEL,
 ) -> Radius:
@@ -85,10 +85,10 @@ def radius_of(
     """
     x, sets = _fitting(pair_sets, offsets)
     means = _means(sets)
-    first = success_radius(x, means, share, relative=relative)
+    first = success_radius(x, means, relative=relative)
     if relative and means[0] == 0:
         return first
-    bounds = linear_interval([v - (share * v[0] if relative else share) for v in sets], level=level)
+    bounds = linear_interval([v - (HALF * v[0] if relative else HALF) for v in sets], level=level)
     if bounds is None:
         return first
     low, high = (float(_radii(x, bound, 0.0)) for bound in bounds)
@@ -100,9 +100,7 @@ def radius_ratio(
     pair_sets_b: Sequence[ArrayLike],
     offsets: ArrayLike,
     *,
-    share: float = HALF,
     relative: bool = False,
-    level: float = LEVEL,
 ) -> Ratio:
     """The ratio of A's radius to B's on the same pairs in the same order.
 
@@ -110,24 +108,22 @@ def radius_ratio(
     """
     x, a = _fitting(pair_sets_a, offsets)
     _, b = _fitting(pair_sets_b, offsets)
-    of_a, of_b = (success_radius(x, _means(sets), share, relative=relative) for sets in (a, b))
+    of_a, of_b = (success_radius(x, _means(sets), relative=relative) for sets in (a, b))
     with np.errstate(divide="ignore", invalid="ignore"):
         value = float(np.float64(of_a.value) / of_b.value)
     inside = all(r.value > 0 and not r.beyond for r in (of_a, of_b))
-    interval = _expanded(x, a, b, share, relative, level) if inside else None
+    interval = _expanded(x, a, b, relative) if inside else None
     if not inside and not np.isnan(value):
-        first, second = (radius_of(s, x, share=share, relative=relative, level=(1 + level) / 2) for s in (a, b))
-        interval = _quotient(first.interval, second.interval, level)
+        first, second = (radius_of(s, x, relative=relative, level=(1 + LEVEL) / 2) for s in (a, b))
+        interval = _quotient(first.interval, second.interval)
     return Ratio(value, interval)
 
 
-def _expanded(
-    x: Array, a: Sequence[Array], b: Sequence[Array], share: float, relative: bool, level: float
-) -> Interval | None:
+def _expanded(x: Array, a: Sequence[Array], b: Sequence[Array], relative: bool) -> Interval | None:
     """The interval of a ratio of radii from the first-order expansion of its logarithm in the mean shares."""
 
     def logarithm(y: Array) -> Array:
-        out: Array = np.log(np.maximum(_radii(x, _relative(y) if relative else y, share), 1e-12))
+        out: Array = np.log(np.maximum(_radii(x, _relative(y) if relative else y, HALF), 1e-12))
         return out
 
     k, step = len(x), 1e-6
@@ -137,19 +133,19 @@ def _expanded(
         moved = np.eye(k) * step
         slopes.append(sign * (logarithm(means[half] + moved) - logarithm(means[half] - moved)) / (2 * step))
     values = [np.concatenate([(slopes[0] @ v + slopes[1] @ w)[None], v, w]) for v, w in zip(a, b, strict=True)]
-    bounds = linear_interval(values, level=level)
+    bounds = linear_interval(values)
     if bounds is None:
         return None
     value = logarithm(means[:k]) - logarithm(means[k:])
     half_width = (bounds[1][0] - bounds[0][0]) / 2
-    return Interval(float(np.exp(value - half_width)), float(np.exp(value + half_width)), level)
+    return Interval(float(np.exp(value - half_width)), float(np.exp(value + half_width)), LEVEL)
 
 
-def _quotient(a: Interval | None, b: Interval | None, level: float) -> Interval | None:
+def _quotient(a: Interval | None, b: Interval | None) -> Interval | None:
     """The interval of the quotient of two values from their intervals; None where a bound is not defined."""
     if a is None or b is None or b.high == 0:
         return None
-    return Interval(a.low / b.high, a.high / b.low if b.low > 0 else np.inf, level)
+    return Interval(a.low / b.high, a.high / b.low if b.low > 0 else np.inf, LEVEL)
 
 
 def _fitting(pair_sets: Sequence[ArrayLike], offsets: ArrayLike) -> tuple[Array, list[Array]]:

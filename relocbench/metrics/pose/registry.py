@@ -66,28 +66,21 @@ class Metric:
     with_interval: bool = False
     """whether tables have its 95 % interval, also where another metric ranks"""
 
-    def threshold_finer_than(
-        self, sigma_m: float | None, sigma_deg: float | None = None, factor: float = SIGMA_FACTOR
-    ) -> bool:
-        """Whether a threshold of the metric is below ``factor`` times the ground truth's sigma.
+    def threshold_finer_than(self, sigma_m: float | None, sigma_deg: float | None = None) -> bool:
+        """Whether a threshold of the metric is below :data:`SIGMA_FACTOR` times the ground truth's sigma.
 
         Tables print such a number in grey. ``sigma_m`` and ``sigma_deg`` are standard deviations of the pair set's
         ground truth; a threshold is never too fine for an unknown one (None).
         """
-        thresholds = self.translation_threshold_m, self.rotation_threshold_deg
-        return finer_than_truth(*thresholds, sigma_m, sigma_deg, factor)
+        return finer_than_truth(self.translation_threshold_m, self.rotation_threshold_deg, sigma_m, sigma_deg)
 
 
 def finer_than_truth(
-    metres: float | None,
-    degrees: float | None,
-    sigma_m: float | None,
-    sigma_deg: float | None,
-    factor: float = SIGMA_FACTOR,
+    metres: float | None, degrees: float | None, sigma_m: float | None, sigma_deg: float | None
 ) -> bool:
-    """Whether a threshold is below ``factor`` times the ground truth's sigma; never where one of the two is None."""
+    """Whether a threshold is below :data:`SIGMA_FACTOR` times the truth's sigma; never where one of the two is None."""
     limits = ((metres, sigma_m), (degrees, sigma_deg))
-    return any(t is not None and sigma is not None and t < factor * sigma for t, sigma in limits)
+    return any(t is not None and sigma is not None and t < SIGMA_FACTOR * sigma for t, sigma in limits)
 
 
 def within(errors: PoseErrors, metres: float, degrees: float) -> Mask:

@@ -67,16 +67,12 @@ def rank_descriptors(
     Raises:
         ValueError: the shapes do not fit.
     """
-    of_queries, of_gallery = _checked(query, "query"), _checked(gallery, "gallery")
-    if of_queries.shape[1] != of_gallery.shape[1]:
-        raise ValueError(f"descriptors must have one length, got {of_queries.shape[1]} and {of_gallery.shape[1]}")
+    of_queries, of_gallery = _both_checked(query, gallery, query_block, gallery_block)
     if (len(of_queries), len(of_gallery)) != (relevance.queries, relevance.gallery):
         raise ValueError(
             f"expected {relevance.queries} query and {relevance.gallery} gallery descriptors, "
             f"got {len(of_queries)} and {len(of_gallery)}"
         )
-    if query_block < 1 or gallery_block < 1:
-        raise ValueError(f"blocks must hold at least one row, got {query_block} and {gallery_block}")
 
     query_norms, gallery_norms = _norms(of_queries), _norms(of_gallery)
     live = np.flatnonzero(~relevance.junk & np.isfinite(gallery_norms))
@@ -120,11 +116,7 @@ def exact_scores(
     Raises:
         ValueError: the shapes do not fit.
     """
-    of_queries, of_gallery = _checked(query, "query"), _checked(gallery, "gallery")
-    if of_queries.shape[1] != of_gallery.shape[1]:
-        raise ValueError(f"descriptors must have one length, got {of_queries.shape[1]} and {of_gallery.shape[1]}")
-    if block < 1 or gallery_block < 1:
-        raise ValueError(f"blocks must hold at least one row, got {block} and {gallery_block}")
+    of_queries, of_gallery = _both_checked(query, gallery, block, gallery_block)
     query_norms, gallery_norms = _norms(of_queries), _norms(of_gallery)
     live = np.flatnonzero(np.isfinite(gallery_norms))
     scale = float(_scales(np.array([gallery_norms[live].max(initial=0.0)]))[0])
@@ -245,6 +237,17 @@ def _norms(rows: NDArray[Any]) -> Array:
 def _blocks(indices: Indices, block: int) -> Iterator[Indices]:
     for start in range(0, len(indices), block):
         yield indices[start : start + block]
+
+
+def _both_checked(
+    query: ArrayLike, gallery: ArrayLike, query_block: int, gallery_block: int
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    of_queries, of_gallery = _checked(query, "query"), _checked(gallery, "gallery")
+    if of_queries.shape[1] != of_gallery.shape[1]:
+        raise ValueError(f"descriptors must have one length, got {of_queries.shape[1]} and {of_gallery.shape[1]}")
+    if query_block < 1 or gallery_block < 1:
+        raise ValueError(f"blocks must hold at least one row, got {query_block} and {gallery_block}")
+    return of_queries, of_gallery
 
 
 def _checked(descriptors: ArrayLike, name: str) -> NDArray[Any]:

@@ -197,7 +197,6 @@ def per_group(values: ArrayLike, groups: ArrayLike) -> Array:
     Args:
         values: (Q,) a metric's values.
         groups: (Q,) the group of each query, by number or name.
-        groups: (Q,) which group each query belongs to, by number or name.
 
     Returns:
         (H,) ``H / Q`` times the sum over each group, in the order of the sorted groups.

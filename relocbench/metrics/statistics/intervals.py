@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +34,7 @@ from relocbench.arrays import Array
 from relocbench.metrics.statistics.effective_size import inflation_of
 from relocbench.metrics.statistics.roads import by_road
 
+AnyNumber = TypeVar("AnyNumber", float, Array)
 LEVEL = 0.95
 MANY_ROADS = 8
 """number of roads from which on their spread widens an interval: with fewer, t has heavy tails"""
@@ -96,7 +98,7 @@ def mean_interval(
         ValueError: no pair sets, an empty one, a mean outside 0..1, errors or roads of other sets, or an impossible
             level.
     """
-    sets = [_checked(values) for values in pair_sets]
+    sets = [finite_values(values) for values in pair_sets]
     if any(not -1e-9 <= v.mean() <= 1 + 1e-9 for v in sets):
         raise ValueError("the mean of shares and areas must be in 0..1")
     size = _effective_size(sets, errors, roads, independent, level)
@@ -125,36 +127,31 @@ def share_interval(successes: int, draws: int, *, level: float = LEVEL) -> Inter
     return Interval(*_clopper_pearson(successes / draws, draws, level), level)
 
 
-def median_interval(
-    values: ArrayLike, errors: ArrayLike | None = None, *, independent: bool = False, level: float = LEVEL
-) -> Interval | None:
+def median_interval(values: ArrayLike, *, independent: bool = False) -> Interval | None:
     """The interval of the median of a value of each pair of one set; infinite values are allowed.
 
     Args:
         values: (N,) ordered by reference time, inf where there is no answer.
-        errors: (K, N) other continuous errors of the same pairs.
         independent: whether the values are known to be independent.
-        level: nominal coverage of the interval.
 
     Returns:
         None where there are fewer than :data:`MIN_EFFECTIVE` effective pairs; ``high`` may be inf.
 
     Raises:
-        ValueError: no values, NaN among them, errors of other pairs, or an impossible level.
+        ValueError: no values, or NaN among them.
     """
     v = np.asarray(values, dtype=np.float64)
     if v.ndim != 1 or v.size == 0 or np.isnan(v).any():
         raise ValueError("a median needs a non-empty (N,) array without NaN")
     below = (v <= np.median(v)).astype(np.float64)
-    with_own = v[None] if errors is None else np.concatenate([v[None], np.atleast_2d(np.asarray(errors, float))])
-    size = _effective_size([below], [with_own], None, independent, level)
+    size = _effective_size([below], [v[None]], None, independent, LEVEL)
     if size is None:
         return None
-    low, high = _clopper_pearson(0.5, size, level)
+    low, high = _clopper_pearson(0.5, size, LEVEL)
     ordered = np.sort(v)
     first = max(math.floor(low * v.size) - 1, 0)
     last = min(math.ceil(high * v.size), v.size - 1)
-    return Interval(float(ordered[first]), float(ordered[last]), level)
+    return Interval(float(ordered[first]), float(ordered[last]), LEVEL)
 
 
 def paired_difference(
@@ -163,7 +160,6 @@ def paired_difference(
     *,
     roads: Sequence[Hashable] | None = None,
     independent: bool = False,
-    level: float = LEVEL,
 ) -> Difference:
     """The mean of A minus the mean of B on the same pairs, with its interval.
 
@@ -173,17 +169,15 @@ def paired_difference(
         pair_sets_a, pair_sets_b: (N_s,) values in 0..1 of each pair set, the same pairs in the same order.
         roads: the road of each set; None where all sets are of one road.
         independent: whether the pairs are known to be independent.
-        level: nominal coverage of the interval.
 
     Raises:
-        ValueError: the pairs differ; no pair sets, an empty one, values not finite, roads of other sets, or an
-            impossible level.
+        ValueError: the pairs differ; no pair sets, an empty one, values not finite, or roads of other sets.
     """
-    a, b = [_checked(v) for v in pair_sets_a], [_checked(v) for v in pair_sets_b]
+    a, b = [finite_values(v) for v in pair_sets_a], [finite_values(v) for v in pair_sets_b]
     if [len(v) for v in a] != [len(v) for v in b]:
         raise ValueError("a paired difference needs both methods on the same pairs")
     difference = [x - y for x, y in zip(a, b, strict=True)]
-    size = _effective_size(difference, [np.stack(both) for both in zip(a, b, strict=True)], roads, independent, level)
+    size = _effective_size(difference, [np.stack(both) for both in zip(a, b, strict=True)], roads, independent, LEVEL)
     difference = by_road(difference, roads)
     mean = mean_of_means(difference)
     if size is None:
@@ -192,13 +186,15 @@ def paired_difference(
 
     largest = max(float(np.abs(d).max()) for d in difference) or 1.0
     adjusted, variance = with_two_pairs(mean, _variance_of_one(difference), largest, size)
-    half = float(stdtrit(size - 1, (1 + level) / 2)) * math.sqrt(variance)
-    half_between = _between_roads(difference, level)
+    half = float(stdtrit(size - 1, (1 + LEVEL) / 2)) * math.sqrt(variance)
+    half_between = _between_roads(difference, LEVEL)
     low, high = min(adjusted - half, mean - half_between), max(adjusted + half, mean + half_between)
-    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), level))
+    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL))
 
 
-def with_two_pairs(mean: float, variance: float, largest: float, size: float) -> tuple[float, float]:
+def with_two_pairs(
+    mean: AnyNumber, variance: AnyNumber, largest: AnyNumber, size: AnyNumber
+) -> tuple[AnyNumber, AnyNumber]:
     """The mean of ``size`` effective differences with ``+largest`` and ``-largest`` added, and that mean's variance."""
     adjusted = mean * size / (size + 2)
     spread = (size * (variance * size / (size - 1) + mean**2) + 2 * largest**2) / (size + 2) - adjusted**2
@@ -283,7 +279,8 @@ def _clopper_pearson(share: float, draws: float, level: float) -> tuple[float, f
     return low, high
 
 
-def _checked(values: ArrayLike) -> Array:
+def finite_values(values: ArrayLike) -> Array:
+    """Values of pairs as (N,) float64. Raises ValueError where there are none, or one is not finite."""
     v = np.asarray(values, dtype=np.float64)
     if v.ndim != 1 or v.size == 0 or not np.isfinite(v).all():
         raise ValueError("per-pair values must be a non-empty (N,) array of finite numbers")

@@ -32,7 +32,14 @@ from relocbench.metrics.statistics.effective_size import (
     fill_missing_with_prior,
     measured_inflation,
 )
-from relocbench.metrics.statistics.intervals import LEVEL, MANY_ROADS, mean_of_means, pairs_in_equal_sets
+from relocbench.metrics.statistics.intervals import (
+    LEVEL,
+    MANY_ROADS,
+    finite_values,
+    mean_of_means,
+    pairs_in_equal_sets,
+    with_two_pairs,
+)
 from relocbench.metrics.statistics.roads import aligned, by_road
 
 DRAWS = 10_000
@@ -53,7 +60,6 @@ def rank_with_ties(
     higher_is_better: bool = True,
     roads: Sequence[Hashable] | None = None,
     independent: bool = False,
-    level: float = LEVEL,
 ) -> dict[str, int | None]:
     """The ranks of methods: one more than the number of methods that are significantly better (1, 1, 3).
 
@@ -66,7 +72,6 @@ def rank_with_ties(
         higher_is_better: the direction of the metric.
         roads: the road of each pair set, such as the name of its dataset; None where all are of one road.
         independent: whether the pairs are known to be independent.
-        level: the probability that equal methods all share a rank.
 
     Returns:
         the rank of each method, in the order of ``values``; None for a method that misses a set.
@@ -76,7 +81,7 @@ def rank_with_ties(
     """
     complete: dict[str, list[Array]] = {}
     for name, sets in values.items():
-        present = [_checked(v) for v in sets if v is not None]
+        present = [finite_values(v) for v in sets if v is not None]
         if present and len(present) == len(sets):
             complete[name] = present
     ranks: dict[str, int | None] = dict.fromkeys(values)
@@ -88,7 +93,7 @@ def rank_with_ties(
     order = sorted(complete, key=lambda name: (-sign * mean_of_means(by_road(complete[name], roads)), name))
     stacked = [np.stack(methods) for methods in zip(*(complete[name] for name in order), strict=True)]
     of_methods = None if errors is None else [[e for e in errors[name] if e is not None] for name in order]
-    differs = different_methods(stacked, rng, of_methods, roads=roads, independent=independent, level=level)
+    differs = different_methods(stacked, rng, of_methods, roads=roads, independent=independent)
     behind = np.tril(differs, -1).sum(axis=1) + 1
     places = np.minimum.accumulate(behind[::-1])[::-1]
     for name, place in zip(order, places.tolist(), strict=True):
@@ -198,9 +203,8 @@ def _t_statistics(
     size = pairs / inflation.likely
     with np.errstate(invalid="ignore", divide="ignore"):
         known = inflation.enough(pairs) & (largest > 0)
-        adjusted = mean * size / (size + 2)
-        spread = (size * (variance * size / (size - 1) + mean**2) + 2 * largest**2) / (size + 2) - adjusted**2
-        statistic = np.where(known, adjusted / np.sqrt(spread / (size + 2)), np.nan)
+        adjusted, of_mean = with_two_pairs(mean, variance, largest, size)
+        statistic = np.where(known, adjusted / np.sqrt(of_mean), np.nan)
     freedom = float(size[known].min() - 1) if known.any() else np.nan
     return statistic, freedom
 
@@ -262,10 +266,3 @@ def _differences(covariance: Array) -> Array:
 def _largest_differences(values: Array) -> Array:
     """The largest absolute difference of every two methods on any pair. (M, N) -> (M, M)."""
     return np.stack([np.abs(values - row).max(axis=1) for row in values])
-
-
-def _checked(values: ArrayLike) -> Array:
-    v = np.asarray(values, dtype=np.float64)
-    if v.ndim != 1 or v.size == 0 or not np.isfinite(v).all():
-        raise ValueError("per-pair values must be a non-empty (N,) array of finite numbers")
-    return v
