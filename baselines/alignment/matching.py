@@ -78,7 +78,6 @@ def match_pixels(
         query: likewise, with the same number of channels.
         uv_ref: (N, 2) pixels of the reference, which need not be integers.
         uv_start: (N, 2) pixels of the query to start from.
-        settings: see there.
 
     Returns:
         (N, 2) pixels of the query; NaN where a pixel is not found.

@@ -176,11 +176,11 @@ class Dso:
             return TrackResult.failure(
                 f"brightness changes by gain exp({found.a:.2f}) and offset {found.b:.0f}: beyond DSO's limits", **info
             )
-        evidence = evidence_for(found.T_query_ref, reference.levels[0], reference.maps[0], query)
-        info |= {"correlation": evidence.correlation, "seen_again": evidence.seen_again}
-        if evidence.correlation < self.min_correlation:
+        correlation, seen_again = evidence_for(found.T_query_ref, reference.levels[0], reference.maps[0], query)
+        info |= {"correlation": correlation, "seen_again": seen_again}
+        if correlation < self.min_correlation:
             return TrackResult.failure(
-                f"keyframe and query have a correlation of {evidence.correlation:.2f} around the points, at least "
+                f"keyframe and query have a correlation of {correlation:.2f} around the points, at least "
                 f"{self.min_correlation:.2f} is needed",
                 **info,
             )
@@ -216,21 +216,12 @@ ALIKE = 0.7
 """correlation from which a point counts as seen again"""
 
 
-@dataclass(frozen=True)
-class CorrelationEvidence:
-    """What speaks for a pose; points out of view count as points that look different."""
-
-    correlation: float
-    """mean over all points of the correlation around them, -1 to 1"""
-    seen_again: float
-    """share of all points whose correlation is at least :data:`ALIKE`"""
-
-
-def evidence_for(T_query_ref: Array, points: LevelPoints, reference: Level, query: Level) -> CorrelationEvidence:
-    """The evidence for a pose from the points of one level of the keyframe."""
+def evidence_for(T_query_ref: Array, points: LevelPoints, reference: Level, query: Level) -> tuple[float, float]:
+    """What speaks for a pose: the mean correlation around the points of a level of the keyframe, -1 to 1, and the share
+    of those whose correlation is at least :data:`ALIKE`. Points out of view count as points that look different."""
     depth = 1.0 / points.points[2].astype(np.float64)
     found = correlations(T_query_ref, points.uv.astype(np.float64), depth, _grey(reference), _grey(query))
-    return CorrelationEvidence(float(np.mean(found)), float(np.mean(found >= ALIKE)))
+    return float(np.mean(found)), float(np.mean(found >= ALIKE))
 
 
 def _grey(level: Level) -> GreyImage:

@@ -152,8 +152,7 @@ def mutual_nearest(first: Floats, second: Floats, ratio: float = 1.0) -> Indices
         return np.zeros((0, 2), dtype=np.intp)
     similarity = first @ second.T
     nearest, back = similarity.argmax(axis=1), similarity.argmax(axis=0)
-    here = np.arange(len(first))
-    accepted = back[nearest] == here
+    accepted = back[nearest] == np.arange(len(first))
     if ratio < 1.0 and len(second) > 1:
         two = -np.partition(-similarity, 1, axis=1)[:, :2].astype(np.float64)
         distance = np.sqrt(np.maximum(2.0 - 2.0 * two, 0.0))  # of vectors of norm 1

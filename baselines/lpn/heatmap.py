@@ -47,7 +47,6 @@ class HeatmapPartition(nn.Module):
 
     Args:
         parts: P.
-        options: see there.
         generator: source of the initial weights (He et al., 2015).
     """
 

@@ -86,7 +86,6 @@ def partition_loss(masks: Tensor, options: PartitionLossOptions) -> Tensor:
 
     Args:
         masks: (B, K, H, W) that sum to 1 over K.
-        options: see there.
     """
     k = masks.shape[1]
     s = spread(masks, options.over, options.relative)

@@ -44,7 +44,6 @@ class SoftPartition(nn.Module):
     Args:
         channels: C.
         parts: P.
-        options: see there.
         generator: source of the initial weights.
     """
 

@@ -45,7 +45,6 @@ def save_weights(path: Path, network: LpnNetwork, about: About) -> None:
     Args:
         path: must end in ``.safetensors``; an existing file is replaced.
         network: with its classifiers, so that a training can start from it.
-        about: see there.
     """
     metadata = {**asdict(about), "views": list(about.views), "card": dict(about.card)}
     whole = {"classes": network.classes, "network": asdict(network.options), **metadata}

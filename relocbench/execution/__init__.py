@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Self, TypeVar
 
 from relocbench.errors import ConfigError
-from relocbench.execution.calling import pin_threads
+from relocbench.execution.calling import messages_to_stderr, pin_threads
 from relocbench.execution.cluster import run_on_cluster
 from relocbench.execution.descendants import end_descendants
 from relocbench.execution.limits import (
@@ -27,7 +27,6 @@ from relocbench.execution.limits import (
     step,
 )
 from relocbench.execution.memory import can_watch
-from relocbench.execution.output import messages_to_stderr
 from relocbench.execution.processes import kept_workers, run_on_processes, run_with_limits
 from relocbench.execution.scheduler import Scheduler
 from relocbench.execution.scratch import ScratchFolder

@@ -1,14 +1,12 @@
-"""A call of a function in a worker: with one thread, and with its output redirected."""
+"""A call of a function in a worker: with one thread, and with what it prints redirected to standard error."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from typing import TypeVar
-
-from relocbench.execution.output import messages_to_stderr
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
@@ -44,6 +42,23 @@ def single_threaded_children() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def messages_to_stderr() -> Iterator[None]:
+    """Redirect standard output to standard error while third-party code runs: only a command's result belongs on it.
+
+    The file descriptor itself is redirected, so that native libraries and child processes are included.
+    """
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def call(function: Callable[[Unit], Result], unit: Unit) -> Result:

@@ -89,6 +89,6 @@ def check_worker(worker: str, threads: int, found: WorkerReport, scheduler: Sche
         )
 
 
-def differences(here: dict[str, str], there: dict[str, str]) -> str:
+def differences(ours: dict[str, str], theirs: dict[str, str]) -> str:
     """Describe where versions differ; empty where all packages that both sides know are the same."""
-    return ", ".join(f"{k} {there[k]} there, {v} here" for k, v in here.items() if k in there and there[k] != v)
+    return ", ".join(f"{k} {theirs[k]} there, {v} here" for k, v in ours.items() if k in theirs and theirs[k] != v)

@@ -153,7 +153,11 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: M
         if dot and prefix != label:
             continue
         name = rest if dot else key
-        if name == START and START not in known and (_declares(target, kind, "uses_prior") or _is_program(target)):
+        if (
+            name == START
+            and START not in known
+            and (_declares(target, kind, "uses_prior") or target.startswith(SUBPROCESS))
+        ):
             chosen[START] = value
             continue
         if name not in known:
@@ -185,10 +189,6 @@ def _start_parameters(label: str, target: str | None, settings: Sequence[str], s
         return {}
     start = parse_method(f"{START}={target}", settings, seed)
     return {START: target, **{f"{START}.{name}": value for name, value in start.parameters.items()}}
-
-
-def _is_program(target: str) -> bool:
-    return target.startswith(SUBPROCESS)
 
 
 def _names(target: str, kind: MethodKind) -> set[str]:
@@ -327,7 +327,7 @@ def _split_label(text: str, kind: MethodKind) -> tuple[str, str]:
             words = command.split()
             if not words:
                 raise MethodError(f"{quoted(text)} names no program; expected subprocess:COMMAND")
-            label = Path(words[0]).stem if words else ""
+            label = Path(words[0]).stem
         else:
             label = text.rpartition(":")[2] if ":" in text else text
     try:

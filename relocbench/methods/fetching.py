@@ -101,7 +101,7 @@ def fetch(file: PublishedFile, path: Path, reporter: Reporter | None = None) -> 
 
 def _answer(address: str) -> Any:
     """The open answer of a server. Raises MethodError."""
-    with _told(address):
+    with _faults_reported(address):
         request = urllib.request.Request(address, headers={"User-Agent": "relocbench"})
         answer = urllib.request.urlopen(request, timeout=_TIMEOUT_S)
     asked, answered = (urllib.parse.urlsplit(each).scheme for each in (address, answer.geturl()))
@@ -137,13 +137,13 @@ def _copy(answer: Any, stream: IO[bytes], file: PublishedFile, reporter: Reporte
 
 
 def _read(answer: Any, address: str) -> bytes:
-    with _told(address):
+    with _faults_reported(address):
         return bytes(answer.read(_PART_BYTES))
 
 
 @contextmanager
-def _told(address: str) -> Iterator[None]:
-    """Tell what the network, or what answers there, raises as a MethodError."""
+def _faults_reported(address: str) -> Iterator[None]:
+    """Raise what the network or the server raises as a MethodError."""
     try:
         yield
     except (OSError, http.client.HTTPException, ValueError) as bad:

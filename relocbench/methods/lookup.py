@@ -68,8 +68,8 @@ def _refuse_stranger(target: str, kind: str) -> None:
     """Raises MethodError where the package ``baselines`` is that of another distribution, which has the same name."""
     spec = find_spec(OUR_METHODS)
     origin = None if spec is None else spec.origin
-    here = Path(__file__).resolve().parents[2]
-    if origin is not None and Path(origin).resolve().parent.parent != here:
+    installed_in = Path(__file__).resolve().parents[2]
+    if origin is not None and Path(origin).resolve().parent.parent != installed_in:
         raise MethodError(
             f"{kind} '{target}': the package 'baselines' of another distribution is found first, in "
             f"{Path(origin).parent}; uninstall it, or use an environment of its own"
@@ -81,9 +81,7 @@ def call_third_party(failed: str, call: Callable[[], Any]) -> Any:
     try:
         with messages_to_stderr():
             return call()
-    except RelocbenchError:
-        raise
-    except KeyboardInterrupt:
+    except (RelocbenchError, KeyboardInterrupt):
         raise
     except BaseException as bad:
         last = traceback.extract_tb(bad.__traceback__)[-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,7 @@ def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: 
     Raises:
         ConfigError: an unknown key, with the file, or a setting without a value.
     """
-    chosen = _copy(defaults)
+    chosen = deepcopy(dict(defaults))
     if config is not None:
         values, _ = load_yaml_values(config, _OPTIONS, ConfigError)
         _merge(chosen, defaults, values, config, "")
@@ -118,7 +119,3 @@ def _value(setting: str, text: str) -> Any:
         return float(value) if isinstance(value, str) and value[:1] in "+-.0123456789" else value
     except ValueError:
         return value
-
-
-def _copy(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: _copy(value) if isinstance(value, Mapping) else value for key, value in values.items()}

@@ -15,7 +15,7 @@ from baselines.alignment.direct.settings import Settings
 from baselines.alignment.shared.compiled import FloatArray
 from baselines.alignment.shared.damping import DSO_DAMPING
 from baselines.alignment.shared.depth_map import LevelPoints
-from baselines.alignment.shared.levels import LevelOutcome, best_of, coarse_to_fine, failure_of
+from baselines.alignment.shared.levels import ABANDON_FACTOR, Descent, LevelOutcome, failure_of
 from baselines.alignment.shared.levenberg import COUNT, ENERGY, SATURATED, linearize_at, minimise_level
 from baselines.alignment.shared.pyramid import Level, camera_intrinsics
 from relocbench.arrays import Array
@@ -90,7 +90,6 @@ def align(
         reference: points of each level, finest first.
         query: maps of each level, finest first.
         T_start: (4, 4) first guess of T_query_ref.
-        settings: see there.
         rival: the best alignment so far from another start; this one is abandoned on the first level whose root mean
             energy is 1.5 times the rival's or more.
 
@@ -100,14 +99,14 @@ def align(
     if any(points.values.shape[1] != 1 for points in reference) or any(level.channels != 1 for level in query):
         raise MethodError("direct alignment takes maps and points of one channel, feature alignment takes more")
     T, brightness = np.array(T_start, dtype=np.float64), np.zeros(2)
-
-    def minimise(level: int) -> tuple[LevelOutcome, str]:
-        nonlocal T, brightness
+    rival_energy = {outcome.level: outcome.energy for outcome in rival.outcomes} if rival else {}
+    walk = Descent(min(len(reference), len(query)) - 1)
+    while not walk.ended:
+        level = walk.level
         T, brightness, outcome = _minimise(reference[level], query[level], level, T, brightness, settings)
-        return outcome, failure_of(outcome, T, brightness)
-
-    coarsest = min(len(reference), len(query)) - 1
-    walk = coarse_to_fine(coarsest, minimise, rival.outcomes if rival else ())
+        walk.advance(outcome, failure_of(outcome, T, brightness))
+        if not walk.failure and outcome.energy > ABANDON_FACTOR**2 * rival_energy.get(level, np.inf):
+            walk.give_up()
     size = len(reference[0])
     return Alignment(compose(T), brightness[0], brightness[1], tuple(walk.outcomes), size, walk.failure, walk.abandoned)
 
@@ -122,7 +121,14 @@ def align_best(
     Raises:
         ValueError: there is no start.
     """
-    return best_of(starts, lambda start, rival: align(reference, query, start, settings, rival))
+    if not starts:
+        raise ValueError("an alignment needs at least one start")
+    best = align(reference, query, starts[0], settings)
+    for start in starts[1:]:
+        found = align(reference, query, start, settings, None if best.failure else best)
+        if not found.failure and (best.failure or found.final.energy < best.final.energy):
+            best = found
+    return best
 
 
 def _minimise(

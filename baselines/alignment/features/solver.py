@@ -100,7 +100,6 @@ def align_features(
         reference: points of each level with their features.
         query: maps of each level, with as many channels.
         T_start: (4, 4) first guess of T_query_ref.
-        settings: see there.
         first_level: coarser levels are left out.
 
     Raises:
@@ -123,7 +122,6 @@ def align_features_best(
         reference: points of each level with their features.
         query: maps of each level, with as many channels.
         starts: at least one.
-        settings: see there.
 
     Raises:
         ValueError: there is no start.

@@ -1,10 +1,8 @@
-"""Coarse to fine over the levels, for both engines, and the best of several starts, one after another."""
+"""Coarse to fine over the levels, for both engines."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -88,57 +86,3 @@ class Descent:
     def give_up(self) -> None:
         """End here, since another start fits better."""
         self.failure, self.abandoned = "another start fits better", True
-
-
-def coarse_to_fine(
-    coarsest: int, minimise: Callable[[int], tuple[LevelOutcome, str]], rival: Sequence[LevelOutcome] = ()
-) -> Descent:
-    """Align all levels, or give up on the first one whose root mean energy is more than 1.5 times the rival's.
-
-    Args:
-        coarsest: see :class:`Descent`.
-        minimise: aligns one level, beginning where the previous one ended; returns its outcome, and in words why it
-            failed or an empty string.
-        rival: outcomes of the best alignment so far from another start.
-    """
-    rival_energy = {outcome.level: outcome.energy for outcome in rival}
-    descent = Descent(coarsest)
-    while not descent.ended:
-        descent.advance(*minimise(descent.level))
-        reached = descent.outcomes[-1]
-        if not descent.failure and reached.energy > ABANDON_FACTOR**2 * rival_energy.get(reached.level, np.inf):
-            descent.give_up()
-    return descent
-
-
-class Attempt(Protocol):
-    """What :func:`best_of` needs to know of an alignment."""
-
-    @property
-    def failure(self) -> str: ...
-    @property
-    def final(self) -> LevelOutcome: ...
-
-
-AnyAttempt = TypeVar("AnyAttempt", bound=Attempt)
-AnyStart = TypeVar("AnyStart")
-
-
-def best_of(starts: Sequence[AnyStart], attempt: Callable[[AnyStart, AnyAttempt | None], AnyAttempt]) -> AnyAttempt:
-    """The alignment of lowest final energy; a failed one only if all of them failed.
-
-    Args:
-        starts: at least one.
-        attempt: aligns from a start, given the best alignment so far.
-
-    Raises:
-        ValueError: there is no start.
-    """
-    if not starts:
-        raise ValueError("an alignment needs at least one start")
-    best = attempt(starts[0], None)
-    for start in starts[1:]:
-        candidate = attempt(start, None if best.failure else best)
-        if not candidate.failure and (best.failure or candidate.final.energy < best.final.energy):
-            best = candidate
-    return best

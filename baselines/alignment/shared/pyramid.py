@@ -148,8 +148,8 @@ def _feature_gradients(values: Map) -> Map:
     half = np.float32(0.5)
     for y in range(height):
         for x in range(width):
-            target, here = out[y, x], values[y, x]
-            target[:channels] = here
+            target = out[y, x]
+            target[:channels] = values[y, x]
             if 0 < y < height - 1 and 0 < x < width - 1:
                 left, right, above, below = values[y, x - 1], values[y, x + 1], values[y - 1, x], values[y + 1, x]
                 for c in range(channels):

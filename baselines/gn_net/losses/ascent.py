@@ -73,7 +73,6 @@ def ascent_terms(
         f_ref: (..., N, D), F_a(u_a).
         u_true: (..., N, 2), u_b in pixels of the map.
         u_still: (..., N, 2), u_0: where the query would show the points if its camera had not moved.
-        options: see there.
         generator: on the CPU, so that the draws do not depend on the device.
     """
     count = options.positions

@@ -101,7 +101,6 @@ def draw_start_poses(T_query_ref: Tensor, options: PoseOptions, generator: torch
 
     Args:
         T_query_ref: (B, 4, 4).
-        options: see there.
         generator: on the CPU.
     """
     batch = len(T_query_ref)
@@ -134,7 +133,6 @@ def pose_terms(
         features_ref, features_query: (B, D, H_l, W_l) for each level, finest first.
         seen: points, in the images' own pixels.
         start: (B, 4, 4) first ``T_query_ref``.
-        options: see there.
         finest: level of the first map, of which the images' own resolution is 0.
         confidences_ref: (B, 1, H_l, W_l) for each level, or none.
     """

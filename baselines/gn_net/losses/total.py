@@ -87,7 +87,6 @@ def total_loss(
         u_ref, u_query: (B, N, 2) pixels of level 0 that see the same surface points.
         mask: (B, N) bool: which of them count, as pairs differ in their numbers of correspondences; those that are not
             finite never count.
-        options: see there.
         generator: on the CPU; the source of starts and negatives.
         u_still: (B, N, 2) pixels of level 0 where the query would show the points if its camera had not moved, on the
             maps or off them; needed by the ascent loss.
@@ -151,7 +150,6 @@ def pose_loss(
     Args:
         features_ref, features_query, finest: as of :func:`baselines.gn_net.losses.pose.pose_terms`.
         seen: points, cameras and true poses of the batch.
-        options: see there.
         generator: on the CPU; the source of starts.
         confidences_ref: (B, 1, H_l, W_l) for each level, or none.
 

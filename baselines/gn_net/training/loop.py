@@ -41,7 +41,6 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
     Args:
         data: pairs to learn from.
         validate: tracks the validation pairs; None: no validation.
-        options: see there.
         run: folder, device, and whom to report to.
         tracker: as which the weights are validated.
 
