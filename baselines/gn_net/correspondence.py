@@ -36,14 +36,7 @@ class Landmarks:
 
     @classmethod
     def at(cls, points: KeyframePoints, pyramid: FeaturePyramid, count: int, rng: np.random.Generator) -> Landmarks:
-        """Choose at most ``count`` points that have a depth, at random.
-
-        Args:
-            points: pixels of the pyramid's finest map with inverse depth.
-            pyramid: of the reference.
-            count: largest number of points.
-            rng: source of the choice.
-        """
+        """Choose at most ``count`` points that have a depth, at random; they are pixels of the finest map."""
         inverse_depth = np.asarray(points.inverse_depth, dtype=np.float64)
         known = np.flatnonzero((inverse_depth > 0) & np.isfinite(inverse_depth))
         chosen = np.sort(rng.permutation(known)[:count])
@@ -64,8 +57,6 @@ def match_landmarks(
     """Match landmarks to pixels of a query.
 
     Args:
-        landmarks: of the reference.
-        query: its feature maps.
         level: the level, counted from the finest map, on which the whole query is searched.
         windows: half-widths, in pixels, of the windows on the finer levels, coarser ones first; finer levels without a
             window are not searched.

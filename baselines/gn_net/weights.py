@@ -16,10 +16,9 @@ _KIND = "gn-net"
 
 
 def save_weights(path: Path, net: FeatureNet, card: Mapping[str, str]) -> None:
-    """Write weights, options and card, whole or not at all; equal networks and cards give equal bytes.
+    """Write weights, options and card, as :func:`baselines.weights_file.write_network` does.
 
     Args:
-        path: must end in ``.safetensors``; an existing file is replaced.
         net: as it is trained, not a copy ``for_tracking``.
         card: what a reader should know, such as data, seed and scores.
 

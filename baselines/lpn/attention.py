@@ -43,14 +43,7 @@ class AttentionOptions(Options):
 
 
 class LocalAttention(nn.Module):
-    """Local attention.
-
-    Args:
-        channels: of the map.
-        kernel: k, pixels.
-        residual: X + X * A instead of X * A.
-        generator: source of the initial weights (He et al., 2015).
-    """
+    """Local attention, whose initial weights are drawn as by He et al., 2015."""
 
     def __init__(self, channels: int, kernel: int, residual: bool, generator: torch.Generator) -> None:
         super().__init__()

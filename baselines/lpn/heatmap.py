@@ -43,12 +43,7 @@ class HeatmapOptions(Options):
 
 
 class HeatmapPartition(nn.Module):
-    """The network that computes the masks, and pooling by them.
-
-    Args:
-        parts: P.
-        generator: source of the initial weights (He et al., 2015).
-    """
+    """The network that computes the masks of P parts, drawn as by He et al., 2015, and pooling by them."""
 
     def __init__(self, parts: int, options: HeatmapOptions, generator: torch.Generator) -> None:
         super().__init__()

@@ -62,16 +62,8 @@ class Branch(nn.Module):
         for name, values in (("mean", self.backbone.mean), ("deviation", self.backbone.deviation)):
             self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
 
-    def last_map(self, images: Tensor) -> Tensor:
-        """The last map (B, C, h, w) of images (B, 3, H, W), RGB in [0, 1].
-
-        Raises:
-            ValueError: the images have another shape.
-        """
-        return self.last_map_from(self.map_after(images, 0), 0)
-
     def map_after(self, images: Tensor, blocks: int) -> Tensor:
-        """The map after ``layer3`` and so many blocks of ``layer4``, of images as in :meth:`last_map`.
+        """The map after ``layer3`` and so many blocks of ``layer4``, of images (B, 3, H, W), RGB in [0, 1].
 
         Raises:
             ValueError: the images have another shape, or attention lies in front of the blocks.
@@ -129,21 +121,19 @@ class LpnNetwork(nn.Module):
         Raises:
             ValueError: the network does not have the view, or the images have another shape.
         """
-        return self._output(view, self.branch(view).last_map(images))
+        return self.forward_from(view, self.branch(view).map_after(images, 0), 0)
 
     def forward_from(self, view: View, x: Tensor, blocks: int) -> ViewOutput:
         """The output for maps of ``Branch.map_after`` of one view's images."""
-        return self._output(view, self.branch(view).last_map_from(x, blocks))
-
-    def _output(self, view: View, last_map: Tensor) -> ViewOutput:
-        parts = self.branch(view).parts(last_map)
+        branch = self.branch(view)
+        last_map = branch.last_map_from(x, blocks)
+        parts = branch.parts(last_map)
         embeddings, logits = cast(HeadOutput, self.heads(parts.features))
         return ViewOutput(embeddings, logits, last_map.amax((-2, -1)), parts.masks)
 
     def embed(self, view: View, images: Tensor) -> Tensor:
         """The embeddings (B, P, D) of images, without the classifier; arguments are those of ``forward``."""
-        branch = self.branch(view)
-        return self.heads.embed(branch.parts(branch.last_map(images)).features)
+        return self.embed_from(view, self.branch(view).map_after(images, 0), 0)
 
     def embed_from(self, view: View, x: Tensor, blocks: int) -> Tensor:
         """The embeddings (B, P, D) for maps of ``Branch.map_after`` of one view's images."""

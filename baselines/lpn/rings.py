@@ -30,12 +30,7 @@ RingMean = Literal["square", "ring"]
 
 
 class Rings(nn.Module):
-    """The partition of LPN; with one part it is the mean over the map.
-
-    Args:
-        parts: P.
-        mean: ``square`` or ``ring``.
-    """
+    """The partition of LPN into P parts; with one part it is the mean over the map."""
 
     def __init__(self, parts: int, mean: RingMean) -> None:
         super().__init__()

@@ -39,13 +39,7 @@ class SoftPartitionOptions(Options):
 
 
 class SoftPartition(nn.Module):
-    """The part classifier, and pooling by it.
-
-    Args:
-        channels: C.
-        parts: P.
-        generator: source of the initial weights.
-    """
+    """The classifier of P parts from C channels, and pooling by it."""
 
     def __init__(self, channels: int, parts: int, options: SoftPartitionOptions, generator: torch.Generator) -> None:
         super().__init__()

@@ -40,12 +40,7 @@ class About:
 
 
 def save_weights(path: Path, network: LpnNetwork, about: About) -> None:
-    """Write weights, options and description, whole or not at all; equal networks give equal bytes.
-
-    Args:
-        path: must end in ``.safetensors``; an existing file is replaced.
-        network: with its classifiers, so that a training can start from it.
-    """
+    """Write weights, options and description; with the classifiers, so that a training can start from the network."""
     metadata = {**asdict(about), "views": list(about.views), "card": dict(about.card)}
     whole = {"classes": network.classes, "network": asdict(network.options), **metadata}
     write_network(path, _KIND, network, whole)

@@ -43,17 +43,7 @@ def model_card(
     best_step: int,
     scores: ValidationScores | None,
 ) -> str:
-    """The text of ``MODEL_CARD.md``.
-
-    Args:
-        described: what the trainer says.
-        run: whose command is quoted.
-        device: where the network was trained.
-        seed: of the training.
-        seconds: that the training took.
-        best_step: the step whose weights were kept.
-        scores: of these weights; None without validation.
-    """
+    """The text of ``MODEL_CARD.md``, for the weights of ``best_step`` and their scores (None without validation)."""
     rows = metrics = None
     if scores is not None:
         metrics = list(next(iter(scores.by_conditions.values()), scores.together))

@@ -337,12 +337,8 @@ def percentages(values: Mapping[str, float]) -> str:
 def batches_in_order(batches: Dataset[Batch], first: int, last: int, workers: int, pin_memory: bool) -> Iterator[Batch]:
     """The batches of the steps from ``first`` to ``last``, excluding it, in order.
 
-    Args:
-        batches: the batch of each step.
-        first: a step, counted from 0.
-        last: the first step that is left out.
-        workers: number of background processes; 0: read in this process.
-        pin_memory: whether to place batches in page-locked memory, for a GPU.
+    They are read ahead by ``workers`` background processes, or in this one with 0; they are the same whatever their
+    number. ``pin_memory`` places them in page-locked memory, for a GPU.
     """
     loader = DataLoader(
         batches,

@@ -6,7 +6,7 @@ Axes: x right, y down, z forward. The centre of the top-left pixel is (0, 0). Al
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -177,16 +177,7 @@ class Camera:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as written to YAML."""
-        return {
-            "model": self.model,
-            "width": self.width,
-            "height": self.height,
-            "fx": self.fx,
-            "fy": self.fy,
-            "cx": self.cx,
-            "cy": self.cy,
-            "distortion": list(self.distortion),
-        }
+        return {**asdict(self), "distortion": list(self.distortion)}
 
     def _radtan(self, x: Array, y: Array) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
         """Distorted normalised coordinates and their Jacobian, row by row (Brown-Conrady, rational model)."""
@@ -307,11 +298,5 @@ def _invert_increasing(
 def camera_from_dict(values: dict[str, Any]) -> Camera:
     """The camera of :meth:`Camera.to_dict`. Raises ValueError or TypeError on impossible values."""
     distortion = tuple(float(v) for v in values.get("distortion") or ())
-    numbers = {name: float(values[name]) for name in ("fx", "fy", "cx", "cy")}
-    return Camera(
-        model=values["model"],
-        width=int(values["width"]),
-        height=int(values["height"]),
-        distortion=distortion,
-        **numbers,
-    )
+    numbers = [float(values[name]) for name in ("fx", "fy", "cx", "cy")]
+    return Camera(values["model"], int(values["width"]), int(values["height"]), *numbers, distortion)

@@ -15,13 +15,7 @@ GREY = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 
 def augment(image: Values, options: AugmentationOptions, rng: np.random.Generator) -> Values:
-    """A changed copy of an (H, W, 3) image in [0, 1]: illumination, then lens, sensor and camera. No pixel moves.
-
-    Args:
-        image: float32.
-        options: strengths of the changes.
-        rng: source of all random choices.
-    """
+    """A changed copy of an (H, W, 3) image in [0, 1]: illumination, then lens, sensor and camera. No pixel moves."""
     if rng.random() >= options.probability:
         return image
     x = image * np.exp(_spread(rng, options.gain)) * np.exp(_spread(rng, options.colour, 3))

@@ -25,10 +25,7 @@ _EMPTY = "no part of this training"
 def draw_curves(path: Path, log: Sequence[Row], validation: Sequence[Row]) -> None:
     """Draw the loss, its parts on each level, shares of points, and the validation scores, against the step.
 
-    Args:
-        path: the picture; nothing is written where the log is empty.
-        log: rows of ``log.csv``.
-        validation: rows of ``validation.csv``.
+    Nothing is written where the log is empty.
     """
     if not log:
         return

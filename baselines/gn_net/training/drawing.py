@@ -24,8 +24,6 @@ class EvenDraw:
     """Draws indices of training pairs.
 
     Args:
-        data: pairs to draw from.
-        seed: of the order.
         shares: share of the draws by a dataset's name, with its fingerprint (NAME@FINGERPRINT) where several have the
             name; all others are drawn evenly in the rest.
 

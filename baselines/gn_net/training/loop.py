@@ -36,13 +36,7 @@ _INITIAL_WEIGHTS, _LOSS, _START_POSES = range(3)
 
 
 class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
-    """One training of GN-Net or a variant of it.
-
-    Args:
-        data: pairs to learn from.
-        validate: tracks the validation pairs; None: no validation.
-        run: folder, device, and whom to report to.
-        tracker: as which the weights are validated.
+    """One training of GN-Net or a variant of it, whose weights are validated as those of ``tracker``.
 
     Raises:
         MethodError: the folder holds another training, the device cannot be used, or the weights to start from are

@@ -73,10 +73,7 @@ def is_posed(data: TrainingData) -> TypeGuard[PosedTrainingData]:
 def inverse_depth_at(points: KeyframePoints, u: Pixels, size: tuple[int, int]) -> Array:
     """The inverse depth (M,), 1/m, of the point whose pixel is that of u (M, 2), rounded; 0 where there is none.
 
-    Args:
-        points: of the keyframe.
-        u: pixels.
-        size: height and width of the image.
+    ``size`` is the height and width of the keyframe's image.
     """
     height, width = size
     grid = np.zeros((height, width))

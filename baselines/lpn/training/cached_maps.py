@@ -26,7 +26,7 @@ from torch import Tensor
 
 from baselines.files import write_whole
 from baselines.lpn.images import as_bytes, as_network_takes_them, resized
-from baselines.lpn.network import VIEWS, Branch, LpnNetwork, View
+from baselines.lpn.network import VIEWS, LpnNetwork, View
 from baselines.lpn.training.augmentation import augmented
 from baselines.lpn.training.options import TrainOptions
 from relocbench.errors import ConfigError, MethodError
@@ -71,10 +71,7 @@ class MapsOfFrozen:
 
     Args:
         network: with the weights that the training starts from; it is put into evaluation mode while maps are computed.
-        data: the images.
-        options: of the training.
         folder: of the files.
-        device: where the network is.
 
     Raises:
         ConfigError: the files would take more room than ``maps_limit``.
@@ -136,7 +133,9 @@ class MapsOfFrozen:
                 rng = np.random.default_rng([VIEWS.index(view), number, version])
                 square = resized(images[number].image.read(), size)
                 squares.append(augmented(square, view, self._options, rng))
-            maps = self._branch(view).map_after(as_network_takes_them(as_bytes(squares), self._device), self._blocks)
+            maps = self._network.branch(view).map_after(
+                as_network_takes_them(as_bytes(squares), self._device), self._blocks
+            )
             out[start : start + _BATCH] = maps.to(torch.float16).cpu().numpy()
         if not np.isfinite(out).all():
             raise MethodError(f"maps of the frozen backbone exceed half precision in images of view '{view}'")
@@ -162,20 +161,17 @@ class MapsOfFrozen:
             "size": o.size,
             "augmentation": [o.pad, o.flip, o.satellite_turn_deg if view == "satellite" else 0.0],
             "blocks": self._blocks,
-            "weights": self._branch(view).backbone.digest(self._blocks).hex(),
+            "weights": self._network.branch(view).backbone.digest(self._blocks).hex(),
         }
         digest = hashlib.sha256(json.dumps(decides).encode()).hexdigest()[:16]
         return tuple(self._folder / f"{view}-{digest}-{number:03d}.npy" for number in range(o.versions[view]))
-
-    def _branch(self, view: View) -> Branch:
-        return self._network.branch(view)
 
     @cached_property
     def _shapes(self) -> dict[View, tuple[int, int, int]]:
         """(C, h, w) of a map, by view."""
         blank = torch.zeros(1, 3, self._options.size, self._options.size, device=self._device)
         with _evaluating(self._network), torch.inference_mode():
-            maps = {view: self._branch(view).map_after(blank, self._blocks)[0] for view in self._options.views}
+            maps = {view: self._network.branch(view).map_after(blank, self._blocks)[0] for view in self._options.views}
         return {view: (each.shape[0], each.shape[1], each.shape[2]) for view, each in maps.items()}
 
     @property

@@ -14,9 +14,7 @@ _PUBLISHED_SIZE = 256
 def differences(options: TrainOptions, started: str) -> list[str]:
     """What makes a training's numbers incomparable with published ones, in words; empty if nothing does.
 
-    Args:
-        options: of the training.
-        started: where the backbone's initial weights came from (``initial_weights.Start.text``).
+    ``started`` says where the backbone's initial weights came from (``initial_weights.Start.text``).
     """
     out = []
     if options.network.backbone != "resnet50":

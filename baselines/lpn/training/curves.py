@@ -17,12 +17,7 @@ if TYPE_CHECKING:
 def draw_curves(path: Path, log: Sequence[Row], validation: Sequence[Row]) -> None:
     """Draw losses, the share of training images classified correctly, and validation scores, against the step.
 
-    Vertical lines separate the stages.
-
-    Args:
-        path: the picture; nothing is written where the log is empty.
-        log: rows of ``log.csv``.
-        validation: rows of ``validation.csv``.
+    Vertical lines separate the stages. Nothing is written where the log is empty.
     """
     if not log:
         return

@@ -57,12 +57,7 @@ def start_of(options: TrainOptions) -> Start:
 
 
 def initial_network(options: TrainOptions, stage: Stage, number: int, classes: int) -> LpnNetwork:
-    """The network of the first stage with the weights that the training starts from.
-
-    Args:
-        options: of the training.
-        stage: the first one, and ``number`` its index.
-        classes: the number of places.
+    """The network of the first stage, of index ``number``, with the weights that the training starts from.
 
     Raises:
         MethodError: a file is damaged, or of another network.
@@ -85,7 +80,7 @@ def initial_network(options: TrainOptions, stage: Stage, number: int, classes: i
 
 
 def random_network(options: TrainOptions, stage: Stage, number: int, classes: int) -> LpnNetwork:
-    """The network of a stage with random weights; arguments as of :func:`initial_network`."""
+    """The network of a stage, of index ``number``, with random weights."""
     return LpnNetwork(classes, options.system.network_in(stage), generator(options.seed, number))
 
 

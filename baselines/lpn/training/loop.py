@@ -36,13 +36,7 @@ _NO_INFLUENCE = ("maps", "maps_limit")
 
 
 class Training(TrainingLoop[TrainOptions, LpnNetwork, Batch]):
-    """One training of LPN or a variant of it, stage by stage.
-
-    Args:
-        data: images of places to learn from.
-        validate: retrieves among the held-out places; None: no validation.
-        options: with learning rates (``TrainOptions.with_rates``).
-        run: folder, device, and whom to report to.
+    """One training of LPN or a variant of it, stage by stage; the options have all rates (``with_rates``).
 
     Raises:
         ConfigError: the data does not hold what the options ask for.

@@ -198,7 +198,7 @@ def test_attention_acts_after_the_stages_that_are_named() -> None:
         net.eval()
         plain.eval()
         x3 = plain.branch("drone").backbone.to_layer3((images - branch.mean) / branch.deviation)
-        found = branch.last_map(images)
+        found = branch.last_map_from(branch.map_after(images, 0), 0)
         given_to = dict(zip(after, list(seen), strict=True))
         if "layer3" in after:
             assert torch.equal(given_to["layer3"], x3)
@@ -326,7 +326,8 @@ def test_what_comes_out_has_these_shapes(small: LpnNetwork) -> None:
     assert out.pooled.shape == (3, 64)
     assert out.masks is None
     assert torch.equal(out.embeddings, small.embed("drone", pictures(3)))
-    last = small.branch("drone").last_map(pictures(3))
+    branch = small.branch("drone")
+    last = branch.last_map_from(branch.map_after(pictures(3), 0), 0)
     assert torch.equal(out.pooled, last.flatten(2).max(-1).values)
 
 
