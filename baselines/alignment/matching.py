@@ -29,36 +29,25 @@ DSO_PATTERN: Pattern = ((0, -2), (-1, -1), (1, -1), (-2, 0), (0, 0), (2, 0), (-1
 
 SMALLEST_STEP = 1e-3
 """pixels; a shorter step ends a level"""
-BRIGHTNESS_MODELS = {"none": 0, "offset": 1, "affine": 2}
+BRIGHTNESS_MODELS = {"none": 0, "affine": 2}
 """and how many degrees of freedom each of them takes out of a channel"""
-_OFFSET, _AFFINE = 1, 2
 
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """Pattern, brightness model, damping and iterations.
-
-    Raises:
-        ValueError: the brightness model is unknown, the pattern is empty, or a number is not positive.
-    """
+    """Pattern, brightness model, damping and iterations."""
 
     pattern: Pattern = SINGLE_PIXEL
     """offsets (u, v) of the pixels whose residuals are stacked, in pixels of the level"""
-    brightness: Literal["none", "offset", "affine"] = "none"
-    """changes of brightness that the residuals are invariant to: ``offset`` subtracts from both images the mean of each
-    channel over the pattern, ``affine`` also divides by the norm of what remains"""
+    brightness: Literal["none", "affine"] = "none"
+    """changes of brightness that the residuals are invariant to: ``affine`` subtracts from both images the mean of each
+    channel over the pattern, and divides by the norm of what remains"""
     damping: float = 1e-6
     """eps, relative to the mean of the diagonal of J^T J, so that it does not depend on the features' scale"""
     longest_step: float = 2.0
     """pixels of a level; longer steps are shortened to it, since J is not valid that far away"""
     iterations: int = 20
     """largest number on each level"""
-
-    def __post_init__(self) -> None:
-        if self.brightness not in BRIGHTNESS_MODELS:
-            raise ValueError(f"brightness is '{self.brightness}', expected {', '.join(BRIGHTNESS_MODELS)}")
-        if not self.pattern or min(self.damping, self.longest_step, self.iterations) <= 0:
-            raise ValueError("matching needs a pattern, and positive damping, longest_step and iterations")
 
     def equations(self, channels: int) -> int:
         """The number of independent residuals once the brightness is taken out."""
@@ -135,7 +124,7 @@ def _match_on(
             wanted,
             uv,
             pattern,
-            BRIGHTNESS_MODELS[settings.brightness],
+            settings.brightness == "affine",
             settings.damping,
             settings.longest_step,
             settings.iterations,
@@ -170,7 +159,7 @@ def _sample(level_map: Floats, x: float, y: float, pattern: Array, out: Array) -
 
 
 @njit(cache=True, error_model="numpy")
-def _remove_brightness(samples: Array, channels: int, brightness: int) -> bool:
+def _remove_brightness(samples: Array, channels: int) -> bool:
     """Take the mean and the norm of each channel out of the values and, by the chain rule, out of the derivatives.
 
     With v the values minus their mean and n = v / |v|: d(v / |v|) = (dv - n (n dv)) / |v|. False if |v| is 0, since the
@@ -181,13 +170,12 @@ def _remove_brightness(samples: Array, channels: int, brightness: int) -> bool:
         part = samples[:, c::channels]
         for k in range(3):
             part[k] -= np.sum(part[k]) / size
-        if brightness >= _AFFINE:
-            norm = np.sqrt(np.sum(part[0] * part[0]))
-            if not norm > 0.0:
-                return False
-            part[0] /= norm
-            for k in range(1, 3):
-                part[k] = (part[k] - part[0] * np.sum(part[0] * part[k])) / norm
+        norm = np.sqrt(np.sum(part[0] * part[0]))
+        if not norm > 0.0:
+            return False
+        part[0] /= norm
+        for k in range(1, 3):
+            part[k] = (part[k] - part[0] * np.sum(part[0] * part[k])) / norm
     return True
 
 
@@ -199,7 +187,7 @@ def _match_level(
     uv_ref: Array,
     uv: Array,
     pattern: Array,
-    brightness: int,
+    affine: bool,
     damping: float,
     longest_step: float,
     iterations: int,
@@ -214,14 +202,14 @@ def _match_level(
         u, v = (uv_ref[i, 0] + 0.5) / scale - 0.5, (uv_ref[i, 1] + 0.5) / scale - 0.5
         if not _sample(reference_map, u, v, pattern, wanted):
             continue
-        if brightness >= _OFFSET and not _remove_brightness(wanted, channels, brightness):
+        if affine and not _remove_brightness(wanted, channels):
             continue
         x, y = (uv[i, 0] + 0.5) / scale - 0.5, (uv[i, 1] + 0.5) / scale - 0.5
         found = False
         for _ in range(iterations):
             found = _sample(query_map, x, y, pattern, samples)
-            if found and brightness >= _OFFSET:
-                found = _remove_brightness(samples, channels, brightness)
+            if found and affine:
+                found = _remove_brightness(samples, channels)
             if not found:
                 break
             hxx, hxy, hyy, bx, by = 0.0, 0.0, 0.0, 0.0, 0.0

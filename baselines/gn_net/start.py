@@ -17,7 +17,6 @@ import poselib
 from baselines.alignment import FeaturePyramid
 from baselines.gn_net.correspondence import Landmarks, match_landmarks
 from relocbench.arrays import Array
-from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, apply
 
 SMALLEST_SAMPLE = 4
@@ -26,11 +25,7 @@ SMALLEST_SAMPLE = 4
 
 @dataclass(frozen=True)
 class StartSettings:
-    """How the initial pose is searched for.
-
-    Raises:
-        ConfigError: a value is out of range.
-    """
+    """How the initial pose is searched for."""
 
     points: int = 400
     """largest number of the reference's points that are matched"""
@@ -46,16 +41,6 @@ class StartSettings:
     """however early the pose seems certain"""
     confidence: float = 0.999
     """the probability of success at which RANSAC stops early"""
-
-    def __post_init__(self) -> None:
-        if self.level < 0 or min(self.points, self.iterations) < SMALLEST_SAMPLE or self.threshold <= 0:
-            raise ConfigError("a start from matches needs level >= 0, four points and iterations, threshold > 0")
-        if not 0 <= self.fewest_iterations <= self.iterations:
-            raise ConfigError(f"{self.fewest_iterations} iterations at least and {self.iterations} at most")
-        if any(half_width < 1 for half_width in self.windows):
-            raise ConfigError(f"windows of a start from matches are {self.windows}, expected half-widths of 1 or more")
-        if not 0 < self.confidence < 1:
-            raise ConfigError(f"confidence of RANSAC is {self.confidence}, expected between 0 and 1")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Relocalization by learned local features: most networks come from kornia, the pose from ``feature_pnp``."""
 
-from baselines.learned_pnp.lightglue_trackers import AlikedLightGluePnp, DiskLightGluePnp, SuperPointLightGluePnp
-from baselines.learned_pnp.loftr_tracker import LoftrPnp
+from baselines.learned_pnp.lightglue import AlikedLightGluePnp, DiskLightGluePnp, SuperPointLightGluePnp
+from baselines.learned_pnp.loftr import LoftrPnp
 from baselines.learned_pnp.trackers import AlikedPnp, DiskPnp, SuperPointPnp, XFeatPnp
 
 __all__ = [

@@ -24,8 +24,7 @@ class FeatureSettings:
     """Robust loss, iterations and damping.
 
     Raises:
-        MethodError: the cutoff is below the Huber threshold, a number is not positive, a number of kept starts is below
-            1, a share is not between 0 and 1, or ``give_up`` is not above 1.
+        MethodError: the cutoff is below the Huber threshold, or one of them is not positive.
     """
 
     huber: float = 0.3
@@ -57,16 +56,6 @@ class FeatureSettings:
     def __post_init__(self) -> None:
         if not 0 < self.huber <= self.cutoff:
             raise MethodError(f"cutoff ({self.cutoff}) must be at least huber ({self.huber}), both positive")
-        if self.unit not in ("spread", "absolute"):
-            raise MethodError(f"unit is '{self.unit}', expected spread or absolute")
-        if not self.iterations or min(*self.iterations, self.min_points, 1) < 1:
-            raise MethodError("iterations and min_points must be at least 1")
-        if any(count < 1 for count in self.kept):
-            raise MethodError(f"kept is {list(self.kept)}, expected 1 or more for each level")
-        if not 0 <= self.min_valid_share <= 1:
-            raise MethodError(f"min_valid_share is {self.min_valid_share}, expected 0 to 1")
-        if not self.give_up > 1:
-            raise MethodError(f"give_up is {self.give_up}, expected more than 1")
 
     def iterations_of(self, level: int) -> int:
         """The largest number of iterations on a level."""

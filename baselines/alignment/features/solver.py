@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 
-from baselines.alignment.features.kernel import workspace_for
-from baselines.alignment.features.problem import FeatureProblem
+from baselines.alignment.features.kernel import linearize_features, workspace_for
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.features.settings import FeatureSettings
+from baselines.alignment.shared.compiled import FloatArray
 from baselines.alignment.shared.levels import Descent, LevelOutcome, failure_of
 from baselines.alignment.shared.levenberg import (
     COUNT,
@@ -22,6 +25,7 @@ from baselines.alignment.shared.levenberg import (
     SATURATED,
     SQUARES,
     WEIGHT,
+    linearize_at,
     minimise_level_from_each,
 )
 from baselines.alignment.shared.pyramid import camera_intrinsics
@@ -33,6 +37,36 @@ from relocbench.geometry import compose
 UNKNOWNS = 6
 SAME_M, SAME_RAD = 0.02, 0.002
 """estimates of several starts that are nearer to each other are at the same pose"""
+
+
+class FeatureProblem(NamedTuple):
+    """One level; the fields are arguments of :func:`baselines.alignment.features.kernel.linearize_features`."""
+
+    level_map: FloatArray
+    points: FloatArray
+    values: FloatArray
+    weights: FloatArray
+    intrinsics: Array
+    huber: float
+    per_channel: bool
+    workspace: tuple[FloatArray, FloatArray, FloatArray]
+
+
+@overload(linearize_at)
+def _linearize_features(
+    problem: Any, T_query_ref: Any, brightness: Any, cutoff: Any, H: Any, g: Any, statistics: Any
+) -> Callable[..., None] | None:
+    if not (isinstance(problem, types.NamedTuple) and problem.instance_class is FeatureProblem):
+        return None
+
+    def compiled(problem: Any, T_query_ref: Any, brightness: Any, cutoff: Any, H: Any, g: Any, statistics: Any) -> None:
+        level_map, points, values, weights, intrinsics, huber, per_channel, workspace = problem
+        linearize_features(
+            level_map, points, values, weights, intrinsics, T_query_ref, huber, cutoff, per_channel, workspace,
+            H, g, statistics,
+        )  # fmt: skip
+
+    return compiled
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,12 +76,12 @@ def test_the_scale_of_features_does_not_matter() -> None:
 
 @pytest.mark.parametrize(
     ("gain", "offset", "withstands"),
-    [(1.0, 40.0, {"offset", "affine"}), (0.5, 40.0, {"affine"}), (1.8, -60.0, {"affine"})],
+    [(1.0, 0.0, {"none", "affine"}), (0.5, 40.0, {"affine"}), (1.8, -60.0, {"affine"})],
 )
 def test_residuals_are_invariant_to_the_brightness_model(gain: float, offset: float, withstands: set[str]) -> None:
     uv, shift = pixels(), (1.2, -0.8)
     reference, query = levels(view()), levels(gain * view(shift) + offset)
-    for brightness in ("none", "offset", "affine"):
+    for brightness in ("none", "affine"):
         found = share_found(
             match_pixels(reference, query, uv, uv, MatchSettings(DSO_PATTERN, brightness)), uv + shift, 0.2
         )
@@ -117,8 +117,6 @@ def test_too_few_residuals_and_wrong_shapes_are_refused() -> None:
         match_pixels(one, two, uv, uv, INTENSITY)
     with pytest.raises(ValueError, match=r"\(N, 2\)"):
         match_pixels(one, one, uv, uv[:-1], INTENSITY)
-    with pytest.raises(ValueError, match="damping"):
-        MatchSettings(damping=0.0)
 
 
 def test_dso_matches_pixels_of_its_keyframe_under_another_light() -> None:

@@ -15,9 +15,9 @@ from plain_alignment import bilinear
 
 from baselines.alignment import linearize, with_gradients
 from baselines.alignment.features.kernel import linearize_features, workspace_for
-from baselines.alignment.features.problem import FeatureProblem
 from baselines.alignment.features.pyramid import FeatureLevel
 from baselines.alignment.features.reference import FeaturePoints
+from baselines.alignment.features.solver import FeatureProblem
 from baselines.alignment.shared.compiled import FloatArray
 from baselines.alignment.shared.levenberg import (
     COUNT,
