@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.alignment import DSO_PATTERN
 from baselines.alignment.features.pyramid import sample
+from baselines.alignment.matching import DSO_PATTERN
 from baselines.alignment.shared.pyramid import halve, level_camera, to_grey
 from relocbench.arrays import Array, Floats, Image, Mask
 from relocbench.geometry import Camera, apply

@@ -1,6 +1,5 @@
 """Direct alignment of raw intensities: the coarse tracker of Direct Sparse Odometry as a relocalization tracker."""
 
-from baselines.alignment import small_rotations
-from baselines.dso.tracker import Dso, DsoMultiStart, DsoReference
+from baselines.dso.tracker import Dso, DsoMultiStart
 
-__all__ = ["Dso", "DsoMultiStart", "DsoReference", "small_rotations"]
+__all__ = ["Dso", "DsoMultiStart"]

@@ -13,22 +13,13 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from baselines.alignment import (
-    DSO_PATTERN,
-    Alignment,
-    Level,
-    LevelPoints,
-    MatchSettings,
-    Settings,
-    align_best,
-    choose_points,
-    coarse_points,
-    image_pyramid,
-    match_pixels,
-    match_pixels_by_level,
-    moved_along,
-    small_rotations,
-)
+from baselines.alignment.direct.settings import Settings
+from baselines.alignment.direct.solver import Alignment, align_best
+from baselines.alignment.matching import DSO_PATTERN, MatchSettings, match_pixels, match_pixels_by_level
+from baselines.alignment.shared.depth_map import LevelPoints, coarse_points
+from baselines.alignment.shared.pyramid import Level, image_pyramid
+from baselines.alignment.shared.selection import choose_points
+from baselines.alignment.shared.starts import moved_along, small_rotations
 from baselines.calibration import DSO, DSO_MULTISTART, Calibration
 from baselines.correlation import GreyImage, correlations
 from baselines.options import Finite

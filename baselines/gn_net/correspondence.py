@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.alignment import FeaturePyramid
-from baselines.alignment.features.pyramid import level_coordinates, sample
+from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates, sample
 from baselines.alignment.shared.compiled import FAST
 from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.kernels import njit

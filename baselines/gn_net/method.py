@@ -14,30 +14,16 @@ import torch
 from pydantic import Field
 from torch.nn import functional
 
-from baselines.alignment import (
-    ABANDON_FACTOR,
-    DSO_DAMPING,
-    LM_RELOC_DAMPING,
-    SINGLE_PIXEL,
-    FeatureAlignment,
-    FeaturePyramid,
-    FeatureSettings,
-    Level,
-    MatchSettings,
-    ReferenceFeatures,
-    Start,
-    align_features_best,
-    choose_points,
-    coarsest_level,
-    image_pyramid,
-    level_camera,
-    match_pixels,
-    match_pixels_by_level,
-    moved_along,
-    require_pinhole,
-    small_rotations,
-)
-from baselines.alignment.features.pyramid import level_coordinates
+from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates
+from baselines.alignment.features.reference import ReferenceFeatures
+from baselines.alignment.features.settings import LM_RELOC_DAMPING, FeatureSettings
+from baselines.alignment.features.solver import FeatureAlignment, align_features_best, coarsest_level
+from baselines.alignment.matching import SINGLE_PIXEL, MatchSettings, match_pixels, match_pixels_by_level
+from baselines.alignment.shared.damping import DSO_DAMPING
+from baselines.alignment.shared.levels import ABANDON_FACTOR
+from baselines.alignment.shared.pyramid import Level, image_pyramid, level_camera, require_pinhole
+from baselines.alignment.shared.selection import choose_points
+from baselines.alignment.shared.starts import Start, moved_along, small_rotations
 from baselines.calibration import GN_NET, Calibration
 from baselines.device import to_device
 from baselines.feature_cache import FeatureCache

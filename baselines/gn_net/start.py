@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import poselib
 
-from baselines.alignment import FeaturePyramid
+from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.gn_net.correspondence import Landmarks, match_landmarks
 from relocbench.arrays import Array
 from relocbench.geometry import Camera, apply

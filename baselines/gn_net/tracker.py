@@ -8,7 +8,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from baselines.alignment import FeaturePyramid, Start
+from baselines.alignment.features.pyramid import FeaturePyramid
+from baselines.alignment.shared.starts import Start
 from baselines.calibration import GN_NET_CONTRASTIVE, GN_NET_FROM_PRIOR, GN_NET_PNP, LM_NET, Calibration
 from baselines.gn_net.method import CoarsePoints, Counts, GnNet, GnNetReference, Share
 from baselines.gn_net.start import MatchedLandmarks

@@ -35,7 +35,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from baselines.alignment import FeatureAlignment, align_features
+from baselines.alignment.features.solver import FeatureAlignment, align_features
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks

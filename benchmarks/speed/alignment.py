@@ -29,8 +29,11 @@ from collections.abc import Callable
 import numpy as np
 import plain_alignment as plain
 
-from baselines.alignment import LevelPoints, Settings, align, image_pyramid, linearize, with_gradients
-from baselines.alignment.shared.pyramid import camera_intrinsics
+from baselines.alignment.direct.kernel import linearize
+from baselines.alignment.direct.settings import Settings
+from baselines.alignment.direct.solver import align
+from baselines.alignment.shared.depth_map import LevelPoints
+from baselines.alignment.shared.pyramid import camera_intrinsics, image_pyramid, with_gradients
 from baselines.dso import Dso
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.tracking import Reference

@@ -31,14 +31,14 @@ import numpy as np
 import plain_feature_alignment as plain
 from alignment import CAMERA, STEP, WALLS, error, median_ms
 
-from baselines.alignment import Start, align_features, align_features_best
 from baselines.alignment.features.kernel import linearize_features, workspace_for
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.features.reference import ReferenceFeatures
 from baselines.alignment.features.settings import FeatureSettings
+from baselines.alignment.features.solver import align_features, align_features_best
 from baselines.alignment.shared.levenberg import STATISTICS
 from baselines.alignment.shared.pyramid import camera_intrinsics, level_camera, with_gradients
-from baselines.dso.tracker import small_rotations
+from baselines.alignment.shared.starts import Start, small_rotations
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.tracking import KeyframePoints
 

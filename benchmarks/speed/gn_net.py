@@ -32,7 +32,8 @@ from torch import Tensor, nn
 from torch.fx.experimental.optimization import fuse
 from torchvision.models import resnet18
 
-from baselines.gn_net.losses import GaussNewtonOptions, LossOptions, total_loss
+from baselines.gn_net.losses.gauss_newton import GaussNewtonOptions
+from baselines.gn_net.losses.total import LossOptions, total_loss
 from baselines.gn_net.method import SHIPPED
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.weights import load_weights, save_weights

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from baselines.alignment import DSO_PATTERN, Level, MatchSettings
-from baselines.alignment.shared.pyramid import level_camera, with_gradients
+from baselines.alignment.matching import DSO_PATTERN, MatchSettings
+from baselines.alignment.shared.pyramid import Level, level_camera, with_gradients
 from relocbench.arrays import Array
 from relocbench.geometry import Camera
 

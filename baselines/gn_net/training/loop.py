@@ -14,8 +14,8 @@ from torch import Tensor
 
 from baselines.efficientnet_lite import IMAGENET_WEIGHTS, EfficientNetLite0, load_imagenet
 from baselines.gn_net.encoder import EfficientNetEncoder
-from baselines.gn_net.losses import pose_loss, total_loss
 from baselines.gn_net.losses.pose import SeenPoints
+from baselines.gn_net.losses.total import pose_loss, total_loss
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.sampling import level_coordinates
 from baselines.gn_net.tracker import GnNet

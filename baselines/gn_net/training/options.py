@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from baselines.gn_net.losses import LossOptions
+from baselines.gn_net.losses.total import LossOptions
 from baselines.gn_net.options import NetworkOptions
 from baselines.options import (
     OptionError,

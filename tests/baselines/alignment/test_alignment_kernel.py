@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.alignment import Level, LevelPoints, linearize, with_gradients
+from baselines.alignment.direct.kernel import linearize
 from baselines.alignment.shared.compiled import FloatArray
-from baselines.alignment.shared.pyramid import camera_intrinsics
+from baselines.alignment.shared.depth_map import LevelPoints
+from baselines.alignment.shared.pyramid import Level, camera_intrinsics, with_gradients
 from baselines.alignment.shared.scratch import BLOCK
 from baselines.alignment.shared.small_matrices import se3_exp, solve_cholesky
 from relocbench import geometry

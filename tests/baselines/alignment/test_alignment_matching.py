@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from pixel_views import CAMERA, HEIGHT, INTENSITY, WIDTH, levels, offsets, pixels, share_found, view
 
-from baselines.alignment import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, image_pyramid, match_pixels
+from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels
+from baselines.alignment.shared.pyramid import image_pyramid
 from baselines.dso import Dso
 from relocbench.tracking import Query, Reference, SupportsMatching
 

@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 from alignment_scene import CAMERA, render, to_image
 
-from baselines.alignment import coarse_points, image_pyramid, select_pixels
-from baselines.alignment.shared.depth_map import DIAGONAL, STRAIGHT, InverseDepthSums, dilate, halve_sums, splat
-from baselines.alignment.shared.selection import block_thresholds
+from baselines.alignment.shared.depth_map import (
+    DIAGONAL,
+    STRAIGHT,
+    InverseDepthSums,
+    coarse_points,
+    dilate,
+    halve_sums,
+    splat,
+)
+from baselines.alignment.shared.pyramid import image_pyramid
+from baselines.alignment.shared.selection import block_thresholds, select_pixels
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
 

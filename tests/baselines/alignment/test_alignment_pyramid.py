@@ -8,7 +8,7 @@ import pytest
 from plain_alignment import bilinear
 from refusals import refused
 
-from baselines.alignment import image_pyramid, level_camera, with_gradients
+from baselines.alignment.shared.pyramid import image_pyramid, level_camera, with_gradients
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 

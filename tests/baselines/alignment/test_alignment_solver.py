@@ -8,20 +8,12 @@ import pytest
 from alignment_scene import CAMERA, motion, render, to_image
 from refusals import refused
 
-from baselines.alignment import (
-    Level,
-    LevelPoints,
-    Settings,
-    align,
-    align_best,
-    coarse_points,
-    image_pyramid,
-    level_camera,
-    sample_points,
-    select_pixels,
-    with_gradients,
-)
+from baselines.alignment.direct.settings import Settings
+from baselines.alignment.direct.solver import align, align_best
+from baselines.alignment.shared.depth_map import LevelPoints, coarse_points, sample_points
 from baselines.alignment.shared.levenberg import CONVERGED
+from baselines.alignment.shared.pyramid import Level, image_pyramid, level_camera, with_gradients
+from baselines.alignment.shared.selection import select_pixels
 from relocbench.arrays import Array
 from relocbench.errors import MethodError
 from relocbench.geometry import compose, invert, rotation_angle

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baselines.alignment import moved_along
+from baselines.alignment.shared.starts import moved_along
 from relocbench.geometry import invert, rotation_angle, se3_exp
 
 metres = st.floats(-20, 20).filter(lambda by: abs(by) > 1e-3)

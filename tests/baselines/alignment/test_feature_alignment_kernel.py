@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from plain_alignment import bilinear
 
-from baselines.alignment import linearize, with_gradients
+from baselines.alignment.direct.kernel import linearize
 from baselines.alignment.features.kernel import linearize_features, workspace_for
 from baselines.alignment.features.pyramid import FeatureLevel
 from baselines.alignment.features.reference import FeaturePoints
@@ -29,7 +29,7 @@ from baselines.alignment.shared.levenberg import (
     WEIGHT,
     minimise_level,
 )
-from baselines.alignment.shared.pyramid import camera_intrinsics
+from baselines.alignment.shared.pyramid import camera_intrinsics, with_gradients
 from baselines.alignment.shared.scratch import BLOCK
 from relocbench import geometry
 from relocbench.arrays import Array

@@ -13,12 +13,14 @@ from feature_alignment_scene import features, keyframe_points, pyramid, world_po
 from numpy.typing import NDArray
 from refusals import refused
 
-from baselines.alignment import LevelPoints, Settings, align
+from baselines.alignment.direct.settings import Settings
+from baselines.alignment.direct.solver import align
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.features.settings import LM_RELOC_DAMPING, FeatureSettings
 from baselines.alignment.features.solver import FeatureAlignment, align_features, align_features_best
 from baselines.alignment.shared.damping import DSO_DAMPING, Damping
+from baselines.alignment.shared.depth_map import LevelPoints
 from baselines.alignment.shared.pyramid import level_camera
 from baselines.alignment.shared.starts import Start
 from relocbench.arrays import Array, Floats

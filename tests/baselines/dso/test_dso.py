@@ -13,8 +13,9 @@ from alignment_scene import CAMERA, motion, render, to_image
 from answer_contract import fault_of
 from refusals import refused
 
-from baselines.alignment import Level, image_pyramid, moved_along
-from baselines.dso import Dso, DsoMultiStart, small_rotations
+from baselines.alignment.shared.pyramid import Level, image_pyramid
+from baselines.alignment.shared.starts import moved_along, small_rotations
+from baselines.dso import Dso, DsoMultiStart
 from baselines.dso.tracker import evidence_for
 from relocbench.arrays import Array
 from relocbench.errors import MethodError

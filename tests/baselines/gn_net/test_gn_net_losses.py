@@ -14,24 +14,16 @@ from refusals import refused
 from torch import Tensor
 from torch.distributions import MultivariateNormal
 
-from baselines.gn_net.losses import (
-    ContrastiveOptions,
-    DescentOptions,
-    GaussNewtonOptions,
-    LossOptions,
-    LossValue,
-    total_loss,
-)
 from baselines.gn_net.losses.ascent import AscentOptions, ascent_terms
-from baselines.gn_net.losses.contrastive import negative_terms, positive_terms
-from baselines.gn_net.losses.descent import descent_terms
-from baselines.gn_net.losses.gauss_newton import draw_starts, gauss_newton_terms
+from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms, positive_terms
+from baselines.gn_net.losses.descent import DescentOptions, descent_terms
+from baselines.gn_net.losses.gauss_newton import GaussNewtonOptions, draw_starts, gauss_newton_terms
 from baselines.gn_net.losses.gauss_newton_affine import affine_gauss_newton_terms
 from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_newton_terms
 from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
-from baselines.gn_net.losses.total import masked_mean
+from baselines.gn_net.losses.total import LossOptions, LossValue, masked_mean, total_loss
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.sampling import sample, sample_with_gradient

@@ -13,7 +13,6 @@ from made_pairs import TINY, MadePairs
 from refusals import refused
 from torch import Tensor
 
-from baselines.gn_net.losses import LossOptions, pose_loss
 from baselines.gn_net.losses.pose import (
     PoseOptions,
     PoseTerms,
@@ -25,6 +24,7 @@ from baselines.gn_net.losses.pose import (
     draw_start_poses,
     pose_terms,
 )
+from baselines.gn_net.losses.total import LossOptions, pose_loss
 from baselines.gn_net.training.batches import Batches
 from baselines.gn_net.training.options import TrainOptions
 from baselines.gn_net.training.posed import inverse_depth_at

@@ -8,7 +8,7 @@ import numpy as np
 import poselib
 import pytest
 
-from baselines.alignment import FeaturePyramid
+from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.gn_net.correspondence import Landmarks, add_window_distances, match_landmarks
 from baselines.gn_net.start import StartSettings, find_landmarks
 from relocbench.geometry import Camera, apply, make_transform, rotation_angle, so3_exp

@@ -16,7 +16,7 @@ from refusals import assert_names
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from trackers_for_probe import Basin
 
-from baselines.alignment import MatchSettings, match_pixels, match_pixels_by_level
+from baselines.alignment.matching import MatchSettings, match_pixels, match_pixels_by_level
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.weights import save_weights
 from relocbench.arrays import Array
