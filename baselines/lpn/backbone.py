@@ -69,11 +69,6 @@ class Backbone(nn.Module, ABC):
     def to_layer3(self, images: Tensor) -> Tensor:
         """The map (B, C3, H / 16, W / 16) after ``layer3`` of normalised images (B, 3, H, W)."""
 
-    def to_layer4(self, x: Tensor) -> Tensor:
-        """The map (B, C4, H / 16, W / 16) after ``layer4`` of one after ``layer3``; half that size with
-        ``last_stride`` 2."""
-        return self.through_last_blocks(x, 0, len(self.last_blocks))
-
     def through_last_blocks(self, x: Tensor, first: int, last: int) -> Tensor:
         """The map after the blocks ``first`` to ``last`` - 1 of ``layer4``, of the map in front of them."""
         for block in self.last_blocks[first:last]:
@@ -81,8 +76,8 @@ class Backbone(nn.Module, ABC):
         return x
 
     def forward(self, images: Tensor) -> Tensor:
-        """The map after ``layer4`` of normalised images."""
-        return self.to_layer4(self.to_layer3(images))
+        """The map (B, C4, H / 16, W / 16) after ``layer4`` of normalised images; half that with ``last_stride`` 2."""
+        return self.through_last_blocks(self.to_layer3(images), 0, len(self.last_blocks))
 
 
 def make_backbone(name: BackboneName, last_stride: Literal[1, 2], generator: torch.Generator) -> Backbone:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from pathlib import Path
-from typing import cast
 
 import torch
 from torch import Tensor
 
 from baselines.efficientnet_lite import IMAGENET_WEIGHTS, are_published, from_published, published_file
 from baselines.lpn.backbone import Backbone
-from baselines.lpn.network import Branch, LpnNetwork
+from baselines.lpn.network import LpnNetwork
 from baselines.lpn.weights import About, are_weights, load_weights
 from baselines.published_weights import check_floats, read_weights
 from relocbench.errors import MethodError
@@ -56,10 +55,8 @@ def move_towards_imagenet(network: LpnNetwork, about: About, trained_share: floa
     models", CVPR 2022: WiSE-FT).
 
     Args:
-        network: changed in place.
-        about: what its file says.
+        network: of the file ``path``, which says ``about`` of it; changed in place.
         trained_share: a, in [0, 1]; 1 changes nothing.
-        path: the file, for messages.
 
     Raises:
         MethodError: the training did not start from EfficientNet-Lite0's ImageNet weights, or the package that holds
@@ -74,8 +71,8 @@ def move_towards_imagenet(network: LpnNetwork, about: About, trained_share: floa
             f"{about.backbone_start}",
             path,
         )
-    for branch in network.branches.values():
-        trained = cast(Branch, branch).backbone
+    for _, branch in network.named_branches():
+        trained = branch.backbone
         start = copy.deepcopy(trained)
         load_backbone(published_file(), start)
         states = start.state_dict(), trained.state_dict()

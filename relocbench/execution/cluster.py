@@ -12,6 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeVar
@@ -55,21 +56,19 @@ def run_on_cluster(
         yield from _Dispatch(client, scheduler, function, units, on_lost, paths).results()
 
 
+@dataclass(eq=False)
 class _Dispatch(Generic[Unit, Result]):
     """Assigns units to workers and keeps track of both."""
 
-    def __init__(
-        self,
-        client: Any,
-        scheduler: Scheduler,
-        function: Callable[[Unit], Result],
-        units: Sequence[Unit],
-        on_lost: Callable[[Unit], Result] | None,
-        paths: list[Path],
-    ) -> None:
-        self.client, self.scheduler, self.paths = client, scheduler, paths
-        self.function, self.units, self.on_lost = function, units, on_lost
-        self.waiting = deque(range(len(units)))
+    client: Any
+    scheduler: Scheduler
+    function: Callable[[Unit], Result]
+    units: Sequence[Unit]
+    on_lost: Callable[[Unit], Result] | None
+    paths: list[Path]
+
+    def __post_init__(self) -> None:
+        self.waiting = deque(range(len(self.units)))
         self.suspects: deque[int] = deque()
         """units whose worker died: each is tried again alone on a worker, so that no other unit can be blamed"""
         self.lost: list[int] = []

@@ -28,11 +28,7 @@ DIRECTIONS = 16
 def choose_points(reference: Reference, levels: list[Level], count: int, rng: np.random.Generator) -> KeyframePoints:
     """All points of a sparse map, or about ``count`` pixels of large gradient of a dense depth image.
 
-    Args:
-        reference: the keyframe.
-        levels: its intensity pyramid, finest first.
-        count: number of pixels wanted.
-        rng: source of the random choices.
+    ``levels`` is the keyframe's intensity pyramid, finest first.
     """
     if reference.sparse_points is not None or reference.depth is None:
         return reference.points

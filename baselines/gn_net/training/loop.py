@@ -206,13 +206,9 @@ def _pretrained(network: FeatureNet) -> EfficientNetLite0:
 
 
 def warmed_cosine(step: int, steps: int, warm_up: int, rate: float, final_rate: float) -> float:
-    """The learning rate of a step, counted from 0: a linear rise, then half a cosine (SGDR, ICLR 2017).
+    """The learning rate of a step, counted from 0: a linear rise to ``rate``, then half a cosine (SGDR, ICLR 2017).
 
-    Args:
-        steps: of the whole training.
-        warm_up: steps of the rise.
-        rate: the highest one.
-        final_rate: the last one as a share of the highest.
+    ``final_rate`` is the last one as a share of the highest.
     """
     if step < warm_up:
         return rate * (step + 1) / warm_up

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from baselines.efficientnet_lite import IMAGENET_WEIGHTS, published_file
 from baselines.lpn.backbone_weights import load_backbone
-from baselines.lpn.network import Branch, LpnNetwork, copy_weights
+from baselines.lpn.network import LpnNetwork, copy_weights
 from baselines.lpn.stages import Stage
 from baselines.lpn.training.options import TrainOptions
 from baselines.lpn.weights import are_weights, load_weights
@@ -73,8 +73,7 @@ def initial_network(options: TrainOptions, stage: Stage, number: int, classes: i
         except ValueError as bad:
             raise MethodError(f"cannot start from it: {bad}", path) from bad
     elif backbone := _backbone_file(options):
-        for branch in network.branches.values():
-            assert isinstance(branch, Branch)
+        for _, branch in network.named_branches():
             load_backbone(backbone, branch.backbone)
     return network
 
