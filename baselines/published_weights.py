@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -48,6 +49,31 @@ def find_weights(file: PublishedFile, given: Path | None, method: str, parameter
             cached,
         )
     return cached
+
+
+class PublishedWeights:
+    """A method whose weights are a file that their authors publish, or the one that the parameter ``weights`` names."""
+
+    name: ClassVar[str]
+    """that it is installed by"""
+    authors_file: ClassVar[PublishedFile]
+
+    @classmethod
+    def file(cls, **_: Any) -> PublishedFile:
+        """The authors' file for the method's parameters. Raises MethodError if there is none."""
+        return cls.authors_file
+
+    @classmethod
+    def files(cls, weights: Path | None = None, **parameters: Any) -> dict[str, Path]:
+        """The files that decide the answers besides parameters; with other weights, results are not continued."""
+        if weights is not None:
+            return {"weights": Path(weights)}
+        return {"weights": find_weights(cls.file(**parameters), None, cls.name)}
+
+    @classmethod
+    def published(cls, **parameters: Any) -> dict[Path, PublishedFile]:
+        """The files of the authors, by where they are looked for."""
+        return by_place(cls.file(**parameters))
 
 
 def read_weights(path: Path, *entries: str) -> dict[str, Tensor]:

@@ -99,7 +99,7 @@ class LightGluePnp(NetworkPnp):
 
     @classmethod
     def published(cls, **_: Any) -> dict[Path, PublishedFile]:
-        return by_place(cls.file, cls.matcher_file)
+        return by_place(cls.authors_file, cls.matcher_file)
 
     def match_features(self, reference: Features, query: Features) -> Indices:
         return self._matcher(reference, query)
@@ -111,7 +111,7 @@ class AlikedLightGluePnp(LightGluePnp):
     name: ClassVar[str] = "aliked-lightglue-pnp"
     network: ClassVar[type[NetworkDetector]] = Aliked
     dimension: ClassVar[int] = 128
-    file: ClassVar[PublishedFile] = published.ALIKED["n16"]
+    authors_file: ClassVar[PublishedFile] = published.ALIKED["n16"]
     matcher_file: ClassVar[PublishedFile] = published.LIGHTGLUE["aliked"]
 
 
@@ -121,7 +121,7 @@ class DiskLightGluePnp(LightGluePnp):
     name: ClassVar[str] = "disk-lightglue-pnp"
     network: ClassVar[type[NetworkDetector]] = Disk
     dimension: ClassVar[int] = 128
-    file: ClassVar[PublishedFile] = published.DISK
+    authors_file: ClassVar[PublishedFile] = published.DISK
     matcher_file: ClassVar[PublishedFile] = published.LIGHTGLUE["disk"]
 
 
@@ -131,5 +131,5 @@ class SuperPointLightGluePnp(LightGluePnp):
     name: ClassVar[str] = "superpoint-lightglue-pnp"
     network: ClassVar[type[NetworkDetector]] = SuperPoint
     dimension: ClassVar[int] = 256
-    file: ClassVar[PublishedFile] = published.SUPERPOINT
+    authors_file: ClassVar[PublishedFile] = published.SUPERPOINT
     matcher_file: ClassVar[PublishedFile] = published.LIGHTGLUE["superpoint"]

@@ -18,7 +18,7 @@ from baselines.feature_pnp.solve import Matches2D3D
 from baselines.learned_pnp import published
 from baselines.learned_pnp.images import network_input
 from baselines.learned_pnp.kornia_networks import from_kornia
-from baselines.published_weights import by_place, fill, find_weights, read_weights
+from baselines.published_weights import PublishedWeights, fill, read_weights
 from relocbench.arrays import Array, Image
 from relocbench.tracking import Query, Reference
 from relocbench.weights import PublishedFile
@@ -106,7 +106,7 @@ class PreparedImage(PreparedKeyframe):
 
 
 @dataclass(kw_only=True, eq=False)
-class LoftrPnp(Pnp[PreparedImage]):
+class LoftrPnp(PublishedWeights, Pnp[PreparedImage]):
     """LoFTR (Sun et al., CVPR 2021), MAGSAC perspective-n-point, robust refinement.
 
     Every 8 x 8 cell of the keyframe may have a corresponding pixel in the query; cells without a depth are left out.
@@ -138,14 +138,8 @@ class LoftrPnp(Pnp[PreparedImage]):
         self._network = Loftr(weights, self.model, self.threshold, self.longest_px, self.device)
 
     @classmethod
-    def files(cls, weights: Path | None = None, model: LoftrModel = "outdoor", **_: Any) -> dict[str, Path]:
-        """The files that decide the answers besides parameters; with other weights, results are not continued."""
-        return {"weights": find_weights(published.LOFTR[model], weights, cls.name)}
-
-    @classmethod
-    def published(cls, model: LoftrModel = "outdoor", **_: Any) -> dict[Path, PublishedFile]:
-        """The file of the authors, by where it is looked for."""
-        return by_place(published.LOFTR[model])
+    def file(cls, model: LoftrModel = "outdoor", **_: Any) -> PublishedFile:
+        return published.LOFTR[model]
 
     def prepare(self, reference: Reference) -> PreparedImage:
         """Compute the features of a keyframe's cells."""

@@ -16,13 +16,13 @@ from baselines.learned_pnp import published
 from baselines.learned_pnp.detector import NetworkDetector
 from baselines.learned_pnp.kornia_networks import Aliked, AlikedModel, Disk, XFeat
 from baselines.learned_pnp.superpoint import SuperPoint
-from baselines.published_weights import by_place, find_weights
+from baselines.published_weights import PublishedWeights
 from relocbench.arrays import Floats, Image, Indices
 from relocbench.weights import PublishedFile
 
 
 @dataclass(kw_only=True, eq=False)
-class NetworkPnp(FeaturePnp):
+class NetworkPnp(PublishedWeights, FeaturePnp):
     """Learned features, MAGSAC perspective-n-point, robust refinement. Subclasses match.
 
     Answers have no confidence unless a subclass has a calibration.
@@ -37,10 +37,7 @@ class NetworkPnp(FeaturePnp):
         MethodError: kornia is needed and not installed, or weights are missing or of another network.
     """
 
-    name: ClassVar[str]
-    """that it is installed by"""
     network: ClassVar[type[NetworkDetector]]
-    file: ClassVar[PublishedFile]
 
     weights: Path | None = None
     longest_px: Annotated[int, Field(ge=64)] = 1280
@@ -53,16 +50,6 @@ class NetworkPnp(FeaturePnp):
         """The network with its weights."""
         weights = self.files(**vars(self))["weights"]
         return self.network(weights, self.features, self.longest_px, self.device, **more)
-
-    @classmethod
-    def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:
-        """The files that decide the answers besides parameters; with other weights, results are not continued."""
-        return {"weights": find_weights(cls.file, weights, cls.name)}
-
-    @classmethod
-    def published(cls, **_: Any) -> dict[Path, PublishedFile]:
-        """The files of the authors, by where they are looked for."""
-        return by_place(cls.file)
 
     def detect(self, image: Image) -> Features:
         return self._detector(image)
@@ -106,12 +93,8 @@ class AlikedPnp(NearestPnp):
         return super().detector(model=self.model, **more)
 
     @classmethod
-    def files(cls, weights: Path | None = None, model: AlikedModel = "n16", **_: Any) -> dict[str, Path]:
-        return {"weights": find_weights(published.ALIKED[model], weights, cls.name)}
-
-    @classmethod
-    def published(cls, model: AlikedModel = "n16", **_: Any) -> dict[Path, PublishedFile]:
-        return by_place(published.ALIKED[model])
+    def file(cls, model: AlikedModel = "n16", **_: Any) -> PublishedFile:
+        return published.ALIKED[model]
 
 
 class DiskPnp(NearestPnp):
@@ -119,7 +102,7 @@ class DiskPnp(NearestPnp):
 
     name: ClassVar[str] = "disk-pnp"
     network: ClassVar[type[NetworkDetector]] = Disk
-    file: ClassVar[PublishedFile] = published.DISK
+    authors_file: ClassVar[PublishedFile] = published.DISK
 
 
 class XFeatPnp(NearestPnp):
@@ -127,7 +110,7 @@ class XFeatPnp(NearestPnp):
 
     name: ClassVar[str] = "xfeat-pnp"
     network: ClassVar[type[NetworkDetector]] = XFeat
-    file: ClassVar[PublishedFile] = published.XFEAT
+    authors_file: ClassVar[PublishedFile] = published.XFEAT
 
 
 class SuperPointPnp(NearestPnp):
@@ -135,7 +118,7 @@ class SuperPointPnp(NearestPnp):
 
     name: ClassVar[str] = "superpoint-pnp"
     network: ClassVar[type[NetworkDetector]] = SuperPoint
-    file: ClassVar[PublishedFile] = published.SUPERPOINT
+    authors_file: ClassVar[PublishedFile] = published.SUPERPOINT
 
 
 def mutual_nearest(first: Floats, second: Floats, ratio: float = 1.0) -> Indices:

@@ -19,7 +19,7 @@ from baselines.place_networks.images import ImageSize, network_input
 from baselines.place_networks.megaloc import load_megaloc
 from baselines.place_networks.netvlad import load_netvlad
 from baselines.place_networks.network import PlaceNetwork
-from baselines.published_weights import by_place, find_weights
+from baselines.published_weights import PublishedWeights
 from relocbench.errors import MethodError
 from relocbench.retrieval import ImageView
 from relocbench.weights import PublishedFile
@@ -28,7 +28,7 @@ Batch = Annotated[int, Field(ge=1)]
 Size = int | str | None
 
 
-class PlaceRetriever:
+class PlaceRetriever(PublishedWeights):
     """Describes images by a network; their dot products are cosine similarities.
 
     An image that is too small for the network has no descriptor.
@@ -36,9 +36,6 @@ class PlaceRetriever:
     Raises:
         MethodError: the size is none, or too small for the network; or the device cannot be used.
     """
-
-    name: ClassVar[str]
-    """that it is installed by"""
 
     def __init__(self, network: PlaceNetwork, size: Size, batch: int, device: str, multiple: int = 1) -> None:
         self.size = ImageSize.of(size)
@@ -103,7 +100,7 @@ class CosPlace(PlaceRetriever):
         batch: Batch = 8,
         device: str = "cpu",
     ) -> None:
-        path = self.files(weights, backbone, dimensions)["weights"]
+        path = self.files(weights, backbone=backbone, dimensions=dimensions)["weights"]
         network = load_gem(path, self.name)
         held = network.kind.name, network.dimensions
         if (backbone or held[0], dimensions or held[1]) != held:
@@ -112,29 +109,8 @@ class CosPlace(PlaceRetriever):
         super().__init__(network, size, batch, device)
 
     @classmethod
-    def file(cls, backbone: BackboneName, dimensions: int) -> PublishedFile:
-        """The authors' file. Raises MethodError if there is none."""
-        return published.cosplace(backbone, dimensions)
-
-    @classmethod
-    def files(
-        cls,
-        weights: Path | None = None,
-        backbone: BackboneName | None = None,
-        dimensions: int | None = None,
-        **_: Any,
-    ) -> dict[str, Path]:
-        """The files that decide the descriptors besides parameters; with other weights, results are not continued."""
-        if weights is not None:
-            return {"weights": Path(weights)}
-        return {"weights": find_weights(cls.file(backbone or "ResNet50", dimensions or 2048), None, cls.name)}
-
-    @classmethod
-    def published(
-        cls, backbone: BackboneName | None = None, dimensions: int | None = None, **_: Any
-    ) -> dict[Path, PublishedFile]:
-        """The file of the authors, by where it is looked for."""
-        return by_place(cls.file(backbone or "ResNet50", dimensions or 2048))
+    def file(cls, backbone: BackboneName | None = None, dimensions: int | None = None, **_: Any) -> PublishedFile:
+        return published.cosplace(backbone or "ResNet50", dimensions or 2048)
 
 
 class EigenPlaces(CosPlace):
@@ -146,8 +122,8 @@ class EigenPlaces(CosPlace):
     name: ClassVar[str] = "eigenplaces"
 
     @classmethod
-    def file(cls, backbone: BackboneName, dimensions: int) -> PublishedFile:
-        return published.eigenplaces(backbone, dimensions)
+    def file(cls, backbone: BackboneName | None = None, dimensions: int | None = None, **_: Any) -> PublishedFile:
+        return published.eigenplaces(backbone or "ResNet50", dimensions or 2048)
 
 
 class NetVlad(PlaceRetriever):
@@ -177,19 +153,11 @@ class NetVlad(PlaceRetriever):
         batch: Batch = 8,
         device: str = "cpu",
     ) -> None:
-        super().__init__(load_netvlad(self.files(weights, model)["weights"]), size, batch, device)
+        super().__init__(load_netvlad(self.files(weights, model=model)["weights"]), size, batch, device)
 
     @classmethod
-    def files(
-        cls, weights: Path | None = None, model: published.NetVladModel = "pitts_WPCA4096", **_: Any
-    ) -> dict[str, Path]:
-        """The files that decide the descriptors besides parameters; with other weights, results are not continued."""
-        return {"weights": find_weights(published.NETVLAD[model], weights, cls.name)}
-
-    @classmethod
-    def published(cls, model: published.NetVladModel = "pitts_WPCA4096", **_: Any) -> dict[Path, PublishedFile]:
-        """Patch-NetVLAD's file, by where it is looked for."""
-        return by_place(published.NETVLAD[model])
+    def file(cls, model: published.NetVladModel = "pitts_WPCA4096", **_: Any) -> PublishedFile:
+        return published.NETVLAD[model]
 
 
 class MegaLoc(PlaceRetriever):
@@ -209,19 +177,10 @@ class MegaLoc(PlaceRetriever):
     """
 
     name: ClassVar[str] = "megaloc"
+    authors_file: ClassVar[PublishedFile] = published.MEGALOC
 
     def __init__(
         self, *, weights: Path | None = None, size: Size = "322x322", batch: Batch = 8, device: str = "cpu"
     ) -> None:
         network = load_megaloc(self.files(weights)["weights"])
         super().__init__(network, size, batch, device, network.patch)
-
-    @classmethod
-    def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:
-        """The files that decide the descriptors besides parameters; with other weights, results are not continued."""
-        return {"weights": find_weights(published.MEGALOC, weights, cls.name)}
-
-    @classmethod
-    def published(cls, **_: Any) -> dict[Path, PublishedFile]:
-        """The file of the authors, by where it is looked for."""
-        return by_place(published.MEGALOC)
