@@ -298,5 +298,11 @@ def _invert_increasing(
 def camera_from_dict(values: dict[str, Any]) -> Camera:
     """The camera of :meth:`Camera.to_dict`. Raises ValueError or TypeError on impossible values."""
     distortion = tuple(float(v) for v in values.get("distortion") or ())
-    numbers = [float(values[name]) for name in ("fx", "fy", "cx", "cy")]
-    return Camera(values["model"], int(values["width"]), int(values["height"]), *numbers, distortion)
+    numbers = {name: float(values[name]) for name in ("fx", "fy", "cx", "cy")}
+    return Camera(
+        model=values["model"],
+        width=int(values["width"]),
+        height=int(values["height"]),
+        distortion=distortion,
+        **numbers,
+    )
