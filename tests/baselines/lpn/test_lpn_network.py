@@ -203,7 +203,7 @@ def test_attention_acts_after_the_stages_that_are_named() -> None:
         if "layer3" in after:
             assert torch.equal(given_to["layer3"], x3)
             x3 = cast(Tensor, branch.attention["layer3"](x3))
-        x4 = plain.branch("drone").backbone.to_layer4(x3)
+        x4 = plain.branch("drone").backbone.through_last_blocks(x3, 0, len(branch.backbone.last_blocks))
         if "layer4" in after:
             assert torch.equal(given_to["layer4"], x4)
             x4 = cast(Tensor, branch.attention["layer4"](x4))
