@@ -128,23 +128,21 @@ def ground_truth(folder: Path, steps: int) -> tuple[dict[str, Cost], dict[str, f
     recordings = read_robotcar_drives(recorded(folder / "recording", steps))
     blocks = folder / "blocks"
     drives, of_blocks = measured(
-        lambda: [
-            make_drive(r, blocks / r.name, alignment.block_m, alignment.blocks, Silent(), Run()) for r in recordings
-        ]
+        lambda: [make_drive(r, blocks / r.name, alignment.block_m, Silent(), Run()) for r in recordings]
     )
     reference, query = drives
     driven = [float(drive.nodes.travelled_m[-1]) for drive in drives]
     of_blocks = Cost(of_blocks.cpu_s, of_blocks.peak_gib, size_of(blocks))
     registrations, of_registration = measured(lambda: register_query(RegistrationUnit(reference, query, alignment)))
     sensors = Sensors((DriveLidars.of(reference.recording), DriveLidars.of(query.recording)))
-    solution = optimise(reference.nodes, query.nodes, registrations, options=alignment.graph)
+    solution = optimise(reference.nodes, query.nodes, registrations)
     _, of_calibration = measured(lambda: calibration_evidence(solution, (reference, query), sensors))
     chosen = tuple(
         tuple(int(t) for t in _times(drive.nodes.times_ns, metres))
         for drive, metres in zip(drives, driven, strict=True)
     )
     frames = CameraFrames("front", T_RIG_CAM, T_RIG_CAM, *chosen)
-    unit = PairingUnit(reference, query, tuple(registrations), (frames,), alignment, options.limits, options.max_angle)
+    unit = PairingUnit(reference, query, tuple(registrations), (frames,), options.limits_at(1.0), options.max_angle)
     paired, of_graph = measured(lambda: pair_up(unit))
     outcomes = paired.outcomes["front"]
     window = query.window(options.depth_submap)

@@ -30,7 +30,7 @@ from ground_truth_judging import figures, reasons, table, worst, write_rows
 from ground_truth_work import decide, register_drive
 from ground_truth_world import DrivePair, World, judge, rounded, say
 
-from relocbench.datasets.groundtruth.odometry.files import kept_in
+from relocbench.datasets.groundtruth.odometry.deferred import kept_in
 from relocbench.datasets.importers.boreas.recording import read_boreas
 from relocbench.datasets.importers.lidar_drives.drives import on_one_map
 from relocbench.datasets.synthetic.conditions.condition import condition_named

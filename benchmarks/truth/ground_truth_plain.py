@@ -17,9 +17,8 @@ from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOption
 from relocbench.datasets.groundtruth.icp.icp import run_icp
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.recipe.answers import outcomes_of
-from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, follow
+from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, RawSubmaps, follow
 from relocbench.datasets.groundtruth.recipe.open3d_pair import Cloud, Open3dOptions, refine, search
-from relocbench.datasets.groundtruth.recipe.raw_submaps import RawSubmaps
 from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap

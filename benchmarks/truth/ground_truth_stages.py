@@ -155,7 +155,7 @@ def ablation(
         stages["pair after pair, plain Open3D (--recipe open3d)"] += judge(world, p, chained)
         stages["pairs on their own"] += judge(world, p, at_nodes(unit, [T for T, _, _ in answers]))
         for name, found in (("+ propagation", unchecked), ("+ verification", registered[p])):
-            said = by_registrations_alone(*drives, found.registrations, asked, OPTIONS.limits)
+            said = by_registrations_alone(*drives, found.registrations, asked, OPTIONS.limits_at(1.0))
             stages[name] += judge(world, p, said)
         stages["+ pose graph"] += judge(world, p, decided[p].without_local)
         stages["+ local edges (the builder)"] += judge(world, p, decided[p].outcomes)
@@ -257,7 +257,7 @@ def long_road(work: Path, split: str, seed: int, workers: int, spoken: Spoken) -
             found = pool.submit(register_drive, RegisterUnit(RegistrationUnit(a, b, OPTIONS.alignment), path)).result()
             spoken.note(f"{metres} m: solving")
             unit = DecideUnit(a, b, found.registrations, taken[0].image_ns, taken[1].image_ns, OPTIONS.alignment,
-                              OPTIONS.limits, OPTIONS.max_angle)  # fmt: skip
+                              OPTIONS.limits_at(1.0), OPTIONS.max_angle)  # fmt: skip
             answers = pool.submit(decide, unit).result()
             exact = Exact(taken[0], taken[1], OPTIONS.max_distance, OPTIONS.max_angle)
             told = figures([exact.judge(o) for o in answers.outcomes])

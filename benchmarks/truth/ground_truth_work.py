@@ -88,9 +88,7 @@ def cut(unit: CutUnit) -> tuple[Drive, Spent]:
     before = _kept(path)
     if before is None and unit.folder.exists():
         shutil.rmtree(unit.folder)
-    drive, spent = timed(
-        lambda: make_drive(unit.recording, unit.folder, unit.options.block_m, unit.options.blocks, Silent(), Run(1))
-    )
+    drive, spent = timed(lambda: make_drive(unit.recording, unit.folder, unit.options.block_m, Silent(), Run(1)))
     return drive, before or _keep(path, spent)
 
 
@@ -169,12 +167,10 @@ class Decided:
 def decide(unit: DecideUnit) -> Decided:
     """Solve the graph with local edges, then the graph alone."""
     frames = CameraFrames("front", T_RIG_CAM, T_RIG_CAM, unit.ref_ns, unit.query_ns)
-    pairing = PairingUnit(
-        unit.reference, unit.query, unit.registrations, (frames,), unit.options, unit.limits, unit.max_angle_deg
-    )
+    pairing = PairingUnit(unit.reference, unit.query, unit.registrations, (frames,), unit.limits, unit.max_angle_deg)
     paired, spent = timed(lambda: pair_up(pairing))
     outcomes = paired.outcomes["front"]
-    solution = optimise(unit.reference.nodes, unit.query.nodes, unit.registrations, options=unit.options.graph)
+    solution = optimise(unit.reference.nodes, unit.query.nodes, unit.registrations)
     answers = Outcomes(
         solution,
         (unit.reference.nodes, unit.reference.recording.odometry),

@@ -60,7 +60,7 @@ class World:
         times = self.taken[ref].image_ns, self.taken[query].image_ns
         return DecideUnit(
             self.drives[ref], self.drives[query], registrations, *times,
-            OPTIONS.alignment, OPTIONS.limits, OPTIONS.max_angle,
+            OPTIONS.alignment, OPTIONS.limits_at(1.0), OPTIONS.max_angle,
         )  # fmt: skip
 
     def true_pose(self, ref: int, query: int, ref_ns: int, query_ns: int) -> Array:

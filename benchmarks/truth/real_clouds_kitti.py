@@ -12,8 +12,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthView
-from relocbench.datasets.groundtruth.depth.stereo_check import Agreement, cross_check
-from relocbench.datasets.groundtruth.depth.stereo_partner import stereo_pair
+from relocbench.datasets.groundtruth.depth.stereo import Agreement, cross_check, stereo_pair
 from relocbench.datasets.groundtruth.submaps.drive import make_drive
 from relocbench.datasets.importers.kitti.recording import read_kitti
 from relocbench.errors import DatasetError
@@ -57,7 +56,7 @@ def kitti_00(folder: Path, elevation_deg: float) -> Kitti00:
     time_ns = min(pair.common_times())
     options = AlignmentOptions(block_m=BLOCK_M)
     with tempfile.TemporaryDirectory() as work:
-        drive = make_drive(recording, Path(work) / "blocks", options.block_m, options.blocks, Silent(), Run(1))
+        drive = make_drive(recording, Path(work) / "blocks", options.block_m, Silent(), Run(1))
         view = DepthView(drive, left.camera, left.T_rig_cam, "lidar", pair, options.submap_m, DepthOptions())
         lidar = view.by_lidar(time_ns)
     agreement = cross_check(lidar.depth, pair.depth(time_ns).depth, left.camera, pair.baseline_m)

@@ -115,7 +115,7 @@ def methods() -> dict[str, Method]:
 def spread_m(scans: Scans, pair: Pair, T_ref_query: Array) -> float:
     """The robust standard deviation of the distances between the scans' surfaces at a pose."""
     ref, query = (scans.sides[k].planes for k in pair)
-    return icp_result_at(ref, query, T_ref_query, IcpOptions(), 0).sigma_m
+    return icp_result_at(ref, query, T_ref_query, IcpOptions()).sigma_m
 
 
 def adjusted(scans: Scans, answers: Answers) -> Array:

@@ -164,9 +164,9 @@ def outcomes(
     name = aligned.drives[1].name
     frames = CameraFrames("camera", T_RIG_CAM, T_rig_cam, a.image_ns, b.image_ns)
     registrations = tuple(aligned.registrations[name])
-    limits = options.limits, options.max_angle
+    limits = options.limits_at(1.0), options.max_angle
     drives = aligned.drives[0], aligned.drives[1]
-    unit = PairingUnit(*drives, registrations, (frames,), options.alignment, *limits, aligned.shared.get(name))
+    unit = PairingUnit(*drives, registrations, (frames,), *limits, aligned.shared.get(name))
     return pair_up(unit).outcomes["camera"], T_rig_cam, told.notes
 
 

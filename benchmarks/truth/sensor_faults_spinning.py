@@ -10,7 +10,7 @@ from ground_truth_drives import EXTENT_M, Leg, Spoken, Taken, Ticks, Truth
 
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
 from relocbench.datasets.groundtruth.jobs.writing import select_images
-from relocbench.datasets.groundtruth.odometry.files import kept_in
+from relocbench.datasets.groundtruth.odometry.deferred import kept_in
 from relocbench.datasets.importers.kitti.recording import read_kitti
 from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.drives.routes import route

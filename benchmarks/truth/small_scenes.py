@@ -41,10 +41,9 @@ from register_scenes import Boxes, camera_directions, room, sphere_directions
 
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.jobs.aligning import align
-from relocbench.datasets.groundtruth.jobs.enlarging import enlarged
 from relocbench.datasets.groundtruth.jobs.measuring import scale_of_drives
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.groundtruth.jobs.reducing import reduced_paired
+from relocbench.datasets.groundtruth.jobs.scaling import enlarged, reduced_paired
 from relocbench.datasets.groundtruth.jobs.writing import select_images
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
@@ -192,7 +191,7 @@ def outcomes(
     frames = CameraFrames("rig", np.eye(4), np.eye(4), times[0], times[1])
     limits = options.limits_at(scale.factor), options.max_angle
     drives, registrations = (aligned.drives[0], aligned.drives[1]), tuple(aligned.registrations[name])
-    unit = PairingUnit(*drives, registrations, (frames,), options.alignment, *limits, aligned.shared.get(name))
+    unit = PairingUnit(*drives, registrations, (frames,), *limits, aligned.shared.get(name))
     return reduced_paired(pair_up(unit), scale.factor).outcomes["rig"], scale.factor
 
 

@@ -24,7 +24,6 @@ from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import se3_exp
 
 OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(4000,), near_m=(1e9,))
-LEVER_M = 10.0
 
 
 def walls(seed: int, flanks: float, noise_m: float = 0.01, tilt: float = 0.05) -> Submap:
@@ -76,8 +75,8 @@ def test_what_faces_along_the_street_still_counts_in_full() -> None:
 def test_the_step_leads_back_along_the_street() -> None:
     off = 0.03
     met = contacts(3, 1.0, se3_exp([off, 0.01, 0, 0, 0, 0]))
-    H = nearest_semidefinite(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
-    step = minimum(H, met.by_points.T @ (met.weights * met.residuals), LEVER_M, 1e-4)
+    H = nearest_semidefinite(met.by_points.T @ (met.weights[:, None] * met.by_planes))
+    step = minimum(H, met.by_points.T @ (met.weights * met.residuals))
     assert step[0] == pytest.approx(-off, abs=0.01)
     assert step[1] == pytest.approx(-0.01, abs=0.003)
 
@@ -86,13 +85,13 @@ def test_information_promises_what_the_steps_show() -> None:
     steps, variances = [], []
     for seed in range(40):
         met = contacts(1000 + seed, 1.0)
-        H = nearest_semidefinite(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
+        H = nearest_semidefinite(met.by_points.T @ (met.weights[:, None] * met.by_planes))
         gradients = (met.weights * met.residuals)[:, None] * met.by_points
-        step = minimum(H, gradients.sum(axis=0), LEVER_M, 1e-4)
+        step = minimum(H, gradients.sum(axis=0))
         left = met.residuals + met.by_planes @ step
         scatter = scatter_by_patch((met.weights * left)[:, None] * met.by_points, met.patches)
         steps.append(step)
-        variances.append(np.diag(np.linalg.inv(sandwich_information(H, scatter, 0.0, LEVER_M))))
+        variances.append(np.diag(np.linalg.inv(sandwich_information(H, scatter, 0.0))))
     # The noise of the planes' own normals, which all points of a plane share, is not in the scatter.
     ratio = np.mean(np.square(steps), axis=0) / np.mean(variances, axis=0)
     assert 0.3 < ratio[0] < 3.0
@@ -104,13 +103,11 @@ def test_information_promises_what_the_steps_show() -> None:
 def test_nothing_is_held_less_than_not_at_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     H = rng.normal(size=(6, 6)) * np.outer(*[np.array([1, 1, 1, 10, 10, 10])] * 2)
-    out = nearest_semidefinite(H, LEVER_M)
+    out = nearest_semidefinite(H)
     np.testing.assert_allclose(out, out.T)
     assert np.linalg.eigvalsh(out).min() > -1e-9 * np.abs(H).max()
     positive = H @ H.T
-    np.testing.assert_allclose(
-        nearest_semidefinite(positive, LEVER_M), positive, rtol=1e-9, atol=1e-9 * np.abs(positive).max()
-    )
+    np.testing.assert_allclose(nearest_semidefinite(positive), positive, rtol=1e-9, atol=1e-9 * np.abs(positive).max())
 
 
 def test_the_odometry_inside_blocks_bounds_what_an_edge_is_worth() -> None:
@@ -156,7 +153,7 @@ def test_parked_cars_that_moved_together_do_not_lift_a_block() -> None:
     T = np.eye(4)
     for _ in range(6):
         fit = fits(0, 0, T)
-        T = T @ se3_exp(minimum(fit.H, fit.g, LEVER_M, 1e-4))
+        T = T @ se3_exp(minimum(fit.H, fit.g))
     # With the points' weights alone the block is lifted by 14 to 25 mm.
     assert abs(T[2, 3]) < 0.01
 
@@ -166,7 +163,7 @@ def test_a_step_is_whole_where_all_patches_are_off() -> None:
     for seed in range(3):
         fits = BlockFits(Kept(walls(seed, 1.0)), Kept(walls(100 + seed, 1.0)))  # type: ignore[arg-type]
         fit = fits(0, 0, se3_exp([0, off, off, 0, 0, 0]))
-        steps.append(minimum(fit.H, fit.g, LEVER_M, 1e-4)[1:3])
+        steps.append(minimum(fit.H, fit.g)[1:3])
     # With patches that weigh little in the gradient but in full in H, it is 0.6 of this.
     np.testing.assert_allclose(np.mean(steps, axis=0), -off, rtol=0.25)
 

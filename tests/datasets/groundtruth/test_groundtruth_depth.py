@@ -20,7 +20,7 @@ from relocbench.datasets.groundtruth.depth.depth import (
     make_scene,
     scene_depth,
 )
-from relocbench.datasets.groundtruth.depth.stereo_check import (
+from relocbench.datasets.groundtruth.depth.stereo import (
     cross_check,
     rectified,
 )

@@ -17,8 +17,8 @@ from robotcar_street import RobotCarStreet
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.recipe.answers import SOURCE
+from relocbench.datasets.groundtruth.recipe.chain import RawSubmaps
 from relocbench.datasets.groundtruth.recipe.open3d_pair import Cloud, Open3dFit, Open3dOptions, refine, search
-from relocbench.datasets.groundtruth.recipe.raw_submaps import RawSubmaps
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 from relocbench.geometry import apply, hat, invert, make_transform, rotation_angle, so3_exp
 from relocbench.progress import Silent

@@ -23,13 +23,12 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.calibration.unknowns import Cause, DriveLidars, Sensors
 from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
-from relocbench.datasets.groundtruth.jobs.enlarging import enlarged
 from relocbench.datasets.groundtruth.jobs.measuring import scale_of_drives
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.groundtruth.jobs.reducing import ReducedReporter, reduced_outcome
+from relocbench.datasets.groundtruth.jobs.scaling import ReducedReporter, enlarged, reduced_outcome
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.reasons import kind_of, reduced_words
-from relocbench.datasets.groundtruth.registration.scale_file import read_scale
+from relocbench.datasets.groundtruth.registration.scene_scale import read_scale
 from relocbench.datasets.sensors.derived_lidar import DerivedLidar
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.execution import Run
@@ -101,12 +100,11 @@ def test_the_noise_of_points_limits_how_much_a_room_is_enlarged() -> None:
 
 
 def test_the_limit_on_sigma_shrinks_with_the_scene_unless_it_is_given() -> None:
-    assert FieldOptions().limits_at(1.0) == FieldOptions().limits
     assert FieldOptions().max_sigma_at(8.0) == pytest.approx(0.05 / 8)
     assert FieldOptions(max_sigma=0.05).max_sigma_at(8.0) == 0.05
     assert FieldOptions().max_sigma_at(0.5) == 0.05
     limits = FieldOptions(max_distance=2.0, max_sigma=0.01).limits_at(8.0)
-    assert (limits.distance_m, limits.sigma_along_m, limits.evidence_m) == pytest.approx((16.0, 0.08, 15.0))
+    assert (limits.distance_m, limits.sigma_m, limits.evidence_m) == pytest.approx((16.0, 0.08, 15.0))
 
 
 def test_what_is_known_of_mountings_does_not_shrink_with_the_scene() -> None:

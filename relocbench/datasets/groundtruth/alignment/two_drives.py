@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.groundtruth.blocks.making import BlockOptions
-from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.groundtruth.odometry.length import length_ratio
 from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
-from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, refine_locally
-from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
+from relocbench.datasets.groundtruth.pose_graph.local_edges import refine_locally
 from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions, Remember, register_along
+from relocbench.datasets.groundtruth.registration.files import read_registrations
+from relocbench.datasets.groundtruth.registration.journal import JournaledUnit, register_missing
 from relocbench.datasets.groundtruth.registration.lengths import is_stretched
 from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
 from relocbench.datasets.groundtruth.registration.submap_pair import nodes_every
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.execution import Run
 from relocbench.geometry import invert
+from relocbench.progress import Reporter
 
 FirstPose = tuple[int, int, Array]
 """(reference time, query time, ``T_ref_query`` between the rigs), times in nanoseconds"""
@@ -35,10 +39,7 @@ class AlignmentOptions:
     """length of road of a block"""
     submap_m: float = 60.0
     """length of road of a submap"""
-    blocks: BlockOptions = field(default_factory=BlockOptions)
     registration: DriveRegistrationOptions = field(default_factory=DriveRegistrationOptions)
-    graph: GraphOptions = field(default_factory=GraphOptions)
-    local: LocalOptions = field(default_factory=LocalOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +83,44 @@ def register_query(
         remember=remember,
     )
     if is_stretched(registrations):
-        for told in filter(None, map(_length_by_gnss, (reference, query))):
-            say(told)
+        for message in filter(None, map(_length_by_gnss, (reference, query))):
+            say(message)
     return registrations
+
+
+def register_drives(
+    reference: Drive,
+    queries: Sequence[Drive],
+    folder: Path,
+    options: AlignmentOptions,
+    first: FirstPose | None,
+    reporter: Reporter,
+    run: Run,
+) -> dict[str, list[Registration]]:
+    """Register each query drive by worker processes; the registrations of an earlier run are read from disk.
+
+    ``folder`` holds ``REF__QUERY.csv`` for drives that are complete and ``REF__QUERY.journal`` for those that are not.
+
+    Returns:
+        name of the query drive -> its registrations.
+    """
+    folder = folder.resolve()  # workers of a cluster run in other working directories
+    tables = {query.name: folder / f"{reference.name}__{query.name}.csv" for query in queries}
+    known = {name: read_registrations(path) for name, path in tables.items() if path.exists()}
+    units = []
+    for query in queries:
+        drives = RegistrationUnit(reference, query, options, if_within(query.recording, first))
+        work, nodes = partial(register_query, drives), (reference.nodes, query.nodes)
+        units.append(JournaledUnit(str(drives), work, drives.steps, tables[query.name], nodes, query.name))
+    register_missing("registering drives", units, reporter, run)
+    # Always use the file, so that a fresh build and a resumed one use the same numbers.
+    return {name: known[name] if name in known else read_registrations(path) for name, path in tables.items()}
+
+
+def if_within(query: FieldRecording, first: FirstPose | None) -> FirstPose | None:
+    """The pose given by hand, if its time lies in this drive."""
+    times = query.odometry.times_ns
+    return first if first is not None and times[0] <= first[1] <= times[-1] else None
 
 
 def _length_by_gnss(drive: Drive) -> str:
@@ -120,22 +156,17 @@ def at_nodes(reference: Drive, query: Drive, first: FirstPose) -> tuple[int, int
     """
     out, moved = [], []
     for drive, time in ((reference, first[0]), (query, first[1])):
-        odometry = drive.recording.odometry
-        at = np.array([np.clip(time, *odometry.times_ns[[0, -1]])], dtype=np.int64)
-        nearest = int(nearest_nodes(drive.nodes, odometry, at)[0])
-        node = nearest if nearest >= 0 else int(np.argmin(np.abs(drive.nodes.times_ns - time)))
-        T_odom_then = odometry.at(at)[0]
-        moved.append(invert(drive.nodes.T_odom_node[node]) @ T_odom_then)
+        at = int(np.clip(time, *drive.recording.odometry.times_ns[[0, -1]]))
+        node = drive.nearest_node(at)
+        moved.append(drive.from_node(node, at))
         out.append(node)
     T_ref_query = moved[0] @ first[2] @ invert(moved[1])
     return out[0], out[1], T_ref_query
 
 
-def solve_drive(
-    reference: Drive, query: Drive, registrations: Sequence[Registration], options: AlignmentOptions
-) -> Solution:
+def solve_drive(reference: Drive, query: Drive, registrations: Sequence[Registration]) -> Solution:
     """Poses of both drives' nodes: a pose graph of all registrations, then of edges between single blocks."""
-    solution = optimise(reference.nodes, query.nodes, registrations, options=options.graph)
+    solution = optimise(reference.nodes, query.nodes, registrations)
     if not solution.trusted.any():
         return solution
-    return refine_locally(solution, BlockFits(reference.store(), query.store()), options.local)
+    return refine_locally(solution, BlockFits(reference.store(), query.store()))

@@ -6,7 +6,7 @@ The contents of a block depend on the drive and the options alone, not on which 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -126,8 +126,3 @@ def _voting(sizes: Sequence[int], options: BlockOptions) -> Indices:
     starts = np.cumsum([0, *sizes[:-1]])
     steps = [-(-size // options.steady.most_beams) or 1 for size in sizes]
     return np.concatenate([start + np.arange(0, n, step) for start, n, step in zip(starts, sizes, steps, strict=True)])
-
-
-def without_cameras(recording: FieldRecording) -> FieldRecording:
-    """The part of a recording that blocks are made from, which is small enough to send to a worker."""
-    return replace(recording, cameras={}, prior=None)

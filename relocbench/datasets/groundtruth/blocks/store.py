@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
-from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height, without_cameras
+from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height
 from relocbench.datasets.groundtruth.blocks.nodes import ArcLength, arc_length_along
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import DatasetError
@@ -93,7 +93,7 @@ def build_blocks(
     height = _claim(folder, recording, arc_length, nodes, options, reporter)
     store = BlockStore(folder)
     missing = [k for k in range(len(nodes)) if not store.is_whole(k)]
-    small = without_cameras(recording)
+    small = replace(recording, cameras={}, prior=None)  # enough for blocks, and quickly sent to a worker
     units = [BlockUnit(small, arc_length, nodes, wanted, height, options, folder) for wanted in _runs(missing)]
     with reporter.stage(f"points of {recording.name}", len(missing)) as advance:
         for _, done in run_units(make_unit, units, run):

@@ -97,6 +97,7 @@ class Adjustment:
             odometry: edges of the odometry, with unknown ``scales``.
             measured: edges by lidars.
         """
+        from scipy.sparse import eye_array
         from scipy.sparse.linalg import splu
 
         self._poses = 6 * len(T_world_node)
@@ -122,7 +123,7 @@ class Adjustment:
         by_calibration[lidar_rows] = (of_lidars @ measured.by_calibration).reshape(-1, by_calibration.shape[1])
         residuals = np.zeros(rows.count)
         residuals[: 6 * len(edges)] = np.einsum("eij,ej->ei", roots, edges.residuals(T_world_node)).ravel()
-        solver = splu((J.T @ J + _RIDGE * _identity(J.shape[1])).tocsc())
+        solver = splu((J.T @ J + _RIDGE * eye_array(J.shape[1], format="csc")).tocsc())
         mixed = np.ascontiguousarray(J.T @ by_calibration)
         self._by_calibration = -solver.solve(mixed)
         self._step = -solver.solve(J.T @ residuals)
@@ -175,9 +176,3 @@ class _Rows:
 
         values, row, column = (np.concatenate(arrays) for arrays in zip(*self._parts, strict=True))
         return coo_array((values, (row, column)), shape=(self.count, columns)).tocsc()
-
-
-def _identity(count: int) -> Any:
-    from scipy.sparse import eye_array
-
-    return eye_array(count, format="csc")

@@ -14,23 +14,13 @@ import numpy as np
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.calibration.adjustment import Adjustment, CalibrationEdges, Reduced
-from relocbench.datasets.groundtruth.calibration.lidar_fits import (
-    CHARACTERISTIC_LENGTH_M,
-    OPEN_SHARE,
-    LidarFits,
-    Reach,
-    corrections_of,
-)
+from relocbench.datasets.groundtruth.calibration.lidar_fits import LidarFits, Reach, corrections_of
 from relocbench.datasets.groundtruth.calibration.pairs import Measured, measured_in_common
 from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Sensors, moves
-from relocbench.datasets.groundtruth.pose_graph.edge_information import (
-    minimum,
-    sandwich_information,
-    with_block_distortion,
-)
-from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
+from relocbench.datasets.groundtruth.pose_graph.edge_information import minimum
+from relocbench.datasets.groundtruth.pose_graph.edges import Edges
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
-from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions
+from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, information_of
 from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
 from relocbench.datasets.groundtruth.pose_graph.selection import MEDIAN_CHI2
 from relocbench.datasets.groundtruth.submaps.drive import Drive
@@ -94,7 +84,7 @@ def calibration_evidence(solution: Solution, drives: tuple[Drive, Drive], sensor
         kept = np.ones(len(measured), dtype=np.bool_)
         for _ in range(_ROUNDS):
             adjustment = Adjustment(T, odometry, scales, measured[kept])
-            change = _of_value(adjustment, calibration).estimate(assumed)[0] - calibration
+            change = adjustment.reduced.about(calibration).estimate(assumed)[0] - calibration
             chi2 = measured.chi2(T @ se3_exp(adjustment.step(change)), change)
             typical = max(1.0, float(np.median(chi2[kept])) / MEDIAN_CHI2)
             before, kept = kept, chi2 <= _OUTLIER * MEDIAN_CHI2 * typical
@@ -102,7 +92,8 @@ def calibration_evidence(solution: Solution, drives: tuple[Drive, Drive], sensor
                 break
         used = measured[kept].downweighted(typical)
         adjustment = Adjustment(T, odometry, scales, used)
-        reduced = _of_value(adjustment, calibration)
+        # The adjustment is of a change of the calibration; the prior's mean is 0 for its value.
+        reduced = adjustment.reduced.about(calibration)
         estimate, covariance = reduced.estimate(assumed)
         change = estimate - calibration
         T, calibration = T @ se3_exp(adjustment.step(change)), estimate
@@ -110,11 +101,6 @@ def calibration_evidence(solution: Solution, drives: tuple[Drive, Drive], sensor
         if reach == _REACHES[-1] and (np.abs(change) <= _SETTLED * np.sqrt(np.diagonal(covariance)) + 1e-12).all():
             break
     return evidence
-
-
-def _of_value(adjustment: Adjustment, calibration: Array) -> Reduced:
-    """Normal equations of the calibration's value, whose prior has the mean 0; the adjustment's are of its change."""
-    return adjustment.reduced.about(calibration)
 
 
 def node_twists(odometry: Trajectory, nodes: Nodes) -> Array:
@@ -162,9 +148,6 @@ class _Problem:
 
     def edges(self, T_world_node: Array, calibration: Array, reach: Reach) -> CalibrationEdges:
         """Edges at the minimum of the fits, at poses (N, 4, 4) and for a calibration (K,)."""
-        options, noise = LocalOptions(), self.solution.noise
-        floor = options.least_sigma_m**2 * options.correlation
-        distortion = options.inside_m * noise.sigma**2
         nodes, poses, steps, information, derivatives = [], [], [], [], []
         corrections = {
             (drive, lidar): corrections_of(self._moves_of(drive) @ calibration[first : first + SIZE])
@@ -184,9 +167,8 @@ class _Problem:
                 continue
             nodes.append(at)
             poses.append(T)
-            steps.append(minimum(fit.H, fit.g, CHARACTERISTIC_LENGTH_M, OPEN_SHARE))
-            own = sandwich_information(fit.H, options.repeats * fit.scatter, floor, CHARACTERISTIC_LENGTH_M)
-            information.append(with_block_distortion(own, distortion))
+            steps.append(minimum(fit.H, fit.g))
+            information.append(information_of(fit, self.solution.noise, LocalOptions()))
             # T_measured = se3_exp(u_a) @ T @ se3_exp(-u_b), each correction about the rig's place.
             by = np.zeros((6, self.unknowns))
             by[:, columns[1]] += about(fit.rig_b) @ self.moves[at[1]]
@@ -194,10 +176,7 @@ class _Problem:
             derivatives.append(by)
         numbers = np.array(nodes, dtype=np.int64).reshape(-1, 2)
         measured = np.array(poses).reshape(-1, 4, 4) @ se3_exp(np.array(steps).reshape(-1, 6))
-        edges = Edges(
-            numbers[:, 0], numbers[:, 1], measured, np.array(information).reshape(-1, 6, 6),
-            np.full(len(numbers), Kind.REGISTRATION, dtype=np.int64),
-        )  # fmt: skip
+        edges = Edges.of_registrations(*numbers.T, measured, information)
         return CalibrationEdges(edges, np.array(derivatives).reshape(-1, 6, self.unknowns))
 
 

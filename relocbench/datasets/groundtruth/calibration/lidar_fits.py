@@ -20,14 +20,17 @@ from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.blocks.blocks import Block
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.calibration.pairs import Measured
-from relocbench.datasets.groundtruth.pose_graph.edge_information import minimum, nearest_semidefinite, scatter_by_patch
+from relocbench.datasets.groundtruth.pose_graph.edge_information import (
+    minimum,
+    nearest_semidefinite,
+    patches_of,
+    scatter_by_patch,
+)
+from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample, wrenches
-from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 from relocbench.geometry import so3_exp
 from relocbench.kernels import njit
 
-CHARACTERISTIC_LENGTH_M, OPEN_SHARE = 10.0, 1e-4
-"""see :mod:`relocbench.datasets.groundtruth.pose_graph.edge_information`"""
 REACHES_M = (0.8, 0.25)
 """largest distances of a match, coarse and fine"""
 _SAMPLES = 800
@@ -58,18 +61,10 @@ Correction = tuple[Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationFit:
+class CalibrationFit(LocalFit):
     """Distances from points of block b to planes of block a, linearised in xi = (rho, phi) of ``T_a_b @ se3_exp(xi)``:
     ``H xi + g = 0`` at the minimum."""
 
-    H: Array
-    """(6, 6)"""
-    g: Array
-    """(6,)"""
-    scatter: Array
-    """(6, 6) of the gradient over patches of surface"""
-    count: int
-    """number of matched points"""
     rig_a: Array
     """(3,) mean position of the rig when it measured the matched planes, in the frame of node a"""
     rig_b: Array
@@ -115,9 +110,9 @@ class LidarFits:
         square = np.square(m.residuals / reach.kernel_m)
         weights = m.surface / np.square(1 + square)
         slopes = m.surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
-        H = nearest_semidefinite((slopes[:, None] * m.by_points).T @ m.by_planes, CHARACTERISTIC_LENGTH_M)
+        H = nearest_semidefinite((slopes[:, None] * m.by_points).T @ m.by_planes)
         g = m.by_points.T @ (weights * m.residuals)
-        left = m.residuals + m.by_planes @ minimum(H, g, CHARACTERISTIC_LENGTH_M, OPEN_SHARE)
+        left = m.residuals + m.by_planes @ minimum(H, g)
         scatter = scatter_by_patch((weights * left)[:, None] * m.by_points, m.patches)
         rig_a, rig_b = _mean(m.rigs_a, weights), _mean(m.rigs_b, weights)
         return CalibrationFit(H, g, scatter, len(m.residuals), rig_a, rig_b)
@@ -188,17 +183,17 @@ class _Matched(NamedTuple):
 
 
 def _linearise(
-    match: Indices, planes: Planes, points: Sample, there: Array, facing: Array, T_a_b: Array, R_a: Array, t_a: Array
+    match: Indices, planes: Planes, points: Sample, moved: Array, facing: Array, T_a_b: Array, R_a: Array, t_a: Array
 ) -> _Matched:
     """Linearise the distances of corrected points (N, 3), whose planes are ``match`` (N,), -1 where there is none."""
     rows = np.flatnonzero(match >= 0)
-    matched, q, own = match[rows], there[rows], facing[rows]
+    matched, q, own = match[rows], moved[rows], facing[rows]
     by_planes, residuals = distances(
         q, planes.points[matched], planes.normals[matched], planes.lever_arms[matched], T_a_b, R_a, t_a
     )
     surface = np.minimum(planes.weights[matched], points.weights[rows])
     rigs = planes.lever_arms[matched], points.lever_arms[rows]
-    return _Matched(by_planes, wrenches(own, q), residuals, surface, _patches(q, own), *rigs)
+    return _Matched(by_planes, wrenches(own, q), residuals, surface, patches_of(q, own, _PATCH_M), *rigs)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -218,9 +213,3 @@ def distances(
         J[i, 0], J[i, 1], J[i, 2] = a, b, c
         J[i, 3], J[i, 4], J[i, 5] = q[i, 1] * c - q[i, 2] * b, q[i, 2] * a - q[i, 0] * c, q[i, 0] * b - q[i, 1] * a
     return J, residuals
-
-
-def _patches(points: Array, normals: Array) -> Indices:
-    """(M,) number of the patch of surface that each point lies on."""
-    facing = np.argmax(np.abs(normals), axis=1) if len(normals) else np.zeros(0, dtype=np.int64)
-    return np.asarray(4 * voxel_keys(points, _PATCH_M) + facing)

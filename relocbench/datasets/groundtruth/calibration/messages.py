@@ -71,7 +71,7 @@ def _corrected(errors: LidarErrors) -> str:
     ):
         if any(abs(v) > 2 * s for v, s in zip(values, sigmas, strict=True)):
             # What has to be added to the given calibration is what it lacks.
-            told, spread = (", ".join(f"{sign * factor * v:.{digits}f}" for v in numbers)
+            errors_listed, spread = (", ".join(f"{sign * factor * v:.{digits}f}" for v in numbers)
                             for numbers, sign in ((values, -1.0), (sigmas, 1.0)))  # fmt: skip
-            out.append(f"{what} ({told}) {unit} (sigma {spread})")
+            out.append(f"{what} ({errors_listed}) {unit} (sigma {spread})")
     return " and ".join(out)

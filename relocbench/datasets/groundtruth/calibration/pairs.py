@@ -8,6 +8,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Indices, Mask
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
+from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import LidarStream
 
@@ -68,8 +69,7 @@ def measured_in_common(solution: Solution, drives: tuple[Drive, Drive], known: M
     out: list[tuple[Measured, Measured]] = []
     for b in lidars:
         nodes = np.flatnonzero(known[b.first : b.first + len(b.T_world_node)])
-        chosen = np.unique(np.linspace(0, len(nodes) - 1, min(len(nodes), _MOST_NODES)).round().astype(np.int64))
-        for node in nodes[chosen].tolist() if len(nodes) else []:
+        for node in nodes[evenly_spaced(len(nodes), _MOST_NODES)].tolist():
             for a in lidars:
                 others = np.flatnonzero(_common(a, b, node, known[a.first : a.first + len(a.T_world_node)]))
                 out += [(Measured(a.drive, k, a.number), Measured(b.drive, node, b.number)) for k in others.tolist()]

@@ -71,13 +71,13 @@ def read_side(path: Path, poses: Path | None, reading: Reading, reporter: Report
     clouds = read_clouds(files, reading, reporter)
     if poses is not None:
         T = read_cloud_poses(poses, len(files))
-        said = f"{len(files)} clouds, put together by {poses.name}"
+        origin = f"{len(files)} clouds, put together by {poses.name}"
     else:
         scale = scale_of([scene_size(clouds[0].cloud.points)])
         T = _odometry(path.name, [side.cloud.points for side in clouds], scale, reporter)
-        said = f"{len(files)} clouds, put together by odometry in the frame of {files[0].name}"
+        origin = f"{len(files)} clouds, put together by odometry in the frame of {files[0].name}"
     notes = list(dict.fromkeys(note for side in clouds for note in side.notes[1:]))
-    return Side(replace(merged([s.cloud for s in clouds], T, path.name), drifts=poses is None), (said, *notes))
+    return Side(replace(merged([s.cloud for s in clouds], T, path.name), drifts=poses is None), (origin, *notes))
 
 
 def cloud_files(folder: Path, pattern: str = "") -> list[Path]:
@@ -87,18 +87,18 @@ def cloud_files(folder: Path, pattern: str = "") -> list[Path]:
         DatasetError: there is none.
     """
 
-    def found(glob: str) -> list[Path]:
+    def matching(glob: str) -> list[Path]:
         return [p for p in folder.glob(glob) if p.is_file() and not p.name.startswith(".")]
 
     if pattern:
         try:
-            files = found(pattern)
+            files = matching(pattern)
         except (ValueError, NotImplementedError) as bad:
             raise DatasetError(f"{quoted(pattern)} is not a pattern of file names ({bad})", folder) from None
     else:
-        files = [p for p in found("*") if p.suffix.lower() in SUFFIXES and not _is_text(p)]
-        files = files or [p for p in found("*/*") if p.suffix.lower() in SUFFIXES and not _is_text(p)]
-        files = files or [p for p in found("*") if p.suffix.lower() in SUFFIXES]
+        files = [p for p in matching("*") if p.suffix.lower() in SUFFIXES and not _is_text(p)]
+        files = files or [p for p in matching("*/*") if p.suffix.lower() in SUFFIXES and not _is_text(p)]
+        files = files or [p for p in matching("*") if p.suffix.lower() in SUFFIXES]
     if not files:
         what = f"matches {quoted(pattern)}" if pattern else f"is a point cloud ({' '.join(SUFFIXES)})"
         raise DatasetError(f"no file {what}", folder)

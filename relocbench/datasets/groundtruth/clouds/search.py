@@ -19,6 +19,8 @@ from relocbench.datasets.groundtruth.clouds.uncertainty import FinalFit, FinePla
 from relocbench.datasets.groundtruth.icp.backends import Backend, icp_by_backend
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions
 from relocbench.datasets.groundtruth.registration.global_registration import (
+    SAME_DEG,
+    SAME_M,
     GlobalOptions,
     describe,
     distinct,
@@ -39,8 +41,6 @@ _TRIED = 10
 """guesses and alternatives of each kind that are refined, those that fit best"""
 _FITS = 0.5
 """share of the best fit that an alternative must reach to be refined"""
-_SAME_M, _SAME_DEG = 1.0, 4.0
-"""refined poses that differ by no more than this are one"""
 _TIMES, _MORE = 2.5, 0.03
 """a second pose that holds, or nearly, must leave more unexplained than the best: by this factor and this much more"""
 _SHIFT = ShiftOptions(step_m=0.7, apart_m=1.5, most=4, points=300)
@@ -158,7 +158,7 @@ def _as_they_are(a: PreparedCloud, b: PreparedCloud) -> Array:
 
 def _same(T_one: Array, T_other: Array) -> bool:
     metres, degrees = pose_difference(T_one, T_other)
-    return metres <= _SAME_M and degrees <= _SAME_DEG
+    return metres <= SAME_M and degrees <= SAME_DEG
 
 
 def _most_plausible(candidates: Sequence[Candidate]) -> Candidate:
@@ -186,7 +186,7 @@ class _Judge:
 
     def best_fitting(self, poses: Sequence[Array], share: float = 0.0) -> list[Array]:
         """The distinct ones, best fit first; those that fit by at least a share of the best one."""
-        some = [poses[k] for k in distinct(poses, _SAME_M / 2, _SAME_DEG)]
+        some = [poses[k] for k in distinct(poses, SAME_M / 2)]
         fits = np.array([fit(self._a.planes, self._b.planes, T, _SHIFT) for T in some])
         order = np.argsort(-fits, kind="stable")[:_TRIED]
         return [some[k] for k in order if fits[k] >= share * fits.max()]

@@ -25,20 +25,21 @@ import numpy as np
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.pose_graph.block_fits import Matches, match_points
 from relocbench.datasets.groundtruth.pose_graph.edge_information import (
+    LENGTH_M,
     minimum,
     nearest_semidefinite,
+    patches_of,
     sandwich_information,
 )
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
-from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 from relocbench.geometry import adjoint, apply, invert, project_to_rotation, se3_exp
 
 _OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(9000,), near_m=(1e9,))
 _PATCH_M = 4.0
 """size of the patches of surface on which errors are correlated"""
-_LENGTH_M, _OPEN_SHARE = 10.0, 1e-5
-"""characteristic length of rotations, and the share of the largest eigenvalue below which a direction is open"""
+_OPEN_SHARE = 1e-5
+"""share of the largest eigenvalue below which a direction is open"""
 _ITERATIONS, _STILL_M = 8, 1e-4
 _KERNEL_M = 0.05
 """scale of Geman-McClure's kernel, which the weights of matches have"""
@@ -88,28 +89,28 @@ def final_fit(ref: FinePlanes, query: FinePlanes, T_ref_query: Array) -> FinalFi
     T = np.array(T_ref_query, dtype=np.float64)
     problem = _problem(ref, query, T)
     for _ in range(_ITERATIONS):
-        xi = minimum(problem.H, problem.g, _LENGTH_M, _OPEN_SHARE)
+        xi = minimum(problem.H, problem.g, _OPEN_SHARE)
         if not np.isfinite(xi).all() or np.linalg.norm(xi[:3]) > 0.2 or np.linalg.norm(xi[3:]) > 0.02:
             break
         T = T @ se3_exp(xi)
         T[:3, :3] = project_to_rotation(T[:3, :3])
         problem = _problem(ref, query, T)
-        if np.linalg.norm(xi[:3]) < _STILL_M and np.linalg.norm(xi[3:]) < _STILL_M / _LENGTH_M:
+        if np.linalg.norm(xi[:3]) < _STILL_M and np.linalg.norm(xi[3:]) < _STILL_M / LENGTH_M:
             break
     J = _derivative(ref, query, T)
     gradients = (problem.weights * np.concatenate(problem.residuals))[:, None] * problem.by_points
     by_patch = _jackknifed(problem, gradients)
-    information = sandwich_information(J, by_patch.T @ by_patch, _LEAST_SIGMA_M**2, _LENGTH_M)
+    information = sandwich_information(J, by_patch.T @ by_patch, _LEAST_SIGMA_M**2)
     return FinalFit(T, information + _OPEN * np.eye(6), problem.residuals)
 
 
 def _derivative(ref: FinePlanes, query: FinePlanes, T: Array) -> Array:
     """(6, 6) J: the derivative of the gradient by xi of ``T @ se3_exp(xi)``, with points matched anew."""
     columns = []
-    for move in np.diag(np.repeat([_MOVE_M, _MOVE_M / _LENGTH_M], 3)):
+    for move in np.diag(np.repeat([_MOVE_M, _MOVE_M / LENGTH_M], 3)):
         forward, backward = (_problem(ref, query, T @ se3_exp(sign * move)).g for sign in (1, -1))
         columns.append((forward - backward) / (2 * move.max()))
-    return nearest_semidefinite(np.array(columns), _LENGTH_M)
+    return nearest_semidefinite(np.array(columns))
 
 
 def _jackknifed(problem: _Problem, gradients: Array) -> Array:
@@ -127,30 +128,28 @@ def _jackknifed(problem: _Problem, gradients: Array) -> Array:
     for k in range(6):
         np.add.at(shares[:, k], patch, (slopes * problem.by_points[:, k])[:, None] * problem.by_planes)
     shares = (shares + shares.transpose(0, 2, 1)) / 2
-    scale = np.repeat([1.0, _LENGTH_M], 3)
-    H = nearest_semidefinite(shares.sum(axis=0), _LENGTH_M)
+    scale = np.repeat([1.0, LENGTH_M], 3)
+    H = nearest_semidefinite(shares.sum(axis=0))
     H = H + _RIDGE * max(float(np.trace(H)), 1e-300) * np.diag(scale**2)
     return np.asarray(np.linalg.solve(np.eye(6) - shares @ np.linalg.inv(H), sums[:, :, None])[:, :, 0])
 
 
 def _problem(ref: FinePlanes, query: FinePlanes, T_ref_query: Array) -> _Problem:
     """Both directions in xi of ``T_ref_query @ se3_exp(xi)``; ``T_query_ref`` changes by ``-Ad(T_ref_query) xi``."""
-    there = match_points(ref.planes, query.points, T_ref_query)
-    back = match_points(query.planes, ref.points, invert(T_ref_query))
+    forward = match_points(ref.planes, query.points, T_ref_query)
+    backward = match_points(query.planes, ref.points, invert(T_ref_query))
     A = -adjoint(T_ref_query)
-    by_points = np.concatenate([there.by_points, back.by_points @ A])
-    by_planes = np.concatenate([there.by_planes, back.by_planes @ A])
-    residuals, weights = (
-        np.concatenate([getattr(m, name) for m in (there, back)]) for name in ("residuals", "weights")
-    )
-    H = nearest_semidefinite(by_points.T @ (weights[:, None] * by_planes), _LENGTH_M)
-    g = by_points.T @ (weights * residuals)
-    patches = np.concatenate([_patches(there, T_ref_query), _patches(back, np.eye(4))])
-    return _Problem(H, g, by_points, by_planes, (there.residuals, back.residuals), weights, patches)
+    by_points = np.concatenate([forward.by_points, backward.by_points @ A])
+    by_planes = np.concatenate([forward.by_planes, backward.by_planes @ A])
+    residuals = forward.residuals, backward.residuals
+    weights = np.concatenate([forward.weights, backward.weights])
+    H = nearest_semidefinite(by_points.T @ (weights[:, None] * by_planes))
+    g = by_points.T @ (weights * np.concatenate(residuals))
+    patches = np.concatenate([_patches(forward, T_ref_query), _patches(backward, np.eye(4))])
+    return _Problem(H, g, by_points, by_planes, residuals, weights, patches)
 
 
 def _patches(matches: Matches, T_ref_points: Array) -> Indices:
     """(M,) number of the patch, in the reference's frame, of each matched point."""
-    points = apply(T_ref_points, matches.points)
-    facing = np.argmax(np.abs(matches.by_points[:, :3] @ T_ref_points[:3, :3].T), axis=1) if len(matches) else []
-    return np.asarray(4 * voxel_keys(points, _PATCH_M) + np.asarray(facing, dtype=np.int64))
+    normals = matches.by_points[:, :3] @ T_ref_points[:3, :3].T
+    return patches_of(apply(T_ref_points, matches.points), normals, _PATCH_M)

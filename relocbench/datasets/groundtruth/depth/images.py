@@ -21,8 +21,7 @@ from relocbench.datasets.groundtruth.depth.depth import (
     make_scene,
     scene_depth,
 )
-from relocbench.datasets.groundtruth.depth.stereo_check import Agreement, cross_check
-from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair
+from relocbench.datasets.groundtruth.depth.stereo import Agreement, StereoPair, cross_check
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.errors import ConfigError

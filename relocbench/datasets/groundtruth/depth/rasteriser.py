@@ -87,18 +87,8 @@ def draw_occlusion(view: View, camera: Camera, max_depth: float) -> Floats:
     lens = np.array([camera.fx, camera.fy, camera.cx - middle, camera.cy - middle]) / OCCLUSION_STEP
     occlusion = np.full(shape, np.inf, dtype=np.float32)
     exact = np.zeros(len(view.points), np.float32)
-    _front(
-        view.points,
-        view.normals,
-        view.axes,
-        view.occluding_reach,
-        exact,
-        exact,
-        lens,
-        max_depth,
-        occlusion,
-        np.zeros_like(occlusion),
-    )
+    surfels = (view.points, view.normals, view.axes, view.occluding_reach)
+    _front(*surfels, exact, exact, lens, max_depth, occlusion, np.zeros_like(occlusion))
     return occlusion
 
 

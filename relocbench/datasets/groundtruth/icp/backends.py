@@ -45,13 +45,12 @@ def icp_by_backend(
     if backend not in BACKENDS:
         raise ConfigError(f"no registration backend '{backend}'; expected one of {', '.join(BACKENDS)}")
     solve = _open3d if backend == "open3d" else _small_gicp
-    T, iterations = np.array(T_ref_query, dtype=np.float64), 0
+    T = np.array(T_ref_query, dtype=np.float64)
     for k in range(len(options.levels)) if levels is None else levels:
         reach = min(ref.planes.options.reach_m[options.levels[k]], query.planes.options.reach_m[options.levels[k]])
-        T, steps = solve(ref.planes, query.planes, T, reach, options.scales_m[k], options.iterations[k])
-        iterations += steps
+        T = solve(ref.planes, query.planes, T, reach, options.scales_m[k], options.iterations[k])
     T[:3, :3] = project_to_rotation(T[:3, :3])
-    return icp_result_at(ref.planes, query.planes, T, options, iterations)
+    return icp_result_at(ref.planes, query.planes, T, options)
 
 
 def _thin(planes: PlaneMap) -> tuple[Array, Array]:
@@ -62,7 +61,7 @@ def _thin(planes: PlaneMap) -> tuple[Array, Array]:
 
 def _open3d(
     ref: PlaneMap, query: PlaneMap, T_ref_query: Array, reach_m: float, scale_m: float, iterations: int
-) -> tuple[Array, int]:
+) -> Array:
     """Point-to-plane ICP with the same kernel, in double precision: single precision would cost millimetres."""
     import open3d as o3d
 
@@ -76,7 +75,7 @@ def _open3d(
         registration.TransformationEstimationPointToPlane(registration.GMLoss(scale_m)),
         registration.ICPConvergenceCriteria(1e-7, 1e-7, iterations),
     )
-    return np.array(result.transformation, dtype=np.float64), iterations
+    return np.array(result.transformation, dtype=np.float64)
 
 
 def open3d_cloud(points: Array, normals: Array) -> Any:
@@ -90,7 +89,7 @@ def open3d_cloud(points: Array, normals: Array) -> Any:
 
 def _small_gicp(
     ref: PlaneMap, query: PlaneMap, T_ref_query: Array, reach_m: float, scale_m: float, iterations: int
-) -> tuple[Array, int]:
+) -> Array:
     try:
         small_gicp = importlib.import_module("small_gicp")
     except ImportError:
@@ -111,4 +110,4 @@ def _small_gicp(
         num_threads=1,
         max_iterations=iterations,
     )
-    return np.array(result.T_target_source, dtype=np.float64), int(result.iterations)
+    return np.array(result.T_target_source, dtype=np.float64)

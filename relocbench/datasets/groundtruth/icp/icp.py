@@ -96,8 +96,6 @@ class IcpResult:
     """robust standard deviation of the residuals"""
     count: int
     """number of matches at the end, of both sides"""
-    iterations: int
-    converged: bool
     scale_error: float = 0.0
     """scale of the query's odometry that agrees with the reference's, minus one"""
 
@@ -185,14 +183,14 @@ def run_icp(
             good to decimetres.
     """
     options = options or IcpOptions()
-    T, scale_error, steps, converged = np.array(T_ref_query, dtype=np.float64), 0.0, 0, False
+    T, scale_error = np.array(T_ref_query, dtype=np.float64), 0.0
     problem = NOTHING
     order = list(range(len(options.levels)) if levels is None else levels)
     last = order[-1]
     for k in order:
         level = options.levels[k]
         reach = min(ref.options.reach_m[level], query.options.reach_m[level])
-        converged, applied_scale_error = False, scale_error
+        applied_scale_error = scale_error
         ref_sides, query_sides = _sides(ref, level, 0.0), _sides(query, level, scale_error)
         for iteration in range(options.iterations[k]):
             if abs(scale_error - applied_scale_error) >= _RESCALED:
@@ -201,10 +199,9 @@ def run_icp(
             scale = options.scales_m[k] * max(1.0, 2.0 * 0.6**iteration)
             problem = linearise_both(ref_sides, query_sides, T, reach, scale, options)
             if problem.count < options.least_matches:
-                return IcpResult(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, scale_error)
+                return IcpResult(T, np.zeros((6, 6)), problem.sigma_m, problem.count, scale_error)
             xi, longer = _step(problem, applied_scale_error, options)
             T, scale_error = T @ se3_exp(xi), applied_scale_error + longer
-            steps += 1
             # A coarser level only has to lead to where the last one converges.
             least = 1.0 if k == last else _COARSER
             still = (
@@ -213,27 +210,23 @@ def run_icp(
                 and abs(scale_error - applied_scale_error) < _RESCALED
             )
             if iteration >= 2 and still:
-                converged = True
                 break
     T[:3, :3] = project_to_rotation(T[:3, :3])
-    return IcpResult(T, _information(problem, options), problem.sigma_m, problem.count, steps, converged, scale_error)
+    return IcpResult(T, _information(problem, options), problem.sigma_m, problem.count, scale_error)
 
 
 def _sides(planes: PlaneMap, level: int, scale_error: float) -> tuple[Planes, Sample]:
     return planes.level(level).rescaled(scale_error), planes.sample(level).rescaled(scale_error)
 
 
-def icp_result_at(
-    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: IcpOptions, iterations: int
-) -> IcpResult:
+def icp_result_at(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: IcpOptions) -> IcpResult:
     """A pose that was found by another method, with the information matrix that ICP gives it."""
     level = options.levels[-1]
     reach = min(ref.options.reach_m[level], query.options.reach_m[level])
     sides = _sides(ref, level, 0.0), _sides(query, level, 0.0)
     problem = linearise_both(*sides, T_ref_query, reach, options.scales_m[-1], options)
-    enough = problem.count >= options.least_matches
-    information = _information(problem, options) if enough else np.zeros((6, 6))
-    return IcpResult(T_ref_query, information, problem.sigma_m, problem.count, iterations, enough)
+    information = _information(problem, options) if problem.count >= options.least_matches else np.zeros((6, 6))
+    return IcpResult(T_ref_query, information, problem.sigma_m, problem.count)
 
 
 def _variance(problem: Linearised) -> float:

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.groundtruth.alignment.registration_job import register_drives
-from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose
+from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose, register_drives
 from relocbench.datasets.groundtruth.calibration.correction import corrected
 from relocbench.datasets.groundtruth.calibration.estimation import CalibrationEvidence, calibration_evidence
 from relocbench.datasets.groundtruth.calibration.faults import Calibration, calibrate
@@ -32,7 +31,7 @@ from relocbench.datasets.groundtruth.calibration.unknowns import (
     Sensors,
     unknowns_reduced,
 )
-from relocbench.datasets.groundtruth.jobs.reducing import ReducedReporter
+from relocbench.datasets.groundtruth.jobs.scaling import ReducedReporter
 from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, optimise
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -64,7 +63,6 @@ class _EvidenceUnit:
     query: Drive
     registrations: tuple[Registration, ...]
     sensors: Sensors
-    options: AlignmentOptions
     path: Path
 
     def __str__(self) -> str:
@@ -94,16 +92,16 @@ def align(
         DatasetError: a recording or an intermediate file is damaged.
     """
     sensors = Sensors(tuple(DriveLidars.of(r) for r in recordings), enlarged)
-    said = ReducedReporter(reporter, enlarged)
+    in_metres = ReducedReporter(reporter, enlarged)
     total, wrong, corrections = np.zeros(sensors.unknowns), set[str](), 0
     while True:
         now = [corrected(r, sensors, total) if r.name in wrong else r for r in recordings]
         at = _places(recordings, wrong, folder, corrections)
-        drives = [make_drive(r, at.blocks[r.name], options.block_m, options.blocks, said, run) for r in now]
-        registrations = _register(drives, at, options, first, said, run)
+        drives = [make_drive(r, at.blocks[r.name], options.block_m, in_metres, run) for r in now]
+        registrations = _register(drives, at, options, first, in_metres, run)
         if not estimate or not sensors.causes():
             return Aligned(drives, registrations, {})
-        evidence = _evidence(drives, registrations, sensors, at, options, reporter, run)
+        evidence = _evidence(drives, registrations, sensors, at, reporter, run)
         reduced = sum((e.reduced for e in evidence[1:]), evidence[0].reduced).about(total)
         calibration = calibrate(reduced, sensors)
         open_to = open_kinds(reduced, sensors)
@@ -113,9 +111,9 @@ def align(
             message = "; ".join(map(str, calibration.causes)) or "nothing"
             reporter.note(f"calibration: {message} in error; corrected, and registered again")
             continue
-        in_metres, removed = calibration.reduced(), total * unknowns_reduced(len(sensors), enlarged)
-        file = write_calibration(folder, in_metres, removed, open_to, corrections, at)
-        for line in report_lines(file, in_metres, sum(e.count for e in evidence)):
+        reduced_calibration, removed = calibration.reduced(), total * unknowns_reduced(len(sensors), enlarged)
+        file = write_calibration(folder, reduced_calibration, removed, open_to, corrections, at)
+        for line in report_lines(file, reduced_calibration, sum(e.count for e in evidence)):
             reporter.note(line)
         if corrections and _differ(calibration, total, _REMAINS):
             after = "a correction" if corrections == 1 else f"{corrections} corrections"
@@ -172,7 +170,6 @@ def _evidence(
     registrations: dict[str, list[Registration]],
     sensors: Sensors,
     at: RoundFolders,
-    options: AlignmentOptions,
     reporter: Reporter,
     run: Run,
 ) -> list[CalibrationEvidence]:
@@ -180,9 +177,7 @@ def _evidence(
     units = []
     for query in drives[1:]:
         path = at.registrations[query.name].parent / "calibration" / f"{drives[0].name}__{query.name}.npz"
-        units.append(
-            _EvidenceUnit(drives[0], query, tuple(registrations[query.name]), sensors, options, path.resolve())
-        )
+        units.append(_EvidenceUnit(drives[0], query, tuple(registrations[query.name]), sensors, path.resolve()))
     missing = [unit for unit in units if not unit.path.exists()]
     with reporter.stage("calibration of lidars", len(missing)) as advance:
         for _ in run_units(_gather, missing, run):
@@ -194,5 +189,5 @@ def _evidence(
 
 
 def _gather(unit: _EvidenceUnit) -> None:
-    solution = optimise(unit.reference.nodes, unit.query.nodes, unit.registrations, options=unit.options.graph)
+    solution = optimise(unit.reference.nodes, unit.query.nodes, unit.registrations)
     write_evidence(unit.path, calibration_evidence(solution, (unit.reference, unit.query), unit.sensors))

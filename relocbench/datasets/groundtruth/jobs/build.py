@@ -17,12 +17,12 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
-from relocbench.datasets.groundtruth.depth.stereo_partner import stereo_pair
+from relocbench.datasets.groundtruth.depth.stereo import stereo_pair
 from relocbench.datasets.groundtruth.jobs.aligning import Aligned, align
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.readying import ready
 from relocbench.datasets.groundtruth.jobs.recipe import pair_by_recipe
-from relocbench.datasets.groundtruth.jobs.reducing import reduced_paired
+from relocbench.datasets.groundtruth.jobs.scaling import reduced_paired
 from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, rig_poses, write_traversal
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired, PairingUnit, pair_up
@@ -58,20 +58,16 @@ def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOpt
         reporter.note(
             "poses of the rig at scans of lidar are paired, without images: no tracker can run on this dataset"
         )
-    checked = ready(recordings, cameras, job)
-    recordings, large, scale = checked.recordings, checked.enlarged, checked.scale
+    recordings, large, scale = ready(recordings, cameras, job)
     folder = job.writer.layout.root / "groundtruth"
     if not options.use_prior:
         large = [replace(recording, prior=None) for recording in large]
     if first is not None:
         first = (*first[:2], scale.enlarged(first[2]))
-    aligned = (
-        None
-        if options.recipe == "open3d"
-        else align(
-            large, folder, options.alignment, first, options.calibration == "estimate", reporter, run, scale.factor
-        )
-    )
+    aligned = None
+    if options.recipe == "own":
+        estimate = options.calibration == "estimate"
+        aligned = align(large, folder, options.alignment, first, estimate, reporter, run, scale.factor)
     drives = aligned.drives if aligned is not None else _cut(large, folder, options, reporter, run)
     frames = [
         {
@@ -84,8 +80,8 @@ def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOpt
     if aligned is None:
         paired = pair_by_recipe(drives, frames, folder, options, first, reporter, run, scale.factor)
     else:
-        asked = zip(queries, frames[1:], strict=True)
-        units = [_unit(aligned, query, (frames[0], asking), options, scale) for query, asking in asked]
+        images = zip(queries, frames[1:], strict=True)
+        units = [_unit(aligned, query, (frames[0], of_query), options, scale) for query, of_query in images]
         paired = _pair(units, folder / "graph", reporter, run)
     paired = [reduced_paired(one, scale.factor) for one in paired]
     _require_accepted(paired, [q.name for q in queries], folder / "registrations")
@@ -156,8 +152,8 @@ def _cut(
     recordings: Sequence[FieldRecording], folder: Path, options: FieldOptions, reporter: Reporter, run: Run
 ) -> list[Drive]:
     """The drives, cut into blocks, from which depth is drawn."""
-    o = options.alignment
-    return [make_drive(r, folder / "blocks" / r.name, o.block_m, o.blocks, reporter, run) for r in recordings]
+    block_m = options.alignment.block_m
+    return [make_drive(r, folder / "blocks" / r.name, block_m, reporter, run) for r in recordings]
 
 
 def _unit(
@@ -170,16 +166,16 @@ def _unit(
     cameras = tuple(
         CameraFrames(
             name,
-            scale.enlarged(there.stream.T_rig_cam),
+            scale.enlarged(keyframes.stream.T_rig_cam),
             scale.enlarged(frames[1][name].stream.T_rig_cam),
-            there.times,
+            keyframes.times,
             frames[1][name].times,
         )
-        for name, there in frames[0].items()
+        for name, keyframes in frames[0].items()
     )
     limits = (options.limits_at(scale.factor), options.max_angle)
     registrations, shared = tuple(aligned.registrations[query.name]), aligned.shared.get(query.name)
-    return PairingUnit(aligned.drives[0], query, registrations, cameras, options.alignment, *limits, shared)
+    return PairingUnit(aligned.drives[0], query, registrations, cameras, *limits, shared)
 
 
 def _pair(units: Sequence[PairingUnit], folder: Path, reporter: Reporter, run: Run) -> list[Paired]:

@@ -14,8 +14,8 @@ import numpy as np
 
 from relocbench.arrays import Times
 from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
-from relocbench.datasets.groundtruth.jobs.enlarging import enlarged
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.jobs.scaling import enlarged
 from relocbench.datasets.groundtruth.odometry.length import LARGEST_STRETCH, length_ratio
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream
 from relocbench.errors import DatasetError

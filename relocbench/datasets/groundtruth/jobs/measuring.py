@@ -16,12 +16,14 @@ import numpy as np
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.deferred import is_pending
-from relocbench.datasets.groundtruth.registration.scale_file import FILE, read_scale, write_scale
 from relocbench.datasets.groundtruth.registration.scene_scale import (
+    SCALE_FILE,
     SceneScale,
     SceneSize,
+    read_scale,
     scale_of,
     scene_size,
+    write_scale,
 )
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream
@@ -63,11 +65,11 @@ def scale_of_build(
     Raises:
         DatasetError: the folder was made with another scale than is given.
     """
-    if (folder / FILE).exists():
+    if (folder / SCALE_FILE).exists():
         kept = read_scale(folder)
         if options.scale not in ("auto", kept.factor):
             message = f"was made with a scale of {kept.factor:g}, and {options.scale:g} is given; choose another folder"
-            raise DatasetError(message, folder / FILE)
+            raise DatasetError(message, folder / SCALE_FILE)
         scale = SceneScale(kept.factor, kept.reason)
     else:
         scale = scale_of_drives(recordings, options.scale, reporter)

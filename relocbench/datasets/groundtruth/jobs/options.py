@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -95,17 +94,6 @@ class FieldOptions(ImportOptions):
         )
         return AlignmentOptions(submap_m=self.submap, registration=registration)
 
-    @property
-    def limits(self) -> OutcomeLimits:
-        """The limits within which pairs are accepted."""
-        return OutcomeLimits(
-            distance_m=self.max_distance,
-            sigma_along_m=self.max_sigma,
-            sigma_across_m=self.max_sigma,
-            sigma_height_m=self.max_sigma,
-            sigma_rotation_deg=self.max_sigma_rotation,
-        )
-
     def max_sigma_at(self, factor: float) -> float:
         """Largest sigma of a position in a scene that is enlarged, in metres that are not.
 
@@ -116,11 +104,8 @@ class FieldOptions(ImportOptions):
 
     def limits_at(self, factor: float) -> OutcomeLimits:
         """The limits within which pairs are accepted, in enlarged metres."""
-        sigma = self.max_sigma_at(factor) * factor
-        return replace(
-            self.limits,
+        return OutcomeLimits(
             distance_m=self.max_distance * factor,
-            sigma_along_m=sigma,
-            sigma_across_m=sigma,
-            sigma_height_m=sigma,
+            sigma_m=self.max_sigma_at(factor) * factor,
+            sigma_rotation_deg=self.max_sigma_rotation,
         )

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.groundtruth.jobs.enlarging import enlarged, in_metres
 from relocbench.datasets.groundtruth.jobs.inputs import check_space, driven_m, faults_of, motion_faults
 from relocbench.datasets.groundtruth.jobs.measuring import scale_of_build
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending
-from relocbench.datasets.groundtruth.odometry.files import kept_in
+from relocbench.datasets.groundtruth.jobs.scaling import enlarged, in_metres
+from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending, kept_in
 from relocbench.datasets.groundtruth.odometry.jumps import interrupted
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
 from relocbench.datasets.groundtruth.registration.scene_scale import SceneScale
@@ -20,24 +18,18 @@ from relocbench.errors import raise_all
 from relocbench.progress import Reporter
 
 
-@dataclass(frozen=True, eq=False)
-class Ready:
-    """Recordings that were checked, the reference first."""
-
-    recordings: list[FieldRecording]
-    """in metres"""
-    enlarged: list[FieldRecording]
-    """in metres that are enlarged to the size of a street"""
-    scale: SceneScale
-
-
-def ready(recordings: Sequence[FieldRecording], cameras: Sequence[str], job: Build[FieldOptions]) -> Ready:
+def ready(
+    recordings: Sequence[FieldRecording], cameras: Sequence[str], job: Build[FieldOptions]
+) -> tuple[list[FieldRecording], list[FieldRecording], SceneScale]:
     """Check all recordings, measure their scale, compute the odometry that is missing, and check the way driven.
 
     Odometry is interrupted where it jumps.
 
     Args:
         cameras: the cameras whose images are paired.
+
+    Returns:
+        the recordings in metres, those in metres that are enlarged to the size of a street, and the scale.
 
     Raises:
         DatasetError: what is wrong with the recordings; all faults that can be found at once.
@@ -60,7 +52,7 @@ def ready(recordings: Sequence[FieldRecording], cameras: Sequence[str], job: Bui
     raise_all([fault for one in pending for fault in motion_faults(one, options, reporter, scale.factor)])
     large = [enlarged(recording, scale.factor) for recording in out]
     check_space(root, sum(driven_m(recording) for recording in large))
-    return Ready(out, large, scale)
+    return out, large, scale
 
 
 def _moved(recording: FieldRecording, kept: FromLidar, factor: float, reporter: Reporter) -> FieldRecording:

@@ -7,12 +7,12 @@ between nodes, from which ground truth is inspected.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
+from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, if_within
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.writing import Frames
@@ -21,22 +21,12 @@ from relocbench.datasets.groundtruth.pose_graph.files import write_graph
 from relocbench.datasets.groundtruth.recipe.answers import between_nodes, outcomes_of, placed
 from relocbench.datasets.groundtruth.recipe.chain import ChainUnit, ImageTimes, follow
 from relocbench.datasets.groundtruth.recipe.open3d_pair import Open3dOptions
-from relocbench.datasets.groundtruth.registration import files as track_files
-from relocbench.datasets.groundtruth.registration.journal import Journal, journal_progress
+from relocbench.datasets.groundtruth.registration.files import read_registrations, write_registrations
+from relocbench.datasets.groundtruth.registration.journal import JournaledUnit, register_missing
 from relocbench.datasets.groundtruth.registration.scene_scale import scaled
 from relocbench.datasets.groundtruth.submaps.drive import Drive
-from relocbench.datasets.groundtruth.verification.evidence import Registration
-from relocbench.execution import Run, run_units
+from relocbench.execution import Run
 from relocbench.progress import Reporter
-
-
-@dataclass(frozen=True, eq=False)
-class _Unit:
-    chain: ChainUnit
-    journal: Path
-
-    def __str__(self) -> str:
-        return str(self.chain)
 
 
 def pair_by_recipe(
@@ -63,38 +53,38 @@ def pair_by_recipe(
     """
     folder = folder.resolve()  # workers of a cluster run in other working directories
     reference, queries = drives[0], drives[1:]
-    units = [
-        _unit(reference, query, camera, (frames[0][camera], asking[camera]), folder, options, first, enlarged)
-        for query, asking in zip(queries, frames[1:], strict=True)
-        for camera in asking
+    chains = [
+        [
+            _chain(reference, query, camera, (frames[0][camera], images[camera]), options, first, enlarged)
+            for camera in images
+        ]
+        for query, images in zip(queries, frames[1:], strict=True)
     ]
-    _follow([unit for unit in units if not _table(unit).exists()], reporter, run)
+    units = [[_unit(chain, folder / "recipe") for chain in some] for some in chains]
+    register_missing("pairs by Open3D", [unit for some in units for unit in some], reporter, run)
     paired = []
-    for query in queries:
-        mine = [unit for unit in units if unit.chain.query is query.recording]
-        registrations = [track_files.read_registrations(_table(unit)) for unit in mine]
-        outcomes = {u.chain.camera: outcomes_of(u.chain, pairs) for u, pairs in zip(mine, registrations, strict=True)}
-        nodes = between_nodes(mine[0].chain, registrations[0], reference, query)
+    for query, mine, tables in zip(queries, chains, units, strict=True):
+        registrations = [read_registrations(unit.table) for unit in tables]
+        outcomes = {c.camera: outcomes_of(c, pairs) for c, pairs in zip(mine, registrations, strict=True)}
+        nodes = between_nodes(mine[0], registrations[0], reference, query)
         name = f"{reference.name}__{query.name}.csv"
-        track_files.write_registrations(folder / "registrations" / name, nodes, reference.nodes, query.nodes)
+        write_registrations(folder / "registrations" / name, nodes, reference.nodes, query.nodes)
         both = placed(nodes, reference, query)
         write_graph(folder / "graph" / name, *both)
         paired.append(Paired(outcomes, *both))
     return paired
 
 
-def _unit(
+def _chain(
     reference: Drive,
     query: Drive,
     camera: str,
     frames: tuple[Frames, Frames],
-    folder: Path,
     options: FieldOptions,
     first: FirstPose | None,
     enlarged: float,
-) -> _Unit:
-    times = query.recording.odometry.times_ns
-    chain = ChainUnit(
+) -> ChainUnit:
+    return ChainUnit(
         reference.recording,
         query.recording,
         camera,
@@ -103,39 +93,16 @@ def _unit(
         options.submap,
         options.max_distance * enlarged,
         options.max_angle,
-        first if first is not None and times[0] <= first[1] <= times[-1] else None,
+        if_within(query.recording, first),
         Open3dOptions(seed=options.seed),
     )
-    return _Unit(chain, folder / "recipe" / f"{reference.name}__{query.name}__{camera}.journal")
 
 
-def _table(unit: _Unit) -> Path:
-    return unit.journal.with_suffix(".csv")
-
-
-def _follow(units: Sequence[_Unit], reporter: Reporter, run: Run) -> None:
-    steps = [len(unit.chain.queries.times_ns) for unit in units]
-    with (
-        reporter.stage("pairs by Open3D", sum(steps)) as advance,
-        journal_progress([unit.journal for unit in units], steps, advance) as complete,
-    ):
-        for index, (pairs, messages) in run_units(_work, units, run):
-            unit = units[index]
-            for message in messages:
-                reporter.note(f"{unit.chain.query.name}, {unit.chain.camera}: {message}")
-            ref, query = (_as_nodes(images) for images in (unit.chain.keyframes, unit.chain.queries))
-            track_files.write_registrations(_table(unit), pairs, ref, query)
-            complete(index)
-            unit.journal.unlink(missing_ok=True)
-
-
-def _work(unit: _Unit) -> tuple[list[Registration], list[str]]:
-    messages: list[str] = []
-    journal = Journal(unit.journal)
-    try:
-        return follow(unit.chain, messages.append, journal.remember), messages
-    finally:
-        journal.close()
+def _unit(chain: ChainUnit, folder: Path) -> JournaledUnit:
+    table = folder / f"{chain.reference.name}__{chain.query.name}__{chain.camera}.csv"
+    nodes, steps = (_as_nodes(chain.keyframes), _as_nodes(chain.queries)), len(chain.queries.times_ns)
+    about = f"{chain.query.name}, {chain.camera}"
+    return JournaledUnit(str(chain), partial(follow, chain), steps, table, nodes, about)
 
 
 def _as_nodes(images: ImageTimes) -> Nodes:

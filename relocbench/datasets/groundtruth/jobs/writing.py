@@ -16,7 +16,7 @@ from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
-from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
+from relocbench.datasets.groundtruth.depth.stereo import StereoPair, stereo_pair
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.registration.scene_scale import scaled
@@ -62,25 +62,18 @@ def choose_frames(
         DatasetError: no image can be selected.
     """
     apart = (options.keyframe_distance if is_reference else options.query_distance) * enlarged
-    if camera not in recording.cameras:
-        return _choose_poses(recording, drive, camera, apart, is_reference=is_reference)
-    stream, pair = recording.cameras[camera], stereo_pair(recording.cameras, camera)
+    pair = stereo_pair(recording.cameras, camera) if camera in recording.cameras else None
+    stream = recording.cameras[camera] if camera in recording.cameras else recording.rig_stream(camera)
     # A keyframe needs a pose; for a query without one the rejection is recorded.
     indices = select_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
     if options.depth == "stereo" and pair is not None:
         both = pair.common_times()
         indices = [i for i in indices if int(stream.times_ns[i]) in both]
+    if not indices and isinstance(stream, RigStream):
+        raise DatasetError(f"no scan of {stream.lidar} was taken while odometry was recorded", recording.folder)
     if not indices:
         raise DatasetError(f"no image of {camera} was taken while lidar and odometry were recorded", recording.folder)
     return Frames(stream, pair, tuple(indices))
-
-
-def _choose_poses(recording: FieldRecording, drive: Drive, frame: str, apart_m: float, *, is_reference: bool) -> Frames:
-    stream = recording.rig_stream(frame)
-    indices = select_images(recording, stream, drive.nodes, apart_m, in_gaps=not is_reference)
-    if not indices:
-        raise DatasetError(f"no scan of {stream.lidar} was taken while odometry was recorded", recording.folder)
-    return Frames(stream, None, tuple(indices))
 
 
 def rig_poses(

@@ -97,15 +97,10 @@ def _by_chords(
     usable = (by_odometry >= _LEAST_SHARE * chord_m) & (by_gnss > 0)
     if usable.sum() < _FEWEST:
         return None
-    margin = _ENDS * np.sqrt(2) * sigma_m / float(by_gnss[usable].sum())
-    return _mean(by_odometry[usable] / by_gnss[usable], margin)
-
-
-def _mean(ratios: Array, least: float) -> LengthRatio:
-    """The mean of ratios (N,), whose margin is at least the one given."""
-    limits = (_TRIMMED, _TRIMMED)
+    ratios, limits = by_odometry[usable] / by_gnss[usable], (_TRIMMED, _TRIMMED)
     low, high = trimmed_mean_ci(ratios, limits, alpha=_DOUBT)
-    return LengthRatio(float(trimmed_mean(ratios, limits)), max(least, float(high - low) / 2))
+    by_ends = _ENDS * np.sqrt(2) * sigma_m / float(by_gnss[usable].sum())
+    return LengthRatio(float(trimmed_mean(ratios, limits)), max(by_ends, float(high - low) / 2))
 
 
 def _ends_of_chords(positions: Array, rows: Indices, chord_m: float) -> tuple[Indices, Indices]:

@@ -16,6 +16,8 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import apply, invert, make_transform, project_to_rotation, se3_exp, se3_log
 from relocbench.progress import Advance, Reporter, Silent
 
+_NEAREST_M = 3.0
+"""points nearer than this are left out, since they belong to the car itself"""
 _FEWEST_POINTS = 100
 """a scan with fewer points is skipped"""
 _START_SCANS = 4
@@ -38,7 +40,6 @@ def lidar_odometry(
     lidar: LidarStream,
     reporter: Reporter | None = None,
     *,
-    nearest_m: float = 3.0,
     max_gap_ns: int = 1_000_000_000,
 ) -> Trajectory:
     """The poses of the rig at the times of the scans, in the frame of the first pose.
@@ -49,7 +50,6 @@ def lidar_odometry(
     The computation uses one thread, so that the same scans give the same bytes.
 
     Args:
-        nearest_m: points nearer than this are left out, since they belong to the car itself.
         max_gap_ns: the trajectory is interrupted where two scans are further apart in time than this.
 
     Raises:
@@ -59,12 +59,12 @@ def lidar_odometry(
     if lidar.pattern != "spinning":
         raise ConfigError(f"odometry from lidar needs a spinning lidar; {lidar.name} is {lidar.pattern}")
     times = lidar.times_ns
-    started = _Registration(lidar, nearest_m)
+    started = _Registration(lidar)
     if _is_skewed(lidar.read(0)):
         # Deskewing the first scan needs a velocity: a rough one comes from registering some scans without deskewing.
         for i in range(min(_START_SCANS, len(times))):
             started.add(int(times[i]), lidar.read(i))
-    run = _Registration(lidar, nearest_m, started.twist)
+    run = _Registration(lidar, started.twist)
     skewed = False
     with (reporter or Silent()).stage(f"odometry from {lidar.name}", len(times)) as advance:
         for i, time in enumerate(times.tolist()):
@@ -79,15 +79,13 @@ def lidar_odometry(
         title = f"odometry from {lidar.name}, once more"
         with (reporter or Silent()).stage(title, _PASSES * len(run.times)) as advance:
             for _ in range(_PASSES):
-                T_first_lidar = _once_more(lidar, nearest_m, run.times, T_first_lidar, max_gap_ns, advance)
+                T_first_lidar = _once_more(lidar, run.times, T_first_lidar, max_gap_ns, advance)
     T_first_lidar = make_transform(project_to_rotation(T_first_lidar[:, :3, :3]), T_first_lidar[:, :3, 3])
     T_odom_rig = lidar.T_rig_lidar @ invert(T_first_lidar[0]) @ T_first_lidar @ invert(lidar.T_rig_lidar)
     return Trajectory(np.array(run.times, dtype=np.int64), T_odom_rig, max_gap_ns, smooth=True)
 
 
-def _once_more(
-    lidar: LidarStream, nearest_m: float, times: list[int], T_first_lidar: Array, max_gap_ns: int, advance: Advance
-) -> Array:
+def _once_more(lidar: LidarStream, times: list[int], T_first_lidar: Array, max_gap_ns: int, advance: Advance) -> Array:
     """Poses (N, 4, 4) of scans, registered again from known poses (N, 4, 4), by which they are deskewed.
 
     A velocity from before a scan knows nothing of how the car brakes, turns and sways during the scan.
@@ -97,7 +95,7 @@ def _once_more(
     planes, poses = LocalMap(), [T_first_lidar[0]]
     for k, time in enumerate(times):
         points = _deskewed_by(lidar.read(index[time]), known, k)
-        outside = points[np.sum(points**2, axis=1) >= nearest_m**2]
+        outside = points[np.sum(points**2, axis=1) >= _NEAREST_M**2]
         if k:
             poses.append(planes.fit(outside, poses[-1] @ invert(T_first_lidar[k - 1]) @ T_first_lidar[k]))
         planes.insert(outside, poses[k])
@@ -129,10 +127,9 @@ def _deskewed_by(scan: Scan, known: Trajectory, k: int) -> Array:
 class _Registration:
     """Registers one scan after another against a local map of the scans before."""
 
-    def __init__(self, lidar: LidarStream, nearest_m: float, twist: Array | None = None) -> None:
-        self._icp = _kiss_icp(lidar.max_range_m, nearest_m)
+    def __init__(self, lidar: LidarStream, twist: Array | None = None) -> None:
+        self._icp = _kiss_icp(lidar.max_range_m)
         self._planes = LocalMap()
-        self._nearest_m = nearest_m
         self.twist = np.zeros(6) if twist is None else twist
         """(6,) velocity: twist per nanosecond"""
         self.times: list[int] = []
@@ -145,7 +142,7 @@ class _Registration:
         elapsed = time_ns - self.times[-1] if self.times else 0
         self._icp.last_delta = se3_exp(self.twist * elapsed)
         points = deskewed(scan, time_ns, self.twist)
-        outside = points[np.sum(points**2, axis=1) >= self._nearest_m**2]
+        outside = points[np.sum(points**2, axis=1) >= _NEAREST_M**2]
         if len(outside) < _FEWEST_POINTS:
             return
         self._icp.register_frame(points, np.empty(0))
@@ -183,7 +180,7 @@ def _is_skewed(scan: Scan) -> bool:
     return bool(len(scan.times_ns)) and bool(np.ptp(scan.times_ns) > 0)
 
 
-def _kiss_icp(farthest_m: float, nearest_m: float) -> Any:
+def _kiss_icp(farthest_m: float) -> Any:
     """KISS-ICP with every setting given, so that environment variables cannot change any."""
     from kiss_icp.config import KISSConfig
     from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig
@@ -193,7 +190,7 @@ def _kiss_icp(farthest_m: float, nearest_m: float) -> Any:
     return KissICP(
         KISSConfig(
             out_dir="",
-            data=DataConfig(max_range=reach, min_range=nearest_m, deskew=False),
+            data=DataConfig(max_range=reach, min_range=_NEAREST_M, deskew=False),
             mapping=MappingConfig(voxel_size=reach / 100.0, max_points_per_voxel=20),
             registration=RegistrationConfig(max_num_iterations=500, convergence_criterion=1e-4, max_num_threads=1),
             adaptive_threshold=AdaptiveThresholdConfig(fixed_threshold=None, initial_threshold=2.0, min_motion_th=0.1),

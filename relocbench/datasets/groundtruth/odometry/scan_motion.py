@@ -44,7 +44,7 @@ _NEAREST_M, _FARTHEST_M = 3.0, 50.0
 
 @dataclass(frozen=True)
 class Detected:
-    """What was told, and from what."""
+    """How scans were taken, and the evidence for it."""
 
     motion: ScanMotion
     evidence: str
@@ -87,10 +87,10 @@ def detect_motion(compensated: LidarStream, distorted: LidarStream) -> Detected:
     for first in _from_the_middle(starts):
         if count < _SCANS or len(fits) == _WINDOWS:
             break
-        found = [_fit(_Part(stream, first, _SCANS)) for stream in (compensated, distorted)]
-        if any(one is None for one in found):
+        parts = [_fit(_Part(stream, first, _SCANS)) for stream in (compensated, distorted)]
+        if any(fit is None for fit in parts):
             continue
-        (plain, moved), (corrected, _) = found  # type: ignore[misc]
+        (plain, moved), (corrected, _) = parts  # type: ignore[misc]
         if moved >= _LEAST_M:
             fits.append((plain, corrected))
             speeds.append(moved)
@@ -117,9 +117,9 @@ def detected_motion(title: str, compensated: LidarStream, distorted: LidarStream
     Raises:
         DatasetError: a scan is damaged.
     """
-    told = detect_motion(compensated, distorted)
-    reporter.note(f"{title}: scans are taken as {told.motion} by motion: {told.evidence} (--motion)")
-    return told.motion
+    detected = detect_motion(compensated, distorted)
+    reporter.note(f"{title}: scans are taken as {detected.motion} by motion: {detected.evidence} (--motion)")
+    return detected.motion
 
 
 def _from_the_middle(starts: Sequence[int]) -> list[int]:

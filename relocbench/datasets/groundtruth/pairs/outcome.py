@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import Trajectory
-from relocbench.geometry import adjoint, interpolate, invert
+from relocbench.geometry import adjoint, interpolate, invert, rotation_angle
 
 SOURCE = "lidar registration, pose graph"
 _SYSTEMATIC = np.diag(np.repeat([0.0007**2, np.radians(0.004) ** 2], 3))
@@ -36,9 +36,8 @@ class OutcomeLimits:
     away, the limits on sigmas are reduced"""
     one_sided: float = 0.5
     """factor of this reduction"""
-    sigma_along_m: float = 0.05
-    sigma_across_m: float = 0.05
-    sigma_height_m: float = 0.05
+    sigma_m: float = 0.05
+    """largest sigma of the position along each axis"""
     sigma_rotation_deg: float = 0.15
     contradiction_m: float = 30.0
     """least distance, along either drive, from an odometry edge that registrations contradict"""
@@ -50,17 +49,17 @@ class PairOutcome:
 
     ref_timestamp_ns: int
     query_timestamp_ns: int
-    T_query_ref: Array | None
+    T_query_ref: Array | None = None
     """(4, 4) camera to camera; None if it is unknown"""
-    covariance: Array | None
+    covariance: Array | None = None
     """(6, 6) of ``xi`` in ``T_ref_query @ se3_exp(xi)``, camera to camera, in the query camera's axes"""
-    sigma_along_m: float | None
+    sigma_along_m: float | None = None
     """standard deviation of the query camera's centre along the query rig's x"""
-    sigma_across_m: float | None
+    sigma_across_m: float | None = None
     """along its y"""
-    sigma_height_m: float | None
+    sigma_height_m: float | None = None
     """along its z"""
-    sigma_rotation_deg: float | None
+    sigma_rotation_deg: float | None = None
     """standard deviation of the rotation about one axis: ``sqrt(trace / 3)``"""
     reason: str = ""
     """why it is rejected; empty if it is accepted"""
@@ -106,6 +105,28 @@ def axis_sigmas(covariance: Array, R_rig_cam: Array) -> tuple[float, float, floa
     return along, across, height, float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:]) / 3)))
 
 
+def nearest_keyframe(T_keyframes: Array, T_querycam: Array, max_angle_deg: float, among: Mask) -> tuple[int, str]:
+    """Row of the nearest keyframe that is turned by at most ``max_angle_deg``.
+
+    If there is none, the nearest of all and why it is rejected.
+
+    Args:
+        T_keyframes: (M, 4, 4) poses of the keyframes.
+        T_querycam: (4, 4) in the same frame.
+        among: (M,) keyframes to choose from, at least one.
+    """
+    apart = np.linalg.norm(T_keyframes[:, :3, 3] - T_querycam[:3, 3], axis=1)
+    turned = np.degrees(rotation_angle(np.swapaxes(T_keyframes[:, :3, :3], -1, -2) @ T_querycam[:3, :3]))
+    fit = among & (turned <= max_angle_deg)
+    best = int(np.argmin(np.where(fit if fit.any() else among, apart, np.inf)))
+    return best, "" if fit.any() else f"no keyframe within {max_angle_deg:g} deg: {turned[best]:.0f} deg"
+
+
+def too_far(apart_m: float, limit_m: float) -> str:
+    """Why a keyframe is too far away to be paired; empty if it is not."""
+    return f"no keyframe within {limit_m:g} m: nearest {apart_m:.0f} m" if apart_m > limit_m else ""
+
+
 @dataclass(frozen=True, eq=False)
 class RigPose:
     """Pose of the rig at some time, by the pose graph."""
@@ -146,11 +167,11 @@ class SolvedDrive:
             return None
         steps = [invert(self.nodes.T_odom_node[n]) @ T_odom_rig for n in around]
         distances = [float(np.linalg.norm(T[:3, 3])) for T in steps]
-        said = [self.T_world_node[n] @ T for n, T in zip(around, steps, strict=True)]
+        poses = [self.T_world_node[n] @ T for n, T in zip(around, steps, strict=True)]
         nearest = int(np.argmin(distances))
         if len(around) == 1 or sum(distances) < 1e-9:
-            return RigPose(around[nearest], said[nearest], distances[nearest])
-        T_world_rig = interpolate(said[0], said[1], distances[0] / (distances[0] + distances[1]))
+            return RigPose(around[nearest], poses[nearest], distances[nearest])
+        T_world_rig = interpolate(poses[0], poses[1], distances[0] / (distances[0] + distances[1]))
         return RigPose(around[nearest], T_world_rig, distances[nearest])
 
 
@@ -193,43 +214,38 @@ class Outcomes:
             ref_ns, query_ns: times of the images.
             T_rig_refcam, T_rig_querycam: (4, 4) extrinsics of both cameras.
         """
-        there, here = self.reference.place(ref_ns), self.query.place(query_ns)
-        if there is None or here is None:
-            which = "keyframe" if there is None else "query"
-            return self._unknown(ref_ns, query_ns, f"no odometry at the time of the {which}")
-        if not self.solution.connected(there.node, here.node):
-            return self._unknown(ref_ns, query_ns, f"not registered: {self._why(here.node)}")
-        covariance = self._covariance(there, here, T_rig_refcam, T_rig_querycam)
-        T_query_ref = invert(here.T_world_rig @ T_rig_querycam) @ there.T_world_rig @ T_rig_refcam
+        ref, query = self.reference.place(ref_ns), self.query.place(query_ns)
+        if ref is None or query is None:
+            which = "keyframe" if ref is None else "query"
+            return PairOutcome(ref_ns, query_ns, reason=f"no odometry at the time of the {which}")
+        if not self.solution.connected(ref.node, query.node):
+            return PairOutcome(ref_ns, query_ns, reason=f"not registered: {self._why(query.node)}")
+        covariance = self._covariance(ref, query, T_rig_querycam)
+        T_query_ref = invert(query.T_world_rig @ T_rig_querycam) @ ref.T_world_rig @ T_rig_refcam
         R = T_rig_querycam[:3, :3]
         along, across, height, rotation = axis_sigmas(covariance, R)
-        reason = self._rejection(there, here, T_query_ref, (along, across, height, rotation))
+        reason = self._rejection(ref, query, T_query_ref, (along, across, height, rotation))
         if reason.startswith("sigma") and self.solution.shared is not None:
-            alone = axis_sigmas(self._covariance(there, here, T_rig_refcam, T_rig_querycam, shared=False), R)
-            if not self._rejection(there, here, T_query_ref, alone):
+            alone = axis_sigmas(self._covariance(ref, query, T_rig_querycam, shared=False), R)
+            if not self._rejection(ref, query, T_query_ref, alone):
                 reason = f"calibration of the lidars too uncertain: {reason}"
         return PairOutcome(ref_ns, query_ns, T_query_ref, covariance, along, across, height, rotation, reason)
 
-    def _unknown(self, ref_ns: int, query_ns: int, reason: str) -> PairOutcome:
-        return PairOutcome(ref_ns, query_ns, None, None, None, None, None, None, reason)
-
-    def _covariance(
-        self, there: RigPose, here: RigPose, T_rig_refcam: Array, T_rig_querycam: Array, shared: bool = True
-    ) -> Array:
+    def _covariance(self, ref: RigPose, query: RigPose, T_rig_querycam: Array, shared: bool = True) -> Array:
         """(6, 6) covariance of the twist on the right of ``T_refcam_querycam``.
 
         It is the sum of the covariances of the nodes' relative pose and of the odometry from each node to its image,
         all transformed to the query camera.
         """
         solution = self.solution
-        _, nodes = solution.relative(there.node, here.node, shared)
-        T_querynode_cam = invert(solution.T_world_query[here.node]) @ here.T_world_rig @ T_rig_querycam
-        T_refrig_cam = invert(there.T_world_rig) @ here.T_world_rig @ T_rig_querycam
+        nodes = solution.covariance(ref.node, query.node, shared)
+        T_querynode_cam = invert(solution.T_world_query[query.node]) @ query.T_world_rig @ T_rig_querycam
+        T_refrig_cam = invert(ref.T_world_rig) @ query.T_world_rig @ T_rig_querycam
         out = np.zeros((6, 6))
         for T, cov in (
             (T_querynode_cam, nodes),
-            (T_rig_querycam, self._motion(here.distance_m) + self._white[1]),
-            (T_refrig_cam, self._motion(there.distance_m) + self._white[0]),
+            (T_rig_querycam, self._motion(query.distance_m) + self._white[1]),
+            (T_refrig_cam, self._motion(ref.distance_m) + self._white[0]),
         ):
             A = adjoint(invert(T))
             out += A @ cov @ A.T
@@ -237,31 +253,28 @@ class Outcomes:
 
     def _motion(self, distance_m: float) -> Array:
         """(6, 6) covariance of odometry over a distance from a node."""
-        noise = self.solution.noise
-        return np.diag(distance_m * noise.sigma**2)
+        return np.diag(distance_m * self.solution.noise.sigma**2)
 
     def _rejection(
-        self, there: RigPose, here: RigPose, T_query_ref: Array, sigmas: tuple[float, float, float, float]
+        self, ref: RigPose, query: RigPose, T_query_ref: Array, sigmas: tuple[float, float, float, float]
     ) -> str:
         """Why a pair is rejected, the simplest reason first; empty if it is accepted."""
         limits, count = self.limits, self.solution.drives.reference_count
-        apart = float(np.linalg.norm(T_query_ref[:3, 3]))
-        if apart > limits.distance_m:
-            return f"no keyframe within {limits.distance_m:g} m: nearest {apart:.0f} m"
-        before, after = self.solution.arc_length_to_trusted[count + here.node].tolist()
-        nearest = max(min(before, after), float(self.solution.arc_length_to_trusted[there.node].min()))
+        if reason := too_far(float(np.linalg.norm(T_query_ref[:3, 3])), limits.distance_m):
+            return reason
+        before, after = self.solution.arc_length_to_trusted[count + query.node].tolist()
+        nearest = max(min(before, after), float(self.solution.arc_length_to_trusted[ref.node].min()))
         if nearest > limits.evidence_m:
-            return f"not registered within {limits.evidence_m:g} m, {_metres(nearest)}: {self._why(here.node)}"
-        contradiction = min(self._way_to_contradiction[there.node], self._way_to_contradiction[count + here.node])
+            return f"not registered within {limits.evidence_m:g} m, {_metres(nearest)}: {self._why(query.node)}"
+        contradiction = min(self._way_to_contradiction[ref.node], self._way_to_contradiction[count + query.node])
         if contradiction <= limits.contradiction_m:
             return f"odometry and registrations contradict each other {contradiction:.0f} m away"
         one_sided = max(before, after) > limits.both_sides_m
         share = limits.one_sided if one_sided else 1.0
         end = ", with registrations on one side only" if one_sided else ""
-        allowed = (limits.sigma_along_m, limits.sigma_across_m, limits.sigma_height_m)
-        for name, sigma, limit in zip(("along", "across", "above"), sigmas[:3], allowed, strict=True):
-            if sigma > share * limit:
-                return f"sigma {name} the street {sigma:.2f} m exceeds {share * limit:g} m{end}"
+        for name, sigma in zip(("along", "across", "above"), sigmas[:3], strict=True):
+            if sigma > share * limits.sigma_m:
+                return f"sigma {name} the street {sigma:.2f} m exceeds {share * limits.sigma_m:g} m{end}"
         if sigmas[3] > share * limits.sigma_rotation_deg:
             return f"sigma of rotation {sigmas[3]:.2f} deg exceeds {share * limits.sigma_rotation_deg:g} deg{end}"
         return ""
@@ -269,14 +282,14 @@ class Outcomes:
     def _why(self, query_node: int) -> str:
         """The most frequent reason why registrations near a query node are not trusted."""
         nodes, at = self.query.nodes, self.query.nodes.travelled_m[query_node]
-        said = [
+        reasons = [
             verdict or "its registration is checked by no other"
             for registration, verdict, trusted in zip(
                 self._registrations, self.solution.verdicts, self.solution.trusted, strict=False
             )
             if abs(nodes.travelled_m[registration.query] - at) <= self.limits.evidence_m and not trusted
         ]
-        return Counter(said).most_common(1)[0][0] if said else "no registration was found there"
+        return Counter(reasons).most_common(1)[0][0] if reasons else "no registration was found there"
 
 
 def _metres(distance_m: float) -> str:

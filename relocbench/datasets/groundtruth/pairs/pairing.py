@@ -8,14 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relocbench.arrays import Array, Indices
-from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
+from relocbench.datasets.groundtruth.alignment.two_drives import map_prior, solve_drive
 from relocbench.datasets.groundtruth.odometry.jitter import white_noise
-from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, SolvedDrive
+from relocbench.datasets.groundtruth.pairs.outcome import (
+    OutcomeLimits,
+    Outcomes,
+    PairOutcome,
+    SolvedDrive,
+    nearest_keyframe,
+)
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
 from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, Solution
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
-from relocbench.geometry import rotation_angle
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +42,6 @@ class PairingUnit:
     query: Drive
     registrations: tuple[Registration, ...]
     cameras: tuple[CameraFrames, ...]
-    options: AlignmentOptions
     limits: OutcomeLimits
     max_angle_deg: float
     shared: SharedErrors | None = None
@@ -59,7 +63,7 @@ class Paired:
 
 def pair_up(unit: PairingUnit) -> Paired:
     """Solve the pose graph of two drives and compute the outcome of every pair."""
-    solution = solve_drive(unit.reference, unit.query, unit.registrations, unit.options)
+    solution = solve_drive(unit.reference, unit.query, unit.registrations)
     solution = replace(solution, shared=unit.shared)
     outcomes = Outcomes(
         solution,
@@ -125,17 +129,9 @@ class _Keyframes:
         return cls(tuple(time for time, _ in places), poses.reshape(-1, 4, 4), solution.part[nodes])
 
     def nearest(self, T_world_cam: Array, part: int, max_angle_deg: float) -> tuple[int | None, str]:
-        """Time of the nearest keyframe, in a part of the graph, that is turned by at most ``max_angle_deg``.
-
-        If there is none, the nearest keyframe and the reason for rejection; None if the part has no keyframe.
-        """
-        here = self.part == part
-        if not here.any():
+        """Time of the :func:`nearest_keyframe` in a part of the graph, None if it has none; and why it is rejected."""
+        connected = self.part == part
+        if not connected.any():
             return None, ""
-        apart = np.linalg.norm(self.T_world_cam[:, :3, 3] - T_world_cam[:3, 3], axis=1)
-        relative = np.swapaxes(self.T_world_cam[:, :3, :3], -1, -2) @ T_world_cam[:3, :3]
-        turned = np.degrees(rotation_angle(relative))
-        fit = here & (turned <= max_angle_deg)
-        best = int(np.argmin(np.where(fit if fit.any() else here, apart, np.inf)))
-        reason = "" if fit.any() else f"no keyframe within {max_angle_deg:g} deg: {turned[best]:.0f} deg"
+        best, reason = nearest_keyframe(self.T_world_cam, T_world_cam, max_angle_deg, connected)
         return self.times[best], reason

@@ -38,4 +38,4 @@ def reduced_words(words: str, factor: float) -> str:
     """Words in which every length is divided by the factor, to two digits: with 8, ``12 m`` become ``1.5 m``."""
     if factor == 1.0:
         return words
-    return _LENGTH.sub(lambda found: f"{float(f'{float(found.group()) / factor:.2g}'):g}", words)
+    return _LENGTH.sub(lambda length: f"{float(f'{float(length.group()) / factor:.2g}'):g}", words)

@@ -16,10 +16,14 @@ import numpy as np
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
-from relocbench.datasets.groundtruth.pose_graph.edge_information import minimum, nearest_semidefinite, scatter_by_patch
+from relocbench.datasets.groundtruth.pose_graph.edge_information import (
+    minimum,
+    nearest_semidefinite,
+    patches_of,
+    scatter_by_patch,
+)
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample
-from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 
 _OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(1500,), near_m=(1e9,))
 _KEPT = 64
@@ -31,8 +35,6 @@ _PATCH_M = 1.0
 """size of the patches of surface on which errors are correlated"""
 _MOVED_M = 0.015
 """mean distance of a patch, of very many points, at which its points have a weight of 1/4"""
-_CHARACTERISTIC_LENGTH_M, _OPEN_SHARE = 10.0, 1e-4
-"""see :class:`relocbench.datasets.groundtruth.pose_graph.local_edges.LocalOptions`"""
 
 
 class BlockFits:
@@ -52,11 +54,11 @@ class BlockFits:
         of_patches = weights_of_patches(matches.residuals, matches.patches)
         weights = of_patches * matches.weights
         product = matches.by_points.T @ ((of_patches * matches.slopes)[:, None] * matches.by_planes)
-        H = nearest_semidefinite(product, _CHARACTERISTIC_LENGTH_M)
+        H = nearest_semidefinite(product)
         gradients = (weights * matches.residuals)[:, None] * matches.by_points
         g = gradients.sum(axis=0)
         # The scatter is that of the residuals which are left at the minimum of this fit.
-        left = matches.residuals + matches.by_planes @ minimum(H, g, _CHARACTERISTIC_LENGTH_M, _OPEN_SHARE)
+        left = matches.residuals + matches.by_planes @ minimum(H, g)
         scatter = scatter_by_patch((weights * left)[:, None] * matches.by_points, matches.patches)
         return LocalFit(H, g, scatter, len(matches))
 
@@ -104,8 +106,8 @@ def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
     weights = surface / np.square(1 + square)
     slopes = surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
     by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
-    facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
-    return Matches(by_planes, by_points, residuals, weights, slopes, 4 * voxel_keys(q, _PATCH_M) + facing, q)
+    patches = patches_of(q, points.normals[rows], _PATCH_M)
+    return Matches(by_planes, by_points, residuals, weights, slopes, patches, q)
 
 
 def weights_of_patches(residuals: Array, patches: Indices) -> Array:

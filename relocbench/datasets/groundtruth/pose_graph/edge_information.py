@@ -5,8 +5,8 @@ along the street are edges and recesses, which fit worse than facades, and error
 scatter of the gradient, summed patch by patch of surface, accounts for both (White, "A heteroskedasticity-consistent
 covariance matrix estimator", Econometrica 1980; by clusters: Liang and Zeger, Biometrika 1986).
 
-Rotations are compared with translations by a characteristic length: a rotation counts as the translation that it causes
-at this distance.
+Rotations are compared with translations at a characteristic length of 10 m: a rotation counts as the translation that
+it causes at this distance.
 """
 
 from __future__ import annotations
@@ -14,35 +14,38 @@ from __future__ import annotations
 import numpy as np
 
 from relocbench.arrays import Array, Indices
+from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 
+LENGTH_M = 10.0
+"""the characteristic length"""
+_SCALE = np.array([1.0, 1.0, 1.0, *[1.0 / LENGTH_M] * 3])
+"""(6,) factors by which rotations in metres, at the characteristic length, become radians"""
 _RIDGE = 1e-9
 """share of the trace that is added to the diagonal, so that open directions do not make a matrix singular"""
 
 
-def _scale(characteristic_length_m: float) -> Array:
-    """(6,) factors by which rotations in metres, at the characteristic length, become radians."""
-    return np.array([1.0, 1.0, 1.0, *[1.0 / characteristic_length_m] * 3])
-
-
-def nearest_semidefinite(H: Array, characteristic_length_m: float) -> Array:
+def nearest_semidefinite(H: Array) -> Array:
     """(6, 6) the symmetric positive semidefinite matrix that is nearest to H (6, 6)."""
-    scale = _scale(characteristic_length_m)
-    values, vectors = np.linalg.eigh(scale[:, None] * (H + H.T) / 2 * scale)
+    values, vectors = np.linalg.eigh(_SCALE[:, None] * (H + H.T) / 2 * _SCALE)
     nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return np.asarray(nearest / scale[:, None] / scale)
+    return np.asarray(nearest / _SCALE[:, None] / _SCALE)
 
 
-def minimum(H: Array, g: Array, characteristic_length_m: float, open_share: float) -> Array:
+def minimum(H: Array, g: Array, open_share: float = 1e-4) -> Array:
     """``-H^+ g`` (6,): the step to the minimum, with no motion in open directions.
 
     Args:
         open_share: a direction with less than this share of the largest eigenvalue of H is open.
     """
-    scale = _scale(characteristic_length_m)
-    values, vectors = np.linalg.eigh(scale[:, None] * H * scale)
+    values, vectors = np.linalg.eigh(_SCALE[:, None] * H * _SCALE)
     known = values > open_share * max(values[-1], 1e-300)
     inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
-    return np.asarray(-scale * (vectors @ (inverse * (vectors.T @ (scale * g)))))
+    return np.asarray(-_SCALE * (vectors @ (inverse * (vectors.T @ (_SCALE * g)))))
+
+
+def patches_of(points: Array, normals: Array, size_m: float) -> Indices:
+    """(M,) number of the patch of surface, ``size_m`` wide, that each point (M, 3) with a normal (M, 3) lies on."""
+    return np.asarray(4 * voxel_keys(points, size_m) + np.argmax(np.abs(normals), axis=1))
 
 
 def scatter_by_patch(gradients: Array, patch: Indices) -> Array:
@@ -58,7 +61,7 @@ def scatter_by_patch(gradients: Array, patch: Indices) -> Array:
     return np.asarray(sums.T @ sums)
 
 
-def sandwich_information(H: Array, scatter: Array, floor: float, characteristic_length_m: float) -> Array:
+def sandwich_information(H: Array, scatter: Array, floor: float) -> Array:
     """(6, 6) information ``H (S + floor H)^-1 H``, the inverse of the sandwich estimator of the covariance.
 
     Args:
@@ -66,12 +69,11 @@ def sandwich_information(H: Array, scatter: Array, floor: float, characteristic_
         scatter: (6, 6) S, the scatter of the gradient.
         floor: variance of a distance that is added, m^2.
     """
-    scale = _scale(characteristic_length_m)
-    scaled, spread = (scale[:, None] * m * scale for m in (H, scatter))
+    scaled, spread = (_SCALE[:, None] * m * _SCALE for m in (H, scatter))
     spread = spread + floor * scaled
     spread = spread + _RIDGE * max(float(np.trace(spread)), 1e-300) * np.eye(6)
     information = scaled @ np.linalg.solve(spread, scaled)
-    return np.asarray((information + information.T) / 2 / scale[:, None] / scale)
+    return np.asarray((information + information.T) / 2 / _SCALE[:, None] / _SCALE)
 
 
 def with_block_distortion(information: Array, variance: Array) -> Array:

@@ -51,6 +51,19 @@ class Edges:
         """The edges of all parts, in their order."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
+    @classmethod
+    def of_registrations(
+        cls, first: Sequence[int], second: Sequence[int], T_first_second: Sequence[Array], information: Sequence[Array]
+    ) -> Edges:
+        """Edges by registrations, in their order."""
+        return cls(
+            np.array(first, dtype=np.int64),
+            np.array(second, dtype=np.int64),
+            np.array(T_first_second, dtype=np.float64).reshape(-1, 4, 4),
+            np.array(information, dtype=np.float64).reshape(-1, 6, 6),
+            np.full(len(first), Kind.REGISTRATION, dtype=np.int64),
+        )
+
     def relative_poses(self, T_world_node: Array) -> Array:
         """(E, 4, 4) relative poses ``T_first_second`` by the node poses (N, 4, 4)."""
         return np.asarray(invert(T_world_node[self.first]) @ T_world_node[self.second])

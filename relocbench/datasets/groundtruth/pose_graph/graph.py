@@ -95,8 +95,8 @@ class Solution:
     def _covariances(self) -> Covariances:
         return Covariances(self.T_world_node, self.edges, scales_of(self.drives, self.edges))
 
-    def relative(self, ref: int, query: int, shared: bool = True) -> tuple[Array, Array]:
-        """``T_ref_query`` (4, 4) and the covariance (6, 6) of ``xi = (rho, phi)`` in ``T_ref_query @ se3_exp(xi)``.
+    def covariance(self, ref: int, query: int, shared: bool = True) -> Array:
+        """(6, 6) covariance of ``xi = (rho, phi)`` in ``T_ref_query @ se3_exp(xi)``, node to node.
 
         Calls in the order of the road are fastest, since neighbouring pairs share most of the work.
 
@@ -108,11 +108,11 @@ class Solution:
         """
         if not self.connected(ref, query):
             raise ValueError(f"nothing connects reference node {ref} with query node {query}")
-        T_ref_query, second = self.pose(ref, query), query + self.drives.reference_count
+        second = query + self.drives.reference_count
         covariance = self._covariances.relative(np.array([ref]), np.array([second]))[0]
         if shared and self.shared is not None:
-            covariance = covariance + self.shared.relative(ref, second, invert(T_ref_query))
-        return T_ref_query, covariance
+            covariance = covariance + self.shared.relative(ref, second, invert(self.pose(ref, query)))
+        return np.asarray(covariance)
 
     def contradicted_odometry(self, significance: float = 1e-9) -> list[tuple[int, int]]:
         """Odometry edges that registrations contradict: (node, next node).
@@ -165,13 +165,11 @@ def optimise(
 
 def registration_edges(drives: BothDrives, registrations: Sequence[Registration]) -> Edges:
     """The registrations as edges, in their order."""
-    count = len(registrations)
-    return Edges(
-        np.array([r.ref for r in registrations], dtype=np.int64),
-        np.array([r.query + drives.reference_count for r in registrations], dtype=np.int64),
-        np.array([r.T_ref_query for r in registrations], dtype=np.float64).reshape(count, 4, 4),
-        np.array([r.information for r in registrations], dtype=np.float64).reshape(count, 6, 6),
-        np.full(count, Kind.REGISTRATION, dtype=np.int64),
+    return Edges.of_registrations(
+        [r.ref for r in registrations],
+        [r.query + drives.reference_count for r in registrations],
+        [r.T_ref_query for r in registrations],
+        [r.information for r in registrations],
     )
 
 

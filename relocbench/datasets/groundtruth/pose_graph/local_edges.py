@@ -82,10 +82,6 @@ class LocalOptions:
     """largest number of times that the fits are linearised"""
     settled_m: float = 5e-4
     """the iterations end when no pair of tied blocks moves further than this"""
-    characteristic_length_m: float = 10.0
-    """see :mod:`relocbench.datasets.groundtruth.pose_graph.edge_information`"""
-    open_share: float = 1e-4
-    """a direction with less than this share of the strongest one's information is open, and is not moved by the fit"""
     significance: float = 1e-6
     """probability that a right edge is rejected as an outlier"""
     estimate_noise: bool = True
@@ -176,7 +172,6 @@ def local_edges(
     The information is that of the fit, reduced by the noise of the odometry inside the blocks.
     """
     count = solution.drives.reference_count
-    floor = options.least_sigma_m**2 * options.correlation
     first, second, poses, information = [], [], [], []
     for ref, query in pairs:
         T_ref_query = invert(T_world_node[ref]) @ T_world_node[count + query]
@@ -185,16 +180,16 @@ def local_edges(
             continue
         first.append(ref)
         second.append(count + query)
-        poses.append(T_ref_query @ se3_exp(minimum(fit.H, fit.g, options.characteristic_length_m, options.open_share)))
-        own = sandwich_information(fit.H, options.repeats * fit.scatter, floor, options.characteristic_length_m)
-        information.append(with_block_distortion(own, options.inside_m * noise.sigma**2))
-    return Edges(
-        np.array(first, dtype=np.int64),
-        np.array(second, dtype=np.int64),
-        np.array(poses, dtype=np.float64).reshape(-1, 4, 4),
-        np.array(information, dtype=np.float64).reshape(-1, 6, 6),
-        np.full(len(first), Kind.REGISTRATION, dtype=np.int64),
-    )
+        poses.append(T_ref_query @ se3_exp(minimum(fit.H, fit.g)))
+        information.append(information_of(fit, noise, options))
+    return Edges.of_registrations(first, second, poses, information)
+
+
+def information_of(fit: LocalFit, noise: OdometryNoise, options: LocalOptions) -> Array:
+    """(6, 6) information of the edge by a fit, less the noise of the odometry inside both blocks."""
+    floor = options.least_sigma_m**2 * options.correlation
+    own = sandwich_information(fit.H, options.repeats * fit.scatter, floor)
+    return with_block_distortion(own, options.inside_m * noise.sigma**2)
 
 
 def _without_outliers(

@@ -39,16 +39,13 @@ class OutlierTest:
     @property
     def chi2(self) -> Array:
         """(E,) test statistic with ``freedom`` degrees of freedom"""
-        out: Array = np.where(
-            self.checked, self.squares / np.maximum(self.redundancy_numbers, _LEAST_CHECKED), 0.0
-        ).sum(axis=1)
-        return out
+        squares = self.squares / np.maximum(self.redundancy_numbers, _LEAST_CHECKED)
+        return np.asarray(np.where(self.checked, squares, 0.0).sum(axis=1))
 
     @property
     def redundancy(self) -> Array:
         """(E,) total redundancy in [0, 6]: how much of the edge is known from the others"""
-        out: Array = np.clip(self.redundancy_numbers, 0.0, 1.0).sum(axis=1)
-        return out
+        return np.asarray(np.clip(self.redundancy_numbers, 0.0, 1.0).sum(axis=1))
 
     @property
     def p_value(self) -> Array:

@@ -8,7 +8,6 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
-from relocbench.datasets.groundtruth.blocks.nodes import nearest_nodes
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome, axis_sigmas
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
@@ -27,7 +26,7 @@ def outcomes_of(unit: ChainUnit, pairs: Sequence[Registration]) -> list[PairOutc
     for pair in pairs:
         times = unit.keyframes.times_ns[pair.ref], unit.queries.times_ns[pair.query]
         if not np.isfinite(pair.T_ref_query).all():
-            out.append(PairOutcome(*times, None, None, None, None, None, None, pair.reason, SOURCE))
+            out.append(PairOutcome(*times, reason=pair.reason, source=SOURCE))
             continue
         A = adjoint(invert(T_rig_querycam))
         covariance = A @ np.linalg.pinv(pair.information, hermitian=True) @ A.T
@@ -42,10 +41,10 @@ def between_nodes(unit: ChainUnit, pairs: Sequence[Registration], reference: Dri
     out: dict[int, Registration] = {}
     for pair in pairs:
         times = unit.keyframes.times_ns[pair.ref], unit.queries.times_ns[pair.query]
-        i, j = (_nearest(drive, int(time)) for drive, time in zip((reference, query), times, strict=True))
+        i, j = reference.nearest_node(times[0]), query.nearest_node(times[1])
         T, information = pair.T_ref_query, pair.information
         if np.isfinite(T).all():
-            T_refnode_ref, T_querynode_query = _from_node(reference, i, times[0]), _from_node(query, j, times[1])
+            T_refnode_ref, T_querynode_query = reference.from_node(i, times[0]), query.from_node(j, times[1])
             T = T_refnode_ref @ T @ invert(T_querynode_query)
             # T exp(xi) inv(Q) = T inv(Q) exp(Ad_Q xi), so that xi_query = Ad_inv(Q) xi_node.
             A = adjoint(invert(T_querynode_query))
@@ -78,14 +77,3 @@ def placed(registrations: Sequence[Registration], reference: Drive, query: Drive
 def _world_of(pair: Registration, reference: Nodes, query: Nodes) -> Array:
     """(4, 4) the query's odometry frame in the reference's, by one pair."""
     return np.asarray(reference.T_odom_node[pair.ref] @ pair.T_ref_query @ invert(query.T_odom_node[pair.query]))
-
-
-def _nearest(drive: Drive, time_ns: int) -> int:
-    """The nearest node on the same piece of the odometry, or the nearest of all for a time that has none."""
-    node = int(nearest_nodes(drive.nodes, drive.recording.odometry, np.array([time_ns], dtype=np.int64))[0])
-    return node if node >= 0 else int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
-
-
-def _from_node(drive: Drive, node: int, time_ns: int) -> Array:
-    T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
-    return np.asarray(invert(drive.nodes.T_odom_node[node]) @ T_odom_rig)

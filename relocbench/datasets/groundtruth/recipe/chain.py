@@ -14,6 +14,10 @@ from functools import lru_cache
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
+from relocbench.datasets.groundtruth.blocks.making import BlockOptions
+from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
+from relocbench.datasets.groundtruth.pairs.outcome import nearest_keyframe, too_far
 from relocbench.datasets.groundtruth.recipe.open3d_pair import (
     FEWEST_POINTS,
     Cloud,
@@ -22,13 +26,15 @@ from relocbench.datasets.groundtruth.recipe.open3d_pair import (
     refine,
     search,
 )
-from relocbench.datasets.groundtruth.recipe.raw_submaps import RawSubmaps
 from relocbench.datasets.groundtruth.registration.along_drive import Remember
 from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
 from relocbench.datasets.groundtruth.registration.submap_pair import NOTHING_JUDGED, unregistered
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import FieldRecording
-from relocbench.geometry import invert, rotation_angle
+from relocbench.geometry import invert
+
+Solved = tuple[int, int, Array]
+"""a pair that the next one starts from: (reference time, query time, ``T_ref_query`` of the rigs)"""
 
 NO_START = "no pair before it was accepted"
 _NAN = np.full((4, 4), np.nan)
@@ -54,8 +60,8 @@ class ChainUnit:
     submap_m: float = 60.0
     max_distance_m: float = 5.0
     max_angle_deg: float = 60.0
-    first: tuple[int, int, Array] | None = None
-    """a pose by hand: (reference time, query time, ``T_ref_query`` of the rigs)"""
+    first: Solved | None = None
+    """a pose by hand"""
     options: Open3dOptions = field(default_factory=Open3dOptions)
 
     def __str__(self) -> str:
@@ -82,15 +88,6 @@ def follow(
     return _Chain(unit, say, remember).run()
 
 
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """A pair that the next one starts from."""
-
-    ref_ns: int
-    query_ns: int
-    T_ref_query: Array
-
-
 class _Chain:
     def __init__(self, unit: ChainUnit, say: Callable[[str], None], remember: Remember) -> None:
         self._unit, self._say, self._remember = unit, say, remember
@@ -114,16 +111,15 @@ class _Chain:
                         last = self._solved(registrations[row])
         return [registrations.get(row) or self._untried(row, NO_START) for row in range(count)]
 
-    def _solved(self, pair: Registration) -> _Solved:
-        times = self._unit.keyframes.times_ns[pair.ref], self._unit.queries.times_ns[pair.query]
-        return _Solved(*times, pair.T_ref_query)
+    def _solved(self, pair: Registration) -> Solved:
+        return self._unit.keyframes.times_ns[pair.ref], self._unit.queries.times_ns[pair.query], pair.T_ref_query
 
     def _untried(self, row: int, reason: str, keyframe: int = 0) -> Registration:
         if not self._known[row]:
             reason = "no odometry at the time of the query"
         return unregistered((keyframe, row), _NAN, reason)
 
-    def _pair(self, row: int, last: _Solved) -> Registration:
+    def _pair(self, row: int, last: Solved) -> Registration:
         """A query image with its nearest keyframe by the last pair's solution."""
         unit, time = self._unit, self._unit.queries.times_ns[row]
         if not self._known[row]:
@@ -136,27 +132,21 @@ class _Chain:
         T_ref_query = invert(unit.reference.odometry.at(np.array([ref_ns]))[0]) @ T_odom_query
         return self._refined(keyframe, row, T_ref_query)
 
-    def _predicted(self, last: _Solved, time_ns: int) -> Array:
+    def _predicted(self, last: Solved, time_ns: int) -> Array:
         """(4, 4) pose of the query's rig at a time in the reference's odometry."""
         reference, query = self._unit.reference.odometry, self._unit.query.odometry
-        T_odom_ref = reference.at(np.array([last.ref_ns]))[0]
-        then, now = query.at(np.array([last.query_ns, time_ns]))
-        return np.asarray(T_odom_ref @ last.T_ref_query @ invert(then) @ now)
+        ref_ns, query_ns, T_ref_query = last
+        T_odom_ref = reference.at(np.array([ref_ns]))[0]
+        then, now = query.at(np.array([query_ns, time_ns]))
+        return np.asarray(T_odom_ref @ T_ref_query @ invert(then) @ now)
 
     def _nearest(self, T_odom_querycam: Array) -> tuple[int, str]:
         """The nearest keyframe that is turned by no more than is allowed, and why it is not paired; empty if it is."""
-        apart = np.linalg.norm(self._T_odom_keyframe[:, :3, 3] - T_odom_querycam[:3, 3], axis=1)
-        relative = np.swapaxes(self._T_odom_keyframe[:, :3, :3], -1, -2) @ T_odom_querycam[:3, :3]
-        turned = np.degrees(rotation_angle(relative))
-        fit = turned <= self._unit.max_angle_deg
-        best = int(np.argmin(np.where(fit if fit.any() else True, apart, np.inf)))
-        if not fit.any():
-            return best, f"no keyframe within {self._unit.max_angle_deg:g} deg: {turned[best]:.0f} deg"
-        return best, self._too_far(float(apart[best]))
-
-    def _too_far(self, apart_m: float) -> str:
-        limit = self._unit.max_distance_m
-        return f"no keyframe within {limit:g} m: nearest {apart_m:.0f} m" if apart_m > limit else ""
+        keyframes = self._T_odom_keyframe
+        every = np.ones(len(keyframes), dtype=bool)
+        best, reason = nearest_keyframe(keyframes, T_odom_querycam, self._unit.max_angle_deg, every)
+        apart = np.linalg.norm(keyframes[[best], :3, 3] - T_odom_querycam[:3, 3], axis=1)
+        return best, reason or too_far(float(apart[0]), self._unit.max_distance_m)
 
     def _refined(self, keyframe: int, row: int, T_ref_query: Array | None) -> Registration:
         """ICP of a pair from a prediction; from that of RANSAC if there is none."""
@@ -177,7 +167,9 @@ class _Chain:
         options = self._unit.options
         start = search(ref, query, options) if T_ref_query is None else T_ref_query
         fit = refine(ref, query, start, options)
-        reason = fit.refusal(options) or ("" if T_ref_query is None else self._too_far(self._offset_m(fit)))
+        reason = fit.refusal(options)
+        if not reason and T_ref_query is not None:
+            reason = too_far(self._offset_m(fit), self._unit.max_distance_m)
         evidence = replace(NOTHING_JUDGED, overlap_query=fit.fitness, residual_query_m=fit.rmse_m)
         return Registration(keyframe, row, fit.T_ref_query, fit.information, evidence, reason)
 
@@ -185,7 +177,7 @@ class _Chain:
         T_refcam_querycam = invert(self._unit.keyframes.T_rig_cam) @ fit.T_ref_query @ self._unit.queries.T_rig_cam
         return float(np.linalg.norm(T_refcam_querycam[:3, 3]))
 
-    def _start(self) -> tuple[int, _Solved | None]:
+    def _start(self) -> tuple[int, Solved | None]:
         """The row of the first query image and a pair near it: by hand, else by global registration."""
         unit = self._unit
         rows = [row for row in range(len(unit.queries.times_ns)) if self._known[row]]
@@ -193,7 +185,7 @@ class _Chain:
             return 0, None
         if unit.first is not None:
             times = np.array(unit.queries.times_ns, dtype=np.int64)[rows]
-            return rows[int(np.argmin(np.abs(times - unit.first[1])))], _Solved(*unit.first)
+            return rows[int(np.argmin(np.abs(times - unit.first[1])))], unit.first
         # Where the drives do not overlap, the search is repeated further along the query's drive.
         ways = self._travelled(rows)
         tried = -np.inf
@@ -238,6 +230,48 @@ class _Chain:
         at = self._unit.query.odometry.at(np.array(self._unit.queries.times_ns, dtype=np.int64)[list(rows)])
         steps = np.linalg.norm(np.diff(at[:, :3, 3], axis=0), axis=1)
         return [0.0, *np.cumsum(steps).tolist()]
+
+
+class RawSubmaps:
+    """All points that the lidars of one drive measured along a stretch of road, put together along the odometry.
+
+    Unlike the submaps of blocks they are made anew around any time, and keep moving things and all points of a voxel.
+    """
+
+    def __init__(self, recording: FieldRecording, length_m: float) -> None:
+        """
+        Args:
+            length_m: metres of road of a submap.
+
+        Raises:
+            DatasetError: odometry and lidars have no time in common.
+        """
+        options = BlockOptions()
+        self._odometry = recording.odometry
+        self._half_m = length_m / 2
+        self._way = arc_length_along(recording)
+        self._reader = BeamReader(recording, self._way, options.min_range_m, options.max_range_m, options.min_step_m)
+
+    def around(self, time_ns: int) -> Array:
+        """(N, 3) points in the frame of the rig at a time that the odometry covers.
+
+        Raises:
+            DatasetError: a scan is damaged.
+        """
+        begin, end = self.span(time_ns)
+        at = np.array([time_ns], dtype=np.int64)
+        return np.asarray(self._reader.between(begin, end, self._odometry.at(at)[0]).points)
+
+    def span(self, time_ns: int) -> tuple[int, int]:
+        """First time and end, exclusive, of the stretch of road, within the segment of the odometry."""
+        times, way = self._way.times_ns, self._way.travelled_m
+        row = int(np.clip(np.searchsorted(times, time_ns, side="right") - 1, 0, len(times) - 1))
+        mine = self._way.segment == self._way.segment[row]
+        at = self._way.at(np.array([time_ns], dtype=np.int64))[0]
+        inside = times[mine & (np.abs(way - at) <= self._half_m)]
+        if not len(inside):
+            return time_ns, time_ns + 1
+        return int(min(inside[0], time_ns)), int(max(inside[-1], time_ns)) + 1
 
 
 def _every(positions: Array, apart_m: float) -> list[int]:

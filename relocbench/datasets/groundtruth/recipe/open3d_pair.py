@@ -124,8 +124,8 @@ def refine(ref: Cloud, query: Cloud, T_ref_query: Array, options: Open3dOptions)
         registration.ICPConvergenceCriteria(max_iteration=options.icp_iterations),
     )
     T = _settled(result.transformation)
-    said = registration.get_information_matrix_from_point_clouds(query.fine, ref.fine, options.icp_reach_m, T)
-    information = on_the_right(np.array(said, dtype=np.float64).round(3), T)
+    by_open3d = registration.get_information_matrix_from_point_clouds(query.fine, ref.fine, options.icp_reach_m, T)
+    information = on_the_right(np.array(by_open3d, dtype=np.float64).round(3), T)
     return Open3dFit(T, round(float(result.fitness), 9), round(float(result.inlier_rmse), 9), information)
 
 

@@ -28,13 +28,13 @@ from relocbench.datasets.groundtruth.registration.lengths import (
     length_mismatch_message,
     may_hold_by_chance,
     ratio_of_lengths,
+    stretch_of_query,
 )
 from relocbench.datasets.groundtruth.registration.place_recognition import (
     MapPrior,
     guesses_by_features,
     guesses_by_prior,
 )
-from relocbench.datasets.groundtruth.registration.stretch import stretch_of_query
 from relocbench.datasets.groundtruth.registration.submap_pair import (
     Guess,
     PreparedDrive,
@@ -114,8 +114,8 @@ def register_along(
     ref, query = PreparedDrive(window_ref, nodes_ref), PreparedDrive(window_query, nodes_query)
     options = options or DriveRegistrationOptions()
     registration = _DriveRegistration(ref, query, prior, options, say, remember)
-    found = registration.run(first)
-    if prior is not None and not any(one.trusted for one in found):
+    registrations = registration.run(first)
+    if prior is not None and not any(one.trusted for one in registrations):
         say("nothing holds where GNSS puts the drives; they are searched for each other without GNSS")
         apart = float(nodes_query.travelled_m[-1]) / _SEARCHES
         rarely = replace(options, retry_m=max(options.retry_m, apart))
@@ -123,19 +123,19 @@ def register_along(
         anew = alone.run(None)
         if any(one.trusted for one in anew):
             say("the drives were found without GNSS, which is wrong for one of them")
-            registration, found = alone, anew
+            registration, registrations = alone, anew
         else:
             say("they were not found without GNSS either")
-    ratio = ratio_of_lengths(found, nodes_ref, nodes_query)
+    ratio = ratio_of_lengths(registrations, nodes_ref, nodes_query)
     certain = ratio is not None and ratio.exceeds(LARGEST_STRETCH)
     suspected = ratio is not None and abs(ratio.ratio - 1) > LARGEST_STRETCH
-    if not certain and (suspected or may_hold_by_chance(found, options.step_m)):
+    if not certain and (suspected or may_hold_by_chance(registrations, options.step_m)):
         ratio = registration.ratio_of_lengths()
     if ratio is None or not ratio.exceeds(LARGEST_STRETCH):
-        return found
+        return registrations
     mismatch = length_mismatch_message(ratio)
     say(mismatch)
-    return [replace(one, reason=mismatch) for one in found]
+    return [replace(one, reason=mismatch) for one in registrations]
 
 
 def _renamed(remember: Remember, suffix: str) -> Remember:
@@ -150,7 +150,7 @@ class _DriveRegistration:
     options: DriveRegistrationOptions
     say: Callable[[str], None]
     remember: Remember
-    found: dict[int, Registration] = field(default_factory=dict)
+    registered: dict[int, Registration] = field(default_factory=dict)
     """query node -> its registration"""
 
     def run(self, first: Guess | None) -> list[Registration]:
@@ -167,7 +167,7 @@ class _DriveRegistration:
             if i and segment[node] != segment[steps[i - 1]]:
                 # A search before a gap says nothing about the place after it.
                 searched = -np.inf
-            if node in self.found and self.found[node].trusted:
+            if node in self.registered and self.registered[node].trusted:
                 continue
             if not self._is_lost(node):
                 continue
@@ -179,11 +179,11 @@ class _DriveRegistration:
                     self._along(steps[:i][::-1], result.best)
                     continue
                 reason = result.reason
-            self.found[node] = self._unregistered(node, reason)
+            self.registered[node] = self._unregistered(node, reason)
         for node in steps:
-            if node not in self.found:
-                self.found[node] = self._unregistered(node, reason)
-        return [self.found[node] for node in steps]
+            if node not in self.registered:
+                self.registered[node] = self._unregistered(node, reason)
+        return [self.registered[node] for node in steps]
 
     def _from_given_pose(self, first: Guess) -> Registration | None:
         work = partial(choose_hypothesis, self.ref, self.query, [first], self.options.hypotheses, self.options.register)
@@ -198,7 +198,9 @@ class _DriveRegistration:
     def _is_lost(self, node: int) -> bool:
         """Whether every trusted registration is too far away along the drive to predict the node's pose by odometry."""
         segment = self.query.nodes.segments()
-        trusted = [q for q, registration in self.found.items() if registration.trusted and segment[q] == segment[node]]
+        trusted = [
+            q for q, registration in self.registered.items() if registration.trusted and segment[q] == segment[node]
+        ]
         travelled = self.query.nodes.travelled_m
         return all(abs(travelled[node] - travelled[q]) > self.options.lost_m for q in trusted)
 
@@ -208,18 +210,18 @@ class _DriveRegistration:
         for node in steps:
             if segment[node] != segment[start.query]:
                 break
-            before = self.found.get(node)
+            before = self.registered.get(node)
             if before is not None and before.trusted:
                 break
             driven = abs(float(travelled[node] - travelled[known.query]))
             if driven > self.options.lost_m:
                 break
             work = partial(self._next_result, known, node, driven)
-            found = self.remember(f"node {node} after {known.query}", work).best
-            assert found is not None
-            self.found[node] = found
-            if found.trusted:
-                known = found
+            registration = self.remember(f"node {node} after {known.query}", work).best
+            assert registration is not None
+            self.registered[node] = registration
+            if registration.trusted:
+                known = registration
 
     def _next_result(self, known: Registration, node: int, driven: float) -> SearchResult:
         return SearchResult(self._next(known, node, driven))
@@ -288,10 +290,10 @@ class _DriveRegistration:
         """Place recognition, with further searches while no guess holds; the reason is that of the first search."""
         failed: SearchResult | None = None
         for search in self.options.search.attempts():
-            found = self._guesses(node, search)
-            if not found and self.prior is not None:
+            guesses = self._guesses(node, search)
+            if not guesses and self.prior is not None:
                 return SearchResult(None, "the reference did not come by, as far as the prior tells")
-            result = self._choose(found)
+            result = self._choose(guesses)
             if result.best is not None or result.ambiguous:
                 return result
             failed = failed or result

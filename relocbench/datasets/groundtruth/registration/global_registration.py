@@ -24,6 +24,9 @@ from relocbench.geometry import invert, rotation_angle
 
 Matcher = Literal["ransac", "fgr", "kiss-matcher"]
 
+SAME_M, SAME_DEG = 1.0, 4.0
+"""poses that differ by no more than this count as one"""
+
 
 @dataclass(frozen=True)
 class GlobalOptions:
@@ -35,10 +38,6 @@ class GlobalOptions:
     """number of RANSAC's iterations; it never stops early"""
     seeds: tuple[int, ...] = (0, 1, 2)
     """seeds; the matcher runs once for each"""
-    same_m: float = 1.0
-    """guesses that differ by no more than this and"""
-    same_deg: float = 4.0
-    """by no more than this rotation count as one"""
     coarser_m: tuple[float, ...] = (1.0, 1.4)
     """voxel sizes of further searches, each tried if no guess held so far: sparse scans need larger ones"""
     coarser_runs: int = 10
@@ -119,7 +118,7 @@ def guesses(
     else:
         results = [_ransac(ref, query, o, seed) for seed in o.seeds]
     allowed = [T for T in results if T is not None and (prior is None or prior.allows(T))]
-    return [allowed[k] for k in distinct(allowed, o.same_m, o.same_deg)]
+    return [allowed[k] for k in distinct(allowed)]
 
 
 def pose_difference(T_a: Array, T_b: Array) -> tuple[float, float]:
@@ -128,12 +127,12 @@ def pose_difference(T_a: Array, T_b: Array) -> tuple[float, float]:
     return float(np.linalg.norm(apart[:3, 3])), float(np.degrees(rotation_angle(apart[:3, :3])))
 
 
-def distinct(poses: Sequence[Array], same_m: float, same_deg: float) -> list[int]:
-    """Rows of poses, each of which differs by more than ``same_m`` or ``same_deg`` from those chosen before it."""
+def distinct(poses: Sequence[Array], same_m: float = SAME_M) -> list[int]:
+    """Rows of poses, each of which differs by more than ``same_m`` or 4 degrees from those chosen before it."""
     kept: list[int] = []
     for row, T in enumerate(poses):
         differences = (pose_difference(poses[k], T) for k in kept)
-        if all(metres > same_m or degrees > same_deg for metres, degrees in differences):
+        if all(metres > same_m or degrees > SAME_DEG for metres, degrees in differences):
             kept.append(row)
     return kept
 

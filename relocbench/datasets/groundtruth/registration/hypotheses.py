@@ -41,10 +41,6 @@ class HypothesisOptions:
     """share of the nodes at which a hypothesis must be trusted"""
     margin: float = 0.03
     """the choice stays open if a second hypothesis survives whose plausibility is lower by less than this"""
-    same_m: float = 1.0
-    """hypotheses that differ by no more than this and"""
-    same_deg: float = 4.0
-    """by no more than this rotation count as one"""
     nearest_m: float = 10.0
     """a hypothesis is followed no further than where the nearest reference node is this far away"""
 
@@ -78,7 +74,7 @@ def with_alternatives(
     for r, q in dict.fromkeys(g[:2] for g in guesses):
         a, b = ref.at(r).planes, query.at(q).planes
         own = [alt for *at, T in guesses if tuple(at) == (r, q) for alt in alternatives(a, b, T, shift)]
-        for k in distinct(own, shift.apart_m / 2, 4.0):
+        for k in distinct(own, shift.apart_m / 2):
             ranked.append((-fit(a, b, own[k], shift), len(ranked), (r, q, own[k])))
     return [guess for _, _, guess in sorted(ranked, key=lambda entry: entry[:2])[:most]]
 
@@ -95,13 +91,13 @@ def choose_hypothesis(
     The reason is that of the most plausible guess, or that two guesses cannot be told apart.
     """
     tried = [register(ref, query, (r, q), T, register_options) for r, q, T in guesses[: options.most_tried]]
-    tried.sort(key=lambda found: -plausibility(found.evidence))
-    trusted = [found for found in tried if found.trusted]
-    rows = distinct(_query_poses(ref, trusted), options.same_m, options.same_deg)[: options.most_followed]
+    tried.sort(key=lambda registration: -plausibility(registration.evidence))
+    trusted = [registration for registration in tried if registration.trusted]
+    rows = distinct(_query_poses(ref, trusted))[: options.most_followed]
     candidates = [trusted[row] for row in rows]
     if not candidates:
         return SearchResult(None, tried[0].reason if tried else "no guess of where it could be")
-    followed = [(follow(ref, query, found, options, register_options)[0], found) for found in candidates]
+    followed = [(follow(ref, query, start, options, register_options)[0], start) for start in candidates]
     surviving = sorted(((score, n) for n, (score, _) in enumerate(followed) if score is not None), key=lambda s: -s[0])
     if not surviving:
         return SearchResult(None, f"no hypothesis of {len(candidates)} holds over {options.follow_m:.0f} m of road")

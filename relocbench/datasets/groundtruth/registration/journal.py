@@ -1,7 +1,7 @@
-"""A journal of the intermediate results of a drive's registration, so that a killed one continues where it was.
+"""The registration of query drives as units of work, each with a journal, so that a killed one continues where it was.
 
-Each line is a JSON list of a key and a result. When the registration runs again it makes the same requests in the same
-order; as long as the keys agree with those of the journal, their results are taken from it.
+Each line of a journal is a JSON list of a key and a result. When the registration runs again it makes the same requests
+in the same order; as long as the keys agree with those of the journal, their results are taken from it.
 """
 
 from __future__ import annotations
@@ -10,17 +10,21 @@ import json
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any
 
 import numpy as np
 
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.registration.along_drive import Remember
+from relocbench.datasets.groundtruth.registration.files import write_registrations
 from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
+from relocbench.execution import Run, run_units
 from relocbench.files import parse_json, read_bytes
-from relocbench.progress import Advance
+from relocbench.progress import Advance, Reporter
 
 _POLL_S = 0.5
 
@@ -58,7 +62,7 @@ class Journal:
             self._stream.truncate()
         result = work()
         try:
-            self._stream.write((json.dumps([key, _stored(result)], default=float) + "\n").encode())
+            self._stream.write((json.dumps([key, _stored(result)], default=_plain) + "\n").encode())
             self._stream.flush()
         except OSError as bad:
             bad.filename = bad.filename or str(self._path)  # the error of a full disk names no file
@@ -68,6 +72,56 @@ class Journal:
     def close(self) -> None:
         """Close the file, which stays; removing it is up to the caller."""
         self._stream.close()
+
+
+@dataclass(frozen=True, eq=False)
+class JournaledUnit:
+    """The registrations of one query drive: a unit of work that is continued from its journal if it was killed."""
+
+    title: str
+    work: Callable[[Callable[[str], None], Remember], list[Registration]]
+    """(say, remember) -> the registrations; see :func:`.along_drive.register_along`"""
+    steps: int
+    """number of registrations"""
+    table: Path
+    """of the registrations, once they are complete; the journal is beside it"""
+    nodes: tuple[Nodes, Nodes]
+    """of the reference and the query, which the table numbers"""
+    messages_of: str
+    """what its messages are about"""
+
+    def __str__(self) -> str:
+        return self.title
+
+    @property
+    def journal(self) -> Path:
+        return self.table.with_suffix(".journal")
+
+
+def register_missing(stage: str, units: Sequence[JournaledUnit], reporter: Reporter, run: Run) -> None:
+    """Do the units that have no table yet, by worker processes."""
+    missing = [unit for unit in units if not unit.table.exists()]
+    steps = [unit.steps for unit in missing]
+    with (
+        reporter.stage(stage, sum(steps)) as advance,
+        journal_progress([unit.journal for unit in missing], steps, advance) as complete,
+    ):
+        for index, (registrations, messages) in run_units(_work, missing, run):
+            unit = missing[index]
+            for message in messages:
+                reporter.note(f"{unit.messages_of}: {message}")
+            write_registrations(unit.table, registrations, *unit.nodes)
+            complete(index)
+            unit.journal.unlink(missing_ok=True)
+
+
+def _work(unit: JournaledUnit) -> tuple[list[Registration], list[str]]:
+    messages: list[str] = []
+    journal = Journal(unit.journal)
+    try:
+        return unit.work(messages.append, journal.remember), messages
+    finally:
+        journal.close()
 
 
 @contextmanager
@@ -109,20 +163,12 @@ def _whole_lines(path: Path) -> list[bytes]:
 
 
 def _stored(result: SearchResult) -> dict[str, Any]:
-    best = result.best
-    if best is None:
-        return {"reason": result.reason}
-    return {
-        "reason": result.reason,
-        "best": {
-            "ref": best.ref,
-            "query": best.query,
-            "T_ref_query": best.T_ref_query.tolist(),
-            "information": best.information.tolist(),
-            "evidence": asdict(best.evidence),
-            "reason": best.reason,
-        },
-    }
+    return {"reason": result.reason} if result.best is None else {"reason": result.reason, "best": asdict(result.best)}
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and numbers of numpy as JSON has them."""
+    return value.tolist() if isinstance(value, np.ndarray) else float(value)
 
 
 def _restored(stored: Any) -> SearchResult:

@@ -6,21 +6,27 @@ points enlarged by s, a translation and its sigma are s times as large and rotat
 xi = (rho, phi) becomes ``D I D`` with ``D = diag(s, s, s, 1, 1, 1)``.
 
 How much a scene may be enlarged is limited by the noise of its points, which is enlarged as well, and by their spacing.
+``groundtruth/scale.yaml`` states the scale of a build's drives, beside what is in enlarged metres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+from pydantic import Field
 from scipy.spatial import cKDTree
 
 from relocbench.arrays import Array
+from relocbench.datasets.core.schema import Strict
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import DatasetError
+from relocbench.files import dump_yaml, load_yaml, write_text
 
+SCALE_FILE = "scale.yaml"
 STREET_RADIUS_M = 25.0
 """radius of what a submap of a street shows"""
 _NOISE_M, _SPACING_M = 0.02, 0.25
@@ -162,3 +168,24 @@ def _length(metres: float) -> str:
     if metres >= 1:
         return f"{metres:.3g} m"
     return f"{100 * metres:.2g} cm" if metres >= 0.01 else f"{1000 * metres:.2g} mm"
+
+
+class ScaleFile(Strict):
+    """The content of ``scale.yaml``: by how much all lengths in the folder of ground truth are enlarged."""
+
+    factor: float = Field(1.0, gt=0)
+    reason: str = ""
+    max_sigma_m: float | None = None
+    """largest sigma of an accepted pair's position, in metres that are not enlarged"""
+
+
+def write_scale(folder: Path, scale: SceneScale, max_sigma_m: float) -> None:
+    """Write ``scale.yaml`` into the folder of ground truth; without it, nothing is enlarged."""
+    file = ScaleFile(factor=scale.factor, reason=scale.reason, max_sigma_m=max_sigma_m)
+    write_text(folder / SCALE_FILE, dump_yaml(file.model_dump(mode="json")))
+
+
+def read_scale(folder: Path) -> ScaleFile:
+    """The scale of a folder of ground truth; 1 if it has no ``scale.yaml``. Raises DatasetError with the file."""
+    path = folder / SCALE_FILE
+    return load_yaml(path, ScaleFile, "the scale of the scene", DatasetError) if path.exists() else ScaleFile()

@@ -18,7 +18,7 @@ from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, kind_
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, read_graph
 from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
 from relocbench.datasets.groundtruth.registration.files import read_registrations
-from relocbench.datasets.groundtruth.registration.scale_file import read_scale
+from relocbench.datasets.groundtruth.registration.scene_scale import read_scale
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.errors import DatasetError
@@ -27,14 +27,6 @@ from relocbench.geometry import invert
 _KINDS = 4
 """number of kinds of rejection that are drawn; the table has all"""
 _FOLDER = "groundtruth"
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The limits on sigmas above which a pair was rejected; None if the dataset does not state them."""
-
-    sigma_m: float | None
-    sigma_deg: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +42,10 @@ class InspectedSet:
     """one for each query node that was tried"""
     stores: tuple[BlockStore, BlockStore]
     """blocks of the reference and the query"""
-    limits: Limits
+    limit_m: float | None
+    """limit on sigmas of positions above which a pair was rejected; None if the dataset does not state it"""
+    limit_deg: float | None
+    """the same on sigmas of rotations"""
     enlarged: float = 1.0
     """how many times the metres of drives, registrations and blocks are enlarged; pairs and limits are in metres"""
 
@@ -126,7 +121,7 @@ def _inspect(dataset: Dataset, folder: Path, pair_set: PairSet) -> InspectedSet:
         *drives,
         read_registrations(registrations / f"{names[0]}__{names[1]}.csv"),
         (BlockStore(blocks[0]), BlockStore(blocks[1])),
-        Limits(known[0], known[1]),
+        *known,
         scale.factor,
     )
 

@@ -24,8 +24,6 @@ from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot,
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import apply, invert, make_transform
 
-Flags = Mask
-
 _LENGTH_M, _WIDTH_M = 60.0, 30.0
 _PIXEL_M = 0.05
 _DETAIL_M = 3.0
@@ -57,29 +55,31 @@ class Cloud:
         return cls(points, submap.normals[keep] @ T_ref_node[:3, :3].T, submap.surface[keep])
 
     @property
-    def upright(self) -> Flags:
+    def upright(self) -> Mask:
         """(N,) whether each point lies on an upright plane."""
         return np.asarray((self.surface == Surface.STRUCTURE) & (np.abs(self.normals[:, 2]) < 0.5))
 
 
 def write_overlay(path: Path, inspected: InspectedSet, spot: Spot, number: int) -> None:
     """Draw one pair, placed by :func:`relative_pose`."""
-    said = relative_pose(inspected, spot.pair)
+    relative = relative_pose(inspected, spot.pair)
     windows = [inspected.window(side, _LENGTH_M / 2) for side in (0, 1)]
-    if said.T_ref_query is None:
-        clouds = [Cloud.of(w.at(node), np.eye(4)) for w, node in zip(windows, (said.ref, said.query), strict=True)]
+    if relative.T_ref_query is None:
+        clouds = [
+            Cloud.of(w.at(node), np.eye(4)) for w, node in zip(windows, (relative.ref, relative.query), strict=True)
+        ]
         lines = [*_title(spot, number), "their relative pose is unknown: each drive on its own"]
         write_figure(path, (12, 12.5), lambda figure: _draw_apart(figure, clouds[0], clouds[1], lines))
         return
-    T_ref_world = invert(inspected.reference.T_world_node[said.ref])
-    T_querynode_world = invert(inspected.query.T_world_node[said.query])
+    T_ref_world = invert(inspected.reference.T_world_node[relative.ref])
+    T_querynode_world = invert(inspected.query.T_world_node[relative.query])
     keyframe = (T_ref_world @ inspected.reference.at(spot.pair.ref_timestamp_ns))[:3, 3]
-    image = (said.T_ref_query @ T_querynode_world @ inspected.query.at(spot.pair.query_timestamp_ns))[:3, 3]
+    image = (relative.T_ref_query @ T_querynode_world @ inspected.query.at(spot.pair.query_timestamp_ns))[:3, 3]
     # The query image is in the middle of the picture, whose axes are those of the reference node.
     T_view_ref = make_transform(np.eye(3), -image * (1, 1, 0))
-    ref = Cloud.of(windows[0].at(said.ref), T_view_ref)
-    query = Cloud.of(windows[1].at(said.query), T_view_ref @ said.T_ref_query)
-    lines = [*_title(spot, number), f"relative pose by: {shortened(said.source, 110)}"]
+    ref = Cloud.of(windows[0].at(relative.ref), T_view_ref)
+    query = Cloud.of(windows[1].at(relative.query), T_view_ref @ relative.T_ref_query)
+    lines = [*_title(spot, number), f"relative pose by: {shortened(relative.source, 110)}"]
     away = (keyframe - image)[:2]
     write_figure(path, (12, 10.5), lambda figure: _draw(figure, ref, query, away, lines))
 
@@ -94,14 +94,14 @@ def _title(spot: Spot, number: int) -> list[str]:
 def _state(pair: Pair) -> str:
     sigmas = [f"{name} {100 * s:.1f}" for name, s in zip(("along", "across", "height"), pair.axis_sigmas, strict=True)
               if s is not None]  # fmt: skip
-    said = f"sigma {', '.join(sigmas)} cm" if sigmas else "no sigma"
+    stated = f"sigma {', '.join(sigmas)} cm" if sigmas else "no sigma"
     if pair.sigma_rotation_deg is not None:
-        said += f", {pair.sigma_rotation_deg:.3f} deg"
-    return f"accepted, {said}" if pair.accepted else f"REJECTED: {shortened(pair.reason, 110)}; {said}"
+        stated += f", {pair.sigma_rotation_deg:.3f} deg"
+    return f"accepted, {stated}" if pair.accepted else f"REJECTED: {shortened(pair.reason, 110)}; {stated}"
 
 
 def _draw(figure: Figure, ref: Cloud, query: Cloud, keyframe: Array, lines: list[str]) -> None:
-    here = np.zeros(2)
+    image = np.zeros(2)
     figure.suptitle("\n".join(lines), fontsize=10)
     grid = figure.add_gridspec(2, 4, height_ratios=(1.9, 1.1))
     above = figure.add_subplot(grid[0, :])
@@ -109,11 +109,11 @@ def _draw(figure: Figure, ref: Cloud, query: Cloud, keyframe: Array, lines: list
         f"structure from above; dark: both drives; grey: road; circle: keyframe, {np.linalg.norm(keyframe):.1f} m away"
     )
     _from_above(above, [(ref, REFERENCE), (query, QUERY)], title)
-    for place, colour, marker in ((keyframe, REFERENCE, "o"), (here, QUERY, "^")):
+    for place, colour, marker in ((keyframe, REFERENCE, "o"), (image, QUERY, "^")):
         above.plot(*place, marker, color=colour, markeredgecolor="black", markersize=8)
     above.set_xlim(-_LENGTH_M / 2, _LENGTH_M / 2)
     above.set_ylim(-_WIDTH_M / 2, _WIDTH_M / 2)
-    details = detail_places(ref, query, here)
+    details = detail_places(ref, query, image)
     for k in range(2):
         axes = figure.add_subplot(grid[1, k])
         if k >= len(details):
@@ -156,7 +156,7 @@ def _from_above(axes: Axes, clouds: list[tuple[Cloud, str]], title: str) -> None
     axes.set_ylabel("m to the left")
 
 
-def _hit(points: Array, rows: int, columns: int) -> Flags:
+def _hit(points: Array, rows: int, columns: int) -> Mask:
     """(rows, columns) pixels with a point, and their right and upper neighbours, since points are 10 cm apart."""
     u = np.floor((points[:, 0] + _LENGTH_M / 2) / _PIXEL_M).astype(np.int64)
     v = np.floor((points[:, 1] + _WIDTH_M / 2) / _PIXEL_M).astype(np.int64)
@@ -230,7 +230,7 @@ def _detail(axes: Axes, ref: Cloud, query: Cloud, middle: Array, title: str) -> 
 
 
 def _dots(
-    axes: Axes, ref: Cloud, query: Cloud, chosen: Callable[[Cloud], Flags], columns: tuple[int, int] = (0, 1)
+    axes: Axes, ref: Cloud, query: Cloud, chosen: Callable[[Cloud], Mask], columns: tuple[int, int] = (0, 1)
 ) -> None:
     """Draw the reference's points as wide dots and the query's as small ones on top, which lie inside if both agree."""
     for cloud, colour, size, alpha in ((ref, REFERENCE, 5.0, 0.4), (query, QUERY, 2.2, 0.9)):

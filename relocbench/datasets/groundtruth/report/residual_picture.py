@@ -65,13 +65,13 @@ def measure_residuals(inspected: InspectedSet) -> Residuals:
     blocks = [inspected.window(side, 0.1) for side in (0, 1)]
     around = [inspected.window(side, _AROUND_M) for side in (0, 1)]
     centres = inspected.reference.T_world_node[:, :3, 3]
-    there, back = [np.zeros(0)], [np.zeros(0)]
+    forward, backward = [np.zeros(0)], [np.zeros(0)]
     for j in some:
         i = int(np.argmin(np.linalg.norm(centres - inspected.query.T_world_node[j][:3, 3], axis=1)))
         T_ref_query = invert(inspected.reference.T_world_node[i]) @ inspected.query.T_world_node[j]
-        there.append(_distances(around[0], i, blocks[1], j, T_ref_query))
-        back.append(_distances(around[1], j, blocks[0], i, invert(T_ref_query)))
-    return Residuals(np.concatenate(there), np.concatenate(back), len(some))
+        forward.append(_distances(around[0], i, blocks[1], j, T_ref_query))
+        backward.append(_distances(around[1], j, blocks[0], i, invert(T_ref_query)))
+    return Residuals(np.concatenate(forward), np.concatenate(backward), len(some))
 
 
 def _distances(planes: SubmapWindow, to: int, points: SubmapWindow, of: int, T_to_of: Array) -> Array:

@@ -67,8 +67,8 @@ def _map(figure: Figure, axes: Axes, inspected: InspectedSet, spots: list[Spot],
     road = inspected.reference.T_world_node[:, :2, 3]
     turn = _flat(road)
     axes.plot(*(road @ turn).T, color="#bbbbbb", linewidth=5, solid_capstyle="round", zorder=1)
-    there = inspected.query.connected
-    driven = np.where(there[:, None], inspected.query.T_world_node[:, :2, 3], np.nan) @ turn
+    connected = inspected.query.connected
+    driven = np.where(connected[:, None], inspected.query.T_world_node[:, :2, 3], np.nan) @ turn
     axes.plot(*driven.T, color=QUERY, linewidth=1, zorder=2)
     pairs = inspected.pair_set.all_pairs
     places = np.array([_place(inspected, p) for p in pairs]).reshape(-1, 2) @ turn
@@ -145,7 +145,7 @@ def _sigmas(axes: Axes, inspected: InspectedSet, pairs: list[Pair], positions: A
     values = np.array([[np.nan if s is None else 100 * s for s in p.axis_sigmas] for p in pairs]).reshape(-1, 3)
     for k, (name, marker) in enumerate((("along", "o"), ("across", "x"), ("height", "+"))):
         axes.plot(positions, values[:, k], marker, color=AXES[k], markersize=3 + k, label=name)
-    _limit(axes, values, None if inspected.limits.sigma_m is None else 100 * inspected.limits.sigma_m)
+    _limit(axes, values, None if inspected.limit_m is None else 100 * inspected.limit_m)
     axes.set_ylabel("sigma (cm)")
     axes.legend(fontsize=8, loc="upper left", ncols=4, frameon=False)
 
@@ -153,7 +153,7 @@ def _sigmas(axes: Axes, inspected: InspectedSet, pairs: list[Pair], positions: A
 def _rotations(axes: Axes, inspected: InspectedSet, pairs: list[Pair], positions: Array) -> None:
     values = np.array([np.nan if p.sigma_rotation_deg is None else p.sigma_rotation_deg for p in pairs])
     axes.plot(positions, values, ".", color="#000000", markersize=5)
-    _limit(axes, values, inspected.limits.sigma_deg)
+    _limit(axes, values, inspected.limit_deg)
     axes.set_ylabel("sigma (deg)\nof rotation")
 
 

@@ -61,10 +61,6 @@ class Sample:
         """(N,) lengths of the lever arms, metres"""
         return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
 
-    def rows(self, which: Indices) -> Sample:
-        """Some of the points."""
-        return Sample(self.points[which], self.normals[which], self.weights[which], self.lever_arms[which])
-
     def rescaled(self, scale_error: float) -> Self:
         """The points as they would lie if the odometry's scale were larger by a factor of ``1 + scale_error``."""
         return replace(self, points=self.points + scale_error * self.lever_arms) if scale_error else self

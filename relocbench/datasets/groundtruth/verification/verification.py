@@ -7,7 +7,9 @@ uncertainty in each direction.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import ge, le
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -54,13 +56,6 @@ class Thresholds:
     most_sigma_deg: float = 0.5
 
 
-@dataclass(frozen=True)
-class _OneWay:
-    overlap: float
-    seen: float
-    violations: float
-
-
 def verification_evidence(
     ref: PreparedSubmap, query: PreparedSubmap, T_ref_query: Array, information: Array
 ) -> Evidence:
@@ -70,23 +65,23 @@ def verification_evidence(
         information: (6, 6) of the pose, as in :class:`relocbench.datasets.groundtruth.icp.icp.IcpResult`.
     """
     T_query_ref = invert(T_ref_query)
-    of_ref = _one_way(ref, query, T_query_ref)
-    of_query = _one_way(query, ref, T_ref_query)
+    overlap_ref, seen_ref, violations_ref = _one_way(ref, query, T_query_ref)
+    overlap_query, seen_query, violations_query = _one_way(query, ref, T_ref_query)
     detail_ref, residual_ref = _details(ref.planes, query.planes, T_query_ref)
     detail_query, residual_query = _details(query.planes, ref.planes, T_ref_query)
     sigma, direction, sigma_deg = weakest(information, T_ref_query)
     return Evidence(
-        overlap_ref=of_ref.overlap,
-        overlap_query=of_query.overlap,
+        overlap_ref=overlap_ref,
+        overlap_query=overlap_query,
         residual_ref_m=residual_ref,
         residual_query_m=residual_query,
-        violations_ref=of_ref.violations,
-        violations_query=of_query.violations,
+        violations_ref=violations_ref,
+        violations_query=violations_query,
         weakest_sigma_m=sigma,
         weakest_direction=direction,
         weakest_sigma_deg=sigma_deg,
-        seen_ref=of_ref.seen,
-        seen_query=of_query.seen,
+        seen_ref=seen_ref,
+        seen_query=seen_query,
         detail_ref=detail_ref,
         detail_query=detail_query,
     )
@@ -120,16 +115,14 @@ def compare_patches(this: PreparedSubmap, other: PreparedSubmap, T_other_this: A
     return Compared(found, met, met | other.space.could_see(patches, invert(T_other_this)), votes)
 
 
-def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -> _OneWay:
-    """Evidence from this submap's surface patches with the beams and planes of the other."""
+def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -> tuple[float, float, float]:
+    """Overlap, share seen, and violations of this submap's patches by the beams and planes of the other."""
     compared = compare_patches(this, other, T_other_this)
     weights = this.space.patches.weights
     expected, everything = float(weights[compared.expected].sum()), float(weights.sum())
-    return _OneWay(
-        overlap=float(weights[compared.found].sum()) / expected if expected > 0 else float("nan"),
-        seen=float(weights[compared.met].sum()) / everything if everything > 0 else 0.0,
-        violations=compared.votes.violations(compared.found),
-    )
+    overlap = float(weights[compared.found].sum()) / expected if expected > 0 else float("nan")
+    seen = float(weights[compared.met].sum()) / everything if everything > 0 else 0.0
+    return overlap, seen, compared.votes.violations(compared.found)
 
 
 def _details(this: PlaneMap, other: PlaneMap, T_other_this: Array) -> tuple[float, float]:
@@ -162,10 +155,13 @@ def weakest(information: Array, T_ref_query: Array) -> tuple[float, tuple[float,
     return float(np.sqrt(values[-1])), (x, y, z), sigma_deg
 
 
+Test = Literal["seen", "violations", "overlap", "detail", "residual", "position", "rotation"]
+
+
 class Fault(NamedTuple):
     """Evidence that is outside its limit."""
 
-    test: Literal["seen", "violations", "overlap", "detail", "residual", "position", "rotation"]
+    test: Test
     of_query: bool
     """whether it is the query's surfaces that fail the test, rather than the reference's"""
     value: float
@@ -175,25 +171,17 @@ class Fault(NamedTuple):
 def first_fault(evidence: Evidence, thresholds: Thresholds) -> Fault | None:
     """The first evidence outside its limit, in the order of :class:`Fault`; missing evidence (nan) is outside."""
     e, t = evidence, thresholds
-    sides = (
-        (e.seen_ref, e.violations_ref, e.overlap_ref, e.detail_ref, e.residual_ref_m),
-        (e.seen_query, e.violations_query, e.overlap_query, e.detail_query, e.residual_query_m),
+    tests: tuple[tuple[Test, float, float, float, Callable[[float, float], bool]], ...] = (
+        ("seen", e.seen_ref, e.seen_query, t.least_seen, ge),
+        ("violations", e.violations_ref, e.violations_query, t.most_violations, le),
+        ("overlap", e.overlap_ref, e.overlap_query, t.least_overlap, ge),
+        ("detail", e.detail_ref, e.detail_query, t.least_detail, ge),
+        ("residual", e.residual_ref_m, e.residual_query_m, t.most_residual_m, le),
     )
-    for of_query, (seen, *_) in enumerate(sides):
-        if not seen >= t.least_seen:
-            return Fault("seen", bool(of_query), seen)
-    for of_query, (_, violations, *_) in enumerate(sides):
-        if not violations <= t.most_violations:
-            return Fault("violations", bool(of_query), violations)
-    for of_query, (_, _, overlap, *_) in enumerate(sides):
-        if not overlap >= t.least_overlap:
-            return Fault("overlap", bool(of_query), overlap)
-    for of_query, (*_, detail, _) in enumerate(sides):
-        if not detail >= t.least_detail:
-            return Fault("detail", bool(of_query), detail)
-    for of_query, (*_, residual) in enumerate(sides):
-        if not residual <= t.most_residual_m:
-            return Fault("residual", bool(of_query), residual)
+    for test, of_ref, of_query, limit, holds in tests:
+        for is_query, value in ((False, of_ref), (True, of_query)):
+            if not holds(value, limit):
+                return Fault(test, is_query, value)
     if not e.weakest_sigma_m <= t.most_sigma_m:
         return Fault("position", True, e.weakest_sigma_m)
     if not e.weakest_sigma_deg <= t.most_sigma_deg:

@@ -1,16 +1,18 @@
-"""Depth by stereo, and its agreement with depth by lidar, which is independent of it."""
+"""Depth by a stereo pair of the rig, and its agreement with depth by lidar, which is independent of it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.groundtruth.depth.depth import DepthImage
+from relocbench.datasets.sensors.recording import CameraStream
 from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
 from relocbench.errors import ConfigError
-from relocbench.geometry import Camera
+from relocbench.geometry import Camera, invert
 
 _ROWS_PX = 0.5
 """largest difference of rows in a rectified pair"""
@@ -38,7 +40,7 @@ class Agreement:
         )
 
 
-def rectified(left: Camera, right: Camera, T_right_left: Array, max_disparity: int = 128) -> StereoGeometry:
+def rectified(left: Camera, right: Camera, T_right_left: Array) -> StereoGeometry:
     """Geometry of a rectified stereo pair: two pinhole cameras whose rows see the same planes.
 
     Raises:
@@ -55,7 +57,7 @@ def rectified(left: Camera, right: Camera, T_right_left: Array, max_disparity: i
             f"the cameras are not a rectified pair: the right one is {baseline:.3f} m to the right and {aside:.3f} m "
             f"off that line, turned by {np.degrees(turned):.3f} deg; intrinsics differ by {lens:.2f} px"
         )
-    return StereoGeometry(left.fx * baseline, left.cx - right.cx, max_disparity=max_disparity)
+    return StereoGeometry(left.fx * baseline, left.cx - right.cx)
 
 
 def depth_by_stereo(left: Image, right: Image, geometry: StereoGeometry) -> DepthImage:
@@ -79,3 +81,40 @@ def cross_check(lidar: Floats, stereo: Floats, camera: Camera, baseline_m: float
         float((size <= 1).mean()),
         float((size <= 3).mean()),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class StereoPair:
+    """A camera and the one to its right that is rectified with it."""
+
+    left: CameraStream
+    right: CameraStream
+    geometry: StereoGeometry
+    baseline_m: float
+
+    def common_times(self) -> frozenset[int]:
+        """Times at which both cameras took an image."""
+        return frozenset(self.left.times_ns.tolist()) & frozenset(self.right.times_ns.tolist())
+
+    def depth(self, time_ns: int) -> DepthImage:
+        """Depth of the left image at a common time. Raises DatasetError with the file if an image is damaged."""
+        return depth_by_stereo(_image(self.left, time_ns), _image(self.right, time_ns), self.geometry)
+
+
+def stereo_pair(cameras: Mapping[str, CameraStream], left: str) -> StereoPair | None:
+    """The stereo pair of ``left`` with the first camera that is to its right and rectified with it; None if none is."""
+    one = cameras[left]
+    for name, other in cameras.items():
+        if name == left:
+            continue
+        T_right_left = invert(other.T_rig_cam) @ one.T_rig_cam
+        try:
+            geometry = rectified(one.camera, other.camera, T_right_left)
+        except ConfigError:
+            continue
+        return StereoPair(one, other, geometry, -float(T_right_left[0, 3]))
+    return None
+
+
+def _image(stream: CameraStream, time_ns: int) -> Image:
+    return stream.read(int(stream.times_ns.searchsorted(time_ns)))
