@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import sys
 import time
@@ -176,14 +175,6 @@ def in_lines(heading: str, most: int = 12) -> str:
 
 def print_json(values: Mapping[str, Any], counts: Mapping[str, int]) -> None:
     """One strict JSON object with its counts: a number that is not finite becomes null."""
-    print(json.dumps(_strict({**values, "counts": counts}), ensure_ascii=False, default=str))
+    from relocbench.files import strict_json
 
-
-def _strict(values: Any) -> Any:
-    if isinstance(values, dict):
-        return {str(key): _strict(value) for key, value in values.items()}
-    if isinstance(values, list | tuple):
-        return [_strict(value) for value in values]
-    if isinstance(values, float) and not math.isfinite(values):
-        return None
-    return values
+    print(json.dumps(strict_json({**values, "counts": counts}), ensure_ascii=False, default=str))

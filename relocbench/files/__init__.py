@@ -5,7 +5,7 @@ cannot be read is a :class:`~relocbench.errors.RelocbenchError` of one line with
 and lengths are limited, so that no file costs more than its reading.
 """
 
-from relocbench.files.json_text import parse_json, read_journal
+from relocbench.files.json_text import parse_json, read_journal, strict_json
 from relocbench.files.names import (
     MAX_FOLDER_BYTES,
     check_distinct,
@@ -91,6 +91,7 @@ __all__ = [
     "remove_parts",
     "seconds_to_ns",
     "sha256_file",
+    "strict_json",
     "values_by_time",
     "whole_number",
     "write_bytes",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,15 @@ def parse_json(text: str | bytes) -> Any:
     except UnicodeEncodeError:
         raise ValueError("holds half of a surrogate pair") from None
     return value
+
+
+def strict_json(values: Any) -> Any:
+    """Plain values as strict JSON has them: a number that is not finite becomes None, and keys text."""
+    if isinstance(values, dict):
+        return {str(key): strict_json(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [strict_json(value) for value in values]
+    return None if isinstance(values, float) and not math.isfinite(values) else values
 
 
 def _distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

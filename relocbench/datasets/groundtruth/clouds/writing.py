@@ -14,7 +14,7 @@ from relocbench.datasets.core.pairfile import pose_fields
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
 from relocbench.datasets.groundtruth.clouds.pictures import write_before_after, write_residuals
 from relocbench.datasets.groundtruth.clouds.register import CloudRegistration
-from relocbench.files import write_bytes, write_text
+from relocbench.files import strict_json, write_bytes, write_text
 from relocbench.geometry import apply, make_transform, rotation_angle, transform_to_tq
 
 
@@ -74,7 +74,7 @@ def write_registration(
     """
     folder.mkdir(parents=True, exist_ok=True)
     written = [folder / "registration.json", folder / "covariance.txt"]
-    write_text(written[0], json.dumps(_strict(as_values(registration, a, b)), indent=1) + "\n")
+    write_text(written[0], json.dumps(strict_json(as_values(registration, a, b)), indent=1) + "\n")
     header = "# covariance of xi = (rho, phi) in T_a_b exp(xi), metres and radians; see registration.json\n"
     write_text(written[1], header + _rows(registration.covariance))
     if np.isfinite(registration.T_a_b).all():
@@ -100,12 +100,3 @@ def write_registration(
 
 def _rows(matrix: Array) -> str:
     return "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in matrix)
-
-
-def _strict(values: Any) -> Any:
-    """Values for JSON, which has no numbers that are not finite."""
-    if isinstance(values, dict):
-        return {key: _strict(value) for key, value in values.items()}
-    if isinstance(values, list | tuple):
-        return [_strict(value) for value in values]
-    return None if isinstance(values, float) and not np.isfinite(values) else values
