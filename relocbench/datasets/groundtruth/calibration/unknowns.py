@@ -108,12 +108,7 @@ class Sensors:
 
     def number(self, drive: str, lidar: int) -> int:
         """The number of a lidar of a drive."""
-        at = 0
-        for one in self.drives:
-            if one.drive == drive:
-                return at + lidar
-            at += len(one.lidars)
-        raise KeyError(drive)
+        return [name for name, _ in self.names].index(drive) + lidar
 
     def causes(self) -> list[Cause]:
         """What may be in error: the rig, a drive, or a single lidar; a drive's only lidar is the drive.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -50,7 +51,7 @@ def write_page(
         dataset=dataset,
         residuals=residuals,
         calibration=calibration,
-        lidars=calibration_rows(calibration),
+        lidars=[_lidar(name, errors) for name, errors in calibration.lidars.items()],
         sets=[_pair_set(one) for one in drawn],
         enlarged=drawn[0].found.enlarged if drawn else 1.0,
         pictured=any(spot.keyframe is not None for one in drawn for spot in one.spots),
@@ -98,8 +99,7 @@ _DISTINCT = 2.0
 """an error is marked that is more standard deviations away from nothing"""
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """A number with its standard deviation."""
 
     text: str
@@ -107,35 +107,15 @@ class Cell:
     """whether it differs from nothing by more than chance"""
 
 
-@dataclass(frozen=True)
-class Row:
-    """One lidar of a drive: its clock, what is to be added to its position, and by what it is to be turned."""
-
-    name: str
-    late_ms: Cell
-    position_cm: tuple[Cell, ...]
-    rotation_deg: tuple[Cell, ...]
-    open: str
-    """what these drives do not show"""
-
-
-def calibration_rows(file: CalibrationFile) -> list[Row]:
-    """The rows of the table, by drive and lidar."""
-    return [_row(name, errors) for name, errors in file.lidars.items()]
-
-
-def _row(name: str, errors: LidarErrors) -> Row:
-    return Row(
-        name,
-        _cell(errors.late_ms, errors.late_sigma_ms, 1.0, 1),
-        _cells(errors.position_m, errors.position_sigma_m, 100.0, 1),
-        _cells(errors.rotation_deg, errors.rotation_sigma_deg, 1.0, 2),
-        ", ".join(errors.open),
-    )
-
-
-def _cells(values: Sequence[float], sigmas: Sequence[float], factor: float, digits: int) -> tuple[Cell, ...]:
-    return tuple(_cell(v, s, factor, digits) for v, s in zip(values, sigmas, strict=True))
+def _lidar(name: str, errors: LidarErrors) -> dict[str, object]:
+    """A row of the table: the lidar's clock, what is to be added to its position, and by what it is to be turned."""
+    return {
+        "name": name,
+        "late_ms": _cell(errors.late_ms, errors.late_sigma_ms, 1.0, 1),
+        "position_cm": [_cell(*v, 100.0, 1) for v in zip(errors.position_m, errors.position_sigma_m, strict=True)],
+        "rotation_deg": [_cell(*v, 1.0, 2) for v in zip(errors.rotation_deg, errors.rotation_sigma_deg, strict=True)],
+        "open": ", ".join(errors.open),
+    }
 
 
 def _cell(value: float, sigma: float, factor: float, digits: int) -> Cell:
