@@ -156,27 +156,26 @@ class _Problem:
         }
         T_node_world = invert(T_world_node)
         for a, b in self.pairs:
-            at = tuple(m.node + (self.solution.drives.reference_count if m.drive else 0) for m in (a, b))
+            at_a, at_b = (m.node + (self.solution.drives.reference_count if m.drive else 0) for m in (a, b))
             columns = [
                 slice(start, start + SIZE) for start in (self.columns[a.drive][a.lidar], self.columns[b.drive][b.lidar])
             ]
             of_a, of_b = (corrections[m.drive, m.lidar][m.node] for m in (a, b))
-            T = T_node_world[at[0]] @ T_world_node[at[1]]
+            T = T_node_world[at_a] @ T_world_node[at_b]
             fit = self.fits.fit(a, b, T, (of_a, of_b), reach)
             if fit.count < _LEAST_COUNT:
                 continue
-            nodes.append(at)
+            nodes.append((at_a, at_b))
             poses.append(T)
             steps.append(minimum(fit.H, fit.g))
             information.append(information_of(fit, self.solution.noise, LocalOptions()))
             # T_measured = se3_exp(u_a) @ T @ se3_exp(-u_b), each correction about the rig's place.
             by = np.zeros((6, self.unknowns))
-            by[:, columns[1]] += about(fit.rig_b) @ self.moves[at[1]]
-            by[:, columns[0]] -= adjoint(invert(T)) @ about(fit.rig_a) @ self.moves[at[0]]
+            by[:, columns[1]] += about(fit.rig_b) @ self.moves[at_b]
+            by[:, columns[0]] -= adjoint(invert(T)) @ about(fit.rig_a) @ self.moves[at_a]
             derivatives.append(by)
-        numbers = np.array(nodes, dtype=np.int64).reshape(-1, 2)
         measured = np.array(poses).reshape(-1, 4, 4) @ se3_exp(np.array(steps).reshape(-1, 6))
-        edges = Edges.of_registrations(*numbers.T, measured, information)
+        edges = Edges.of_registrations([a for a, _ in nodes], [b for _, b in nodes], measured, information)
         return CalibrationEdges(edges, np.array(derivatives).reshape(-1, 6, self.unknowns))
 
 

@@ -53,7 +53,11 @@ class Edges:
 
     @classmethod
     def of_registrations(
-        cls, first: Sequence[int], second: Sequence[int], T_first_second: Sequence[Array], information: Sequence[Array]
+        cls,
+        first: Sequence[int],
+        second: Sequence[int],
+        T_first_second: Sequence[Array] | Array,
+        information: Sequence[Array],
     ) -> Edges:
         """Edges by registrations, in their order."""
         return cls(

@@ -121,7 +121,8 @@ def _inspect(dataset: Dataset, folder: Path, pair_set: PairSet) -> InspectedSet:
         *drives,
         read_registrations(registrations / f"{names[0]}__{names[1]}.csv"),
         (BlockStore(blocks[0]), BlockStore(blocks[1])),
-        *known,
+        known[0],
+        known[1],
         scale.factor,
     )
 
