@@ -140,9 +140,8 @@ def normalised_squares(solution: Solution, reference: Drive, query: Drive, offse
     for j in range(len(query.nodes)):
         for i in (j + k for k in offsets):
             if 0 <= i < len(reference.nodes):
-                T, covariance = solution.relative(i, j)
-                error = true_error(reference, query, i, j, T)
-                out.append(error @ np.linalg.solve(covariance, error) / 6)
+                error = true_error(reference, query, i, j, solution.pose(i, j))
+                out.append(error @ np.linalg.solve(solution.covariance(i, j), error) / 6)
     return np.array(out)
 
 
