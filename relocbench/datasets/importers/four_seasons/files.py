@@ -20,25 +20,14 @@ from relocbench.files import lines_of, parse_floats, parse_timestamp, read_rows,
 from relocbench.geometry import Camera, invert
 from relocbench.tracking import KeyframePoints
 
-PATCH_OFFSETS = ((0, -2), (-1, -1), (1, -1), (-2, 0), (0, 0), (2, 0), (-1, 1), (0, 2))
-"""(du, dv) of the eight grey values stored with a point (Engel et al. 2018, pattern 8)"""
 _POINT_FIELDS = "u v idepth idepth_hessian maxRelBaseline numGoodRes status"
-_PATCH_FIELDS = " ".join(f"grey{i}" for i in range(len(PATCH_OFFSETS)))
+_PATCH_FIELDS = " ".join(f"grey{i}" for i in range(8))
+"""the grey values around a point (Engel et al. 2018, pattern 8)"""
 
 MAX_IDEPTH_VARIANCE = 0.001
 MAX_DEPTH_VARIANCE = 0.001
 MIN_RELATIVE_BASELINE = 0.1
 _HESSIAN_FLOOR = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class GpsFix:
-    """The GNSS fix that some keyframe files contain."""
-
-    covariance: Array
-    """(3, 3) m^2"""
-    point: Array
-    """(3,) metres, in gpsw"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +41,6 @@ class KeyframeFile:
     camera: Camera
     T_w_cam: Array
     """(4, 4), as estimated by the odometry; not the fused pose of GNSSPoses.txt"""
-    exposure_ms: float
-    gps: GpsFix | None
     uv: Array
     """(N, 2) pixels"""
     inverse_depth: Array
@@ -62,8 +49,6 @@ class KeyframeFile:
     """(N,) Hessian of the inverse depth, whose variance is 1 / hessian"""
     relative_baseline: Array
     """(N,) greatest ratio of baseline to depth among the frames that saw the point"""
-    patch: Array
-    """(N, 8) grey values at :data:`PATCH_OFFSETS`"""
 
     def __len__(self) -> int:
         return len(self.uv)
@@ -133,7 +118,7 @@ _TRANSFORMATIONS = ("S_AS", "TS_cam_imu", "w_gpsw", "gps_imu", "e_gpsw", "scale"
 
 
 def read_keyframe(path: Path) -> KeyframeFile:
-    """Parse a keyframe file.
+    """Parse a keyframe file. Exposure, GNSS fix and the grey values of points are checked, but not kept.
 
     Raises:
         DatasetError: with file and line: a part is missing, a field is not a number, the number of points differs
@@ -154,41 +139,40 @@ def read_keyframe(path: Path) -> KeyframeFile:
     except ValueError as bad:
         raise DatasetError(str(bad), path, camera_line) from None
     body = rows[4:]
-    gps = None
     if body and len(body[0][1]) == 9:
-        gps, body = _parse_gps(body, path), body[2:]
+        _check_gps(body, path)
+        body = body[2:]
     if len(body) != 2 * int(count):
         raise DatasetError(
             f"holds {len(body) / 2:g} points (two lines each), but its header says {int(count)}", path, camera_line
         )
     table = [parse_floats(f, path, n, _POINT_FIELDS, DatasetError) for n, f in body[0::2]]
-    patches = [parse_floats(f, path, n, _PATCH_FIELDS, DatasetError) for n, f in body[1::2]]
+    for line, fields in body[1::2]:
+        parse_floats(fields, path, line, _PATCH_FIELDS, DatasetError)
     values = np.array(table, dtype=np.float64).reshape(-1, 7)
     negative = np.nonzero(values[:, 3] < 0)[0]
     if negative.size:
         raise DatasetError("idepth_hessian is negative", path, body[2 * int(negative[0])][0])
+    parse_floats(exposure, path, exposure_line, "exposure_ms", DatasetError)
     return KeyframeFile(
         timestamp_ns=timestamp,
         camera=camera,
         T_w_cam=parse_pose(pose, path, pose_line),
-        exposure_ms=parse_floats(exposure, path, exposure_line, "exposure_ms", DatasetError)[0],
-        gps=gps,
         uv=values[:, :2].copy(),
         inverse_depth=values[:, 2].copy(),
         hessian=values[:, 3].copy(),
         relative_baseline=values[:, 4].copy(),
-        patch=np.array(patches, dtype=np.float64).reshape(-1, 8),
     )
 
 
-def _parse_gps(rows: list[tuple[int, list[str]]], path: Path) -> GpsFix:
+def _check_gps(rows: list[tuple[int, list[str]]], path: Path) -> None:
+    """Check the covariance and the position of the GNSS fix that some keyframe files hold."""
     line, fields = rows[0]
-    covariance = parse_floats(fields, path, line, " ".join(f"cov{i}" for i in range(9)), DatasetError)
+    parse_floats(fields, path, line, " ".join(f"cov{i}" for i in range(9)), DatasetError)
     if len(rows) < 2:
         raise DatasetError("expected the GPS point after its covariance", path, line)
     line, fields = rows[1]
-    point = parse_floats(fields, path, line, "x y z", DatasetError)
-    return GpsFix(np.array(covariance).reshape(3, 3), np.array(point))
+    parse_floats(fields, path, line, "x y z", DatasetError)
 
 
 def keyframe_files(recording: Path) -> dict[int, Path]:
@@ -233,19 +217,19 @@ def read_poses(path: Path) -> dict[int, Array]:
     return dict(sorted(poses.items()))
 
 
-def read_times(path: Path) -> dict[int, float]:
-    """Read ``times.txt``, ``timestamp_ns seconds exposure_ms``: timestamp_ns -> exposure in milliseconds.
+def read_times(path: Path) -> list[int]:
+    """The times in nanoseconds of ``times.txt``, whose lines are ``timestamp_ns seconds exposure_ms``.
 
     Raises:
         DatasetError: with file and line, also if the two times of a line differ by a microsecond or more.
     """
-    times = {}
+    times = []
     for line, fields in read_rows(path, "frame times (timestamp_ns seconds exposure_ms)", DatasetError):
         time = parse_timestamp(fields[0], path, line, DatasetError)
-        _, exposure = parse_floats(fields[1:], path, line, "seconds exposure_ms", DatasetError)
+        parse_floats(fields[1:], path, line, "seconds exposure_ms", DatasetError)
         if abs(_parse_time(fields[1], path, line) - time) >= 1000:
             raise DatasetError(f"{fields[0]} ns and {fields[1]} s are not the same time", path, line)
-        times[time] = exposure
+        times.append(time)
     return times
 
 

@@ -11,12 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.sensors.geodesy import R_enu_ecef, ecef_from_geodetic
 from relocbench.errors import DatasetError
 from relocbench.files import lines_of, read_bytes, seconds_to_ns
 
-_SEMI_MAJOR_M = 6378137.0
-_FLATTENING = 1 / 298.257223563
-_ECCENTRICITY2 = _FLATTENING * (2 - _FLATTENING)
 _DAY_NS = 86_400 * 1_000_000_000
 _PATH_STEP_S = 2.0
 """time between the positions that measure a path's length; the noise of closer ones would add to it"""
@@ -32,28 +30,6 @@ class GgaFix:
     longitude_deg: float
     height_m: float
     """above the WGS 84 ellipsoid"""
-    quality: int
-    """0 no fix, 1 single, 2 differential, 4 RTK fixed, 5 RTK float"""
-
-    @property
-    def ecef(self) -> Array:
-        """(3,) earth-centred, earth-fixed position in metres (WGS 84)."""
-        return ecef_from_geodetic(self.latitude_deg, self.longitude_deg, self.height_m)
-
-
-def ecef_from_geodetic(latitude_deg: float, longitude_deg: float, height_m: float) -> Array:
-    """(3,) ECEF metres of WGS 84 coordinates (NIMA TR8350.2)."""
-    latitude, longitude = np.radians([latitude_deg, longitude_deg])
-    normal = _SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(latitude) ** 2)
-    across = (normal + height_m) * np.cos(latitude)
-    z = (normal * (1 - _ECCENTRICITY2) + height_m) * np.sin(latitude)
-    return np.array([across * np.cos(longitude), across * np.sin(longitude), z])
-
-
-def up_direction(latitude_deg: float, longitude_deg: float) -> Array:
-    """(3,) unit normal of the ellipsoid."""
-    latitude, longitude = np.radians([latitude_deg, longitude_deg])
-    return np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
 
 
 def read_gga(path: Path) -> list[GgaFix]:
@@ -83,7 +59,7 @@ def _parse_gga(line: str) -> GgaFix | None:
     if f"{reduce(xor, body[1:].encode('ascii', 'replace'), 0):02X}" != checksum[:2].upper():
         return None
     _, clock, latitude, north, longitude, east, quality, _, _, altitude, _, geoid, *_ = body.split(",")
-    if not (clock and latitude and longitude and altitude and geoid) or quality in ("", "0"):
+    if not (clock and latitude and longitude and altitude and geoid and quality) or not int(quality):
         return None
     seconds = seconds_to_ns(clock[4:])
     return GgaFix(
@@ -91,7 +67,6 @@ def _parse_gga(line: str) -> GgaFix | None:
         latitude_deg=_degrees(latitude, 2) * (-1 if north == "S" else 1),
         longitude_deg=_degrees(longitude, 3) * (-1 if east == "W" else 1),
         height_m=float(altitude) + float(geoid),
-        quality=int(quality),
     )
 
 
@@ -119,7 +94,7 @@ def agreement(positions: Mapping[int, Array], fixes: list[GgaFix]) -> TrackAgree
     """
     track_times = np.array([f.time_of_day_ns for f in fixes], dtype=np.int64)
     kept = np.concatenate([[True], np.diff(track_times) > 0])
-    track = np.array([f.ecef for f in fixes])[kept]
+    track = ecef_from_geodetic(np.array([(f.latitude_deg, f.longitude_deg, f.height_m) for f in fixes]))[kept]
     track_times = track_times[kept]
     times = np.array([t % _DAY_NS for t in positions], dtype=np.int64)
     inside = (times >= track_times[0]) & (times <= track_times[-1])
@@ -130,7 +105,7 @@ def agreement(positions: Mapping[int, Array], fixes: list[GgaFix]) -> TrackAgree
     seconds, track_seconds = (times[inside] - start) * 1e-9, (track_times - start) * 1e-9
     receiver = _resample(seconds, track_seconds, track)
     steps = np.arange(seconds.min(), seconds.max(), _PATH_STEP_S)
-    up = up_direction(fixes[0].latitude_deg, fixes[0].longitude_deg)
+    up = R_enu_ecef(fixes[0].latitude_deg, fixes[0].longitude_deg)[2]
     difference = poses - receiver
     height = difference @ up
     return TrackAgreement(

@@ -53,7 +53,7 @@ class Recording:
     @cached_property
     def times(self) -> frozenset[int]:
         """Timestamps of all known frames, whether or not their images are present."""
-        listed = read_times(self.root / "times.txt") if (self.root / "times.txt").exists() else {}
+        listed = read_times(self.root / "times.txt") if (self.root / "times.txt").exists() else []
         return frozenset({*listed, *self.images[CAMERAS[0]], *self.keyframes, *self.T_w_cam})
 
     def scale(self, timestamp_ns: int) -> float:

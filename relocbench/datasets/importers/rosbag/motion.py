@@ -8,12 +8,10 @@ import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.importers.rosbag.index import Fixes
+from relocbench.datasets.sensors.geodesy import ECCENTRICITY2, R_enu_ecef, ecef_from_geodetic, prime_vertical_radius
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import invert, make_transform, transform_from_tq
 
-_A, _F = 6378137.0, 1 / 298.257223563
-_E2 = _F * (2 - _F)
-"""semi-major axis in metres, flattening, and square of the eccentricity of WGS 84 (NIMA TR8350.2)"""
 _AROUND_M = 50.0
 """metres of road before and after a fix that its heading is fitted to"""
 _LEAST_M = 5.0
@@ -35,6 +33,16 @@ class GeodeticOrigin:
         latitude, longitude, altitude, _ = fixes.values[0]
         return cls(round(float(latitude), 2), round(float(longitude), 2), float(np.floor(altitude)))
 
+    @property
+    def ecef(self) -> Array:
+        """(3,) metres"""
+        return ecef_from_geodetic(np.array([self.latitude_deg, self.longitude_deg, self.altitude_m]))
+
+    @property
+    def R_enu_ecef(self) -> Array:
+        """(3, 3) from ECEF to the map's axes."""
+        return R_enu_ecef(self.latitude_deg, self.longitude_deg)
+
     def __str__(self) -> str:
         return f"latitude {self.latitude_deg:g}, longitude {self.longitude_deg:g}, {self.altitude_m:g} m"
 
@@ -45,9 +53,8 @@ def east_north_up(values: Array, origin: GeodeticOrigin) -> Array:
     Through Cartesian coordinates of WGS 84 (Hofmann-Wellenhof et al., GNSS, 2008, chapter 8): exact, whatever the
     distance from the origin.
     """
-    start = np.array([[origin.latitude_deg, origin.longitude_deg, origin.altitude_m]])
-    difference = _cartesian(values) - _cartesian(start)
-    return np.asarray(difference @ _rotation(origin).T)
+    difference = ecef_from_geodetic(values) - origin.ecef
+    return np.asarray(difference @ origin.R_enu_ecef.T)
 
 
 def latitude_longitude(enu: Array, origin: GeodeticOrigin) -> Array:
@@ -55,39 +62,14 @@ def latitude_longitude(enu: Array, origin: GeodeticOrigin) -> Array:
 
     Latitude and altitude by fixed-point iteration, which gains more than two digits a step near the ground.
     """
-    start = np.array([[origin.latitude_deg, origin.longitude_deg, origin.altitude_m]])
-    x, y, z = (_cartesian(start) + enu @ _rotation(origin)).T
+    x, y, z = (origin.ecef + enu @ origin.R_enu_ecef).T
     level = np.hypot(x, y)
-    phi, height = np.arctan2(z, level * (1 - _E2)), np.zeros(len(x))
+    phi, height = np.arctan2(z, level * (1 - ECCENTRICITY2)), np.zeros(len(x))
     for _ in range(8):
-        normal = _A / np.sqrt(1 - _E2 * np.sin(phi) ** 2)
+        normal = prime_vertical_radius(phi)
         height = level / np.cos(phi) - normal
-        phi = np.arctan2(z, level * (1 - _E2 * normal / (normal + height)))
+        phi = np.arctan2(z, level * (1 - ECCENTRICITY2 * normal / (normal + height)))
     return np.column_stack([np.degrees(phi), np.degrees(np.arctan2(y, x)), height])
-
-
-def _rotation(origin: GeodeticOrigin) -> Array:
-    """(3, 3) from Cartesian coordinates of the earth to east, north, up."""
-    phi, lam = np.radians([origin.latitude_deg, origin.longitude_deg])
-    return np.array(
-        [
-            [-np.sin(lam), np.cos(lam), 0.0],
-            [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
-            [np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)],
-        ]
-    )
-
-
-def _cartesian(values: Array) -> Array:
-    phi, lam, height = np.radians(values[:, 0]), np.radians(values[:, 1]), values[:, 2]
-    normal = _A / np.sqrt(1 - _E2 * np.sin(phi) ** 2)
-    return np.column_stack(
-        [
-            (normal + height) * np.cos(phi) * np.cos(lam),
-            (normal + height) * np.cos(phi) * np.sin(lam),
-            (normal * (1 - _E2) + height) * np.sin(phi),
-        ]
-    )
 
 
 def in_order(times_ns: Times) -> Times:
