@@ -1,4 +1,4 @@
-"""Steps that importers share: the build's configuration, checks of options and folders, and pair sets."""
+"""Steps that importers share: the build's configuration, checks of folders, images, and pair sets."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import DatasetOptions, RuleOptions
 from relocbench.datasets.core.traversal import Traversal
@@ -13,7 +14,9 @@ from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.posed_frames import posed_frames
 from relocbench.datasets.pairs.writing import write_pair_set
+from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
+from relocbench.geometry import Camera
 
 
 def configuration(kind: str, sources: Sequence[Path], options: DatasetOptions) -> dict[str, Any]:
@@ -37,6 +40,26 @@ def check_folder(path: Path, expected: str) -> None:
     """Raise DatasetError if ``path`` is not a folder."""
     if not path.is_dir():
         raise DatasetError(f"{'is a file' if path.exists() else 'no such folder'}; expected {expected}", path)
+
+
+def import_image(
+    writer: DatasetWriter, frame: tuple[str, str, int], path: Path, camera: Camera, size_from: str, *, copy: bool
+) -> None:
+    """Link or copy an image of a pinhole camera, and undistort that of another.
+
+    Args:
+        frame: traversal, camera and timestamp_ns.
+        size_from: where the camera's size is from, for messages.
+
+    Raises:
+        DatasetError: the image is missing, damaged or not of the camera's size.
+    """
+    size = images.ExpectedSize(camera.size, size_from)
+    if camera.model == "pinhole":
+        images.read_image(path, size)
+        writer.link_image(*frame, path, copy=copy)
+    elif writer.needs_image(*frame):
+        writer.image(*frame, undistort(images.read_image(path, size), camera))
 
 
 def write_pairs(

@@ -30,8 +30,8 @@ class ImageFiles:
 
     def read(self, index: int) -> Image:
         """Read an undistorted image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
-        image = images.read_image(self.files[index], images.ExpectedSize(self.distorted.size, self.size_from))
-        return image if self.distorted.model == "pinhole" else undistort(image, self.distorted)
+        size = images.ExpectedSize(self.distorted.size, self.size_from)
+        return undistort(images.read_image(self.files[index], size), self.distorted)
 
     def file(self, index: int) -> Path | None:
         """The image file if it needs no undistortion, else None."""

@@ -21,7 +21,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core.traversal import POSE_COLUMNS, read_poses
 from relocbench.datasets.sensors.matrices import parse_matrix
-from relocbench.datasets.sensors.trajectories import QuaternionOrder, parse_time, read_trajectory
+from relocbench.datasets.sensors.trajectories import QuaternionOrder, read_time, read_trajectory
 from relocbench.errors import DatasetError
 from relocbench.files import read_rows
 
@@ -78,7 +78,7 @@ def _matrices(path: Path, columns: int, times: Path | None) -> dict[int, Array]:
         if len(fields) != columns:
             raise DatasetError(f"expected {columns} columns as in the first line, found {len(fields)}", path, number)
         if listed is None:
-            time = _time(fields[0], path, number)
+            time = read_time(fields[0], path, number)
             if last is not None and time <= last:
                 raise DatasetError(f"time {fields[0]} is not later than the previous one", path, number)
         elif row < len(listed):
@@ -111,17 +111,10 @@ def _times(path: Path, times: Path | None) -> list[int]:
     for number, fields in read_rows(file, "times, one a line", DatasetError):
         if len(fields) != 1:
             raise DatasetError(f"expected one time, found {len(fields)} columns", file, number)
-        found.append(_time(fields[0], file, number))
+        found.append(read_time(fields[0], file, number))
         if len(found) > 1 and found[-1] <= found[-2]:
             raise DatasetError(f"time {fields[0]} is not later than the previous one", file, number)
     return found
-
-
-def _time(text: str, path: Path, number: int) -> int:
-    try:
-        return parse_time(text)
-    except ValueError as bad:
-        raise DatasetError(str(bad), path, number) from None
 
 
 def likely_order(T_world_rig: Array, order: QuaternionOrder) -> QuaternionOrder:

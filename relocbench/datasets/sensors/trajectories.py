@@ -63,6 +63,14 @@ def parse_time(text: str) -> int:
     raise ValueError(f"{quoted(text)} is not a time: integer nanoseconds, or seconds with a decimal point")
 
 
+def read_time(text: str, path: Path, line: int | None = None, error: type[RelocbenchError] = DatasetError) -> int:
+    """As :func:`parse_time`. Raises ``error`` with file and line."""
+    try:
+        return parse_time(text)
+    except ValueError as bad:
+        raise error(str(bad), path, line) from None
+
+
 def timed_files(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[int, Path]:
     """The files of a folder by the times in their names, in time order; a missing folder has none.
 
@@ -106,10 +114,7 @@ def read_trajectory(
     for line, fields in read_rows(path, f"a trajectory ({columns})", error):
         if len(fields) != 8:
             raise error(f"expected 8 columns ({columns}), found {len(fields)}", path, line)
-        try:
-            time = parse_time(fields[0])
-        except ValueError as bad:
-            raise error(str(bad), path, line) from None
+        time = read_time(fields[0], path, line, error)
         if last is not None and time <= last:
             raise error(f"time {fields[0]} is not later than the previous one", path, line)
         quaternion = fields[4:] if order == "xyzw" else [*fields[5:], fields[4]]

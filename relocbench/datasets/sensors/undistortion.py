@@ -17,9 +17,13 @@ from relocbench.tracking import KeyframePoints
 def undistort(image: NDArray[Any], camera: Camera, nearest: bool = False) -> NDArray[Any]:
     """The image (H, W) or (H, W, 3) that ``camera.pinhole()`` would have taken; 0 outside the camera's view.
 
+    That of a pinhole camera is returned as it is.
+
     Args:
         nearest: take the nearest pixel instead of interpolating, which would mix depths across an edge.
     """
+    if camera.model == "pinhole":
+        return image
     u, v = _undistortion_map(camera)
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR))
 

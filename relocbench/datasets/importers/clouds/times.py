@@ -10,7 +10,7 @@ import numpy as np
 
 from relocbench.arrays import Times
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import read_rows, seconds_to_ns, whole_number
+from relocbench.files import parse_seconds, read_rows, whole_number
 
 TIME_FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv")
 NS_BY_DIGITS = {10: 10**9, 13: 10**6, 16: 10**3, 19: 1}
@@ -90,7 +90,8 @@ def _is_number(text: str) -> bool:
 def _parsed(texts: list[str], places: Sequence[tuple[Path, int | None]]) -> tuple[Times, str]:
     """Times and their unit: a point means seconds, else the number of digits decides."""
     if any(whole_number(text) is None for text in texts):
-        return np.array([_seconds(text, *place) for text, place in zip(texts, places, strict=True)]), "seconds"
+        seconds = [parse_seconds(text, *place, DatasetError) for text, place in zip(texts, places, strict=True)]
+        return np.array(seconds), "seconds"
     longest = max(texts, key=lambda text: len(text.lstrip("0")))
     digits = len(longest.lstrip("0"))
     factor = NS_BY_DIGITS.get(digits)
@@ -103,13 +104,6 @@ def _parsed(texts: list[str], places: Sequence[tuple[Path, int | None]]) -> tupl
             line,
         )
     return np.array([int(text) * factor for text in texts], dtype=np.int64), _UNITS[factor]
-
-
-def _seconds(text: str, path: Path, line: int | None) -> int:
-    try:
-        return seconds_to_ns(text)
-    except ValueError as bad:
-        raise DatasetError(f"{bad}; expected a time", path, line) from None
 
 
 def _by_time(files: list[Path], times: Times, table: Path | None) -> dict[int, Path]:

@@ -21,7 +21,7 @@ from relocbench.datasets.core.named_poses import read_named_poses, read_words
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
 from relocbench.datasets.importers.colmap.model import read_model
-from relocbench.datasets.importers.photos.cameras import camera_of
+from relocbench.datasets.importers.photos.cameras import parse_camera
 from relocbench.datasets.importers.photos.collection import (
     CAMERA,
     MAP,
@@ -41,7 +41,7 @@ from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import ConfigError, DatasetError, quoted
 from relocbench.execution import Run
-from relocbench.files import fitting_name, parse_floats, whole_number
+from relocbench.files import fitting_name
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
@@ -165,8 +165,8 @@ class _DepthImages:
         path = (self.folder / photo.name).with_suffix(".png")
         if path.exists() and writer.needs_depth(traversal, CAMERA, photo.time):
             units = images.read_raw_depth(path, 1.0 / self.options.depth_scale, photo.size)
-            depth = undistort(units, photo.camera, nearest=True) if photo.camera.distortion else units
-            writer.depth(traversal, CAMERA, photo.time, depth * self.options.metres_per_unit)
+            depth = undistort(units, photo.camera, nearest=True) * self.options.metres_per_unit
+            writer.depth(traversal, CAMERA, photo.time, depth)
 
 
 def listed_cameras(path: Path) -> dict[str, Camera]:
@@ -177,16 +177,11 @@ def listed_cameras(path: Path) -> dict[str, Camera]:
     """
     found: dict[str, Camera] = {}
     for line, fields in read_words(path, "queries with intrinsics (name MODEL width height params...)", DatasetError):
-        sizes = [whole_number(text) for text in fields[2:4]]
-        if len(fields) < 5 or None in sizes:
+        if len(fields) < 5:
             raise DatasetError("expected name MODEL width height params...", path, line)
-        numbers = parse_floats(fields[4:], path, line, " ".join(["parameter"] * len(fields[4:])), DatasetError)
         if fields[0] in found:
             raise DatasetError(f"image {quoted(fields[0])} occurs again", path, line)
-        try:
-            found[fields[0]] = camera_of(fields[1], sizes[0] or 0, sizes[1] or 0, numbers)
-        except ValueError as bad:
-            raise DatasetError(str(bad), path, line) from None
+        found[fields[0]] = parse_camera(fields[1:], path, line)
     if not found:
         raise DatasetError("holds no image; expected lines 'name MODEL width height params...'", path)
     return found

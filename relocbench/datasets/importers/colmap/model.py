@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Indices
 from relocbench.datasets.core.named_poses import pose_of_numbers
-from relocbench.datasets.importers.photos.cameras import PARAMETERS, camera_of
+from relocbench.datasets.importers.photos.cameras import PARAMETERS, camera_of, parse_camera
 from relocbench.datasets.importers.photos.model import ModelImage, SparseModel
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import lines_of, parse_floats, read_bytes, read_text, whole_number
+from relocbench.files import lines_of, parse_count, parse_floats, read_bytes, read_text
 from relocbench.geometry import Camera
 
 MOST_BYTES = 8 << 30
@@ -85,13 +85,6 @@ def _text_lines(path: Path, what: str) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def _identifier(text: str, path: Path, line: int, what: str) -> int:
-    value = whole_number(text)
-    if value is None:
-        raise DatasetError(f"{what} is {quoted(text)}, expected a whole number", path, line)
-    return value
-
-
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
     for number, line in _text_lines(path, "COLMAP's cameras"):
         fields = line.split()
@@ -99,12 +92,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
             continue
         if len(fields) < 5:
             raise DatasetError("expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS...", path, number)
-        sizes = [_identifier(text, path, number, "the size") for text in fields[2:4]]
-        numbers = parse_floats(fields[4:], path, number, " ".join(["parameter"] * len(fields[4:])), DatasetError)
-        try:
-            yield _identifier(fields[0], path, number, "CAMERA_ID"), camera_of(fields[1], sizes[0], sizes[1], numbers)
-        except ValueError as bad:
-            raise DatasetError(str(bad), path, number) from None
+        yield parse_count(fields[0], "CAMERA_ID", path, number, DatasetError), parse_camera(fields[1:], path, number)
 
 
 def _text_images(path: Path) -> Iterator[tuple[int, ModelImage]]:
@@ -116,13 +104,13 @@ def _text_images(path: Path) -> Iterator[tuple[int, ModelImage]]:
         if len(fields) != 10:
             raise DatasetError("expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", path, number)
         numbers = parse_floats(fields[1:8], path, number, "QW QX QY QZ TX TY TZ", DatasetError)
-        camera = _identifier(fields[8], path, number, "CAMERA_ID")
+        camera = parse_count(fields[8], "CAMERA_ID", path, number, DatasetError)
         below, seen = next(lines, (number, ""))  # a file may end without the empty line of its last image
         try:
             image = _image(fields[9].strip(), camera, numbers, _text_observations(seen))
         except ValueError as bad:
             raise DatasetError(str(bad), path, below if "POINTS2D" in str(bad) else number) from None
-        yield _identifier(fields[0], path, number, "IMAGE_ID"), image
+        yield parse_count(fields[0], "IMAGE_ID", path, number, DatasetError), image
 
 
 def _text_observations(line: str) -> Indices:
@@ -144,7 +132,7 @@ def _text_points(path: Path) -> Iterator[tuple[int, list[float]]]:
         if len(fields) < 8:
             raise DatasetError("expected POINT3D_ID X Y Z R G B ERROR TRACK[]", path, number)
         values = parse_floats([*fields[1:4], fields[7]], path, number, "X Y Z ERROR", DatasetError)
-        yield _identifier(fields[0], path, number, "POINT3D_ID"), values
+        yield parse_count(fields[0], "POINT3D_ID", path, number, DatasetError), values
 
 
 # --- binary ---

@@ -66,7 +66,7 @@ def read_complex_urban(
         ConfigError: there is no such lidar.
     """
     streams = []
-    for lidar in chosen_of(lidars, tuple(LIDARS), _DEFAULT, "Complex Urban"):
+    for lidar in chosen_of(lidars or None, tuple(LIDARS), _DEFAULT, "Complex Urban has no lidar"):
         where = folder / "sensor_data" / lidar
         scans = files_by_time(where, (".bin",), nanoseconds)
         if not scans[0]:

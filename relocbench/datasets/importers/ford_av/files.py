@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from relocbench.datasets.importers.rosbag.bag import SUFFIXES
+from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.files import check_distinct, plain_name
 
 CAMERAS = {
     "front_left": ("FL", "cameraFrontLeft"),
@@ -58,20 +58,8 @@ def find_logs(sources: Sequence[Path], calibration: Path | None) -> list[Log]:
         DatasetError: a bag or the calibration is missing or cannot be told, or two logs have the same name.
         ConfigError: one calibration was given for several vehicles.
     """
-    logs = [_find(source, calibration) for source in sources]
-    known: dict[str, Log] = {}
-    for log in logs:
-        if log.name in known:
-            same = known[log.name].bag.resolve() == log.bag.resolve()
-            message = (
-                "is given twice" if same else f"is the second log called '{log.name}' (first: {known[log.name].bag})"
-            )
-            raise DatasetError(message, log.bag)
-        known[log.name] = log
-    try:
-        check_distinct(list(known), "logs")
-    except ValueError as bad:
-        raise DatasetError(str(bad)) from None
+    bags = [_bag_of(source) for source in sources]
+    logs = [_log_of(bag, name, calibration) for bag, name in zip(bags, traversal_names(bags, SUFFIXES), strict=True)]
     vehicles = sorted({log.vehicle for log in logs} - {""})
     if calibration is not None and len(vehicles) > 1 and all(log.calibration == calibration for log in logs):
         raise ConfigError(
@@ -81,14 +69,9 @@ def find_logs(sources: Sequence[Path], calibration: Path | None) -> list[Log]:
     return logs
 
 
-def _find(source: Path, calibration: Path | None) -> Log:
-    bag = _bag_of(source)
+def _log_of(bag: Path, name: str, calibration: Path | None) -> Log:
     place = bag.resolve()
     found = _NAME.search(place.stem) or _NAME.search("-".join(place.parent.parts[-3:]))
-    try:
-        name = plain_name(place.stem, "traversal name")
-    except ValueError:
-        raise DatasetError("its name cannot name a traversal; rename or link it", bag) from None
     vehicle = found[2] if found else ""
     month = int(found[1]) if found else None
     return Log(bag, name, month, vehicle, _images_of(bag), _calibration_of(place, vehicle, calibration))

@@ -127,7 +127,7 @@ def read_ford(log: Log, how: ReadingOptions, reporter: Reporter, kept: Path | No
 def _roles(found: Survey, log: Log, how: ReadingOptions) -> Roles:
     """The topics that are read, with reasons."""
     roles = Roles()
-    for colour in chosen_of(how.lidars, COLOURS, COLOURS, "Ford AV"):
+    for colour in chosen_of(how.lidars or None, COLOURS, COLOURS, "Ford AV has no lidar"):
         names = (f"/lidar_{colour}_scan", f"/lidar_{colour}_pointcloud")
         topics = [t for t in found.of_types((kinds.PACKETS, kinds.CLOUD)) if t.name in names]
         if not topics and colour in how.lidars:

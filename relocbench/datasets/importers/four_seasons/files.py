@@ -14,7 +14,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import parse_pose
-from relocbench.datasets.sensors.trajectories import parse_time
+from relocbench.datasets.sensors.trajectories import read_time
 from relocbench.errors import DatasetError
 from relocbench.files import lines_of, parse_floats, parse_timestamp, read_rows, read_text
 from relocbench.geometry import Camera, invert
@@ -210,7 +210,7 @@ def read_poses(path: Path) -> dict[int, Array]:
     for line, fields in read_rows(path, "poses (timestamp tx ty tz qx qy qz qw)", DatasetError):
         if len(fields) != 8:
             raise DatasetError(f"expected 8 columns (timestamp tx ty tz qx qy qz qw), found {len(fields)}", path, line)
-        time = _parse_time(fields[0], path, line)
+        time = read_time(fields[0], path, line)
         if time in poses:
             raise DatasetError(f"timestamp {fields[0]} occurs again", path, line)
         poses[time] = parse_pose(fields[1:], path, line)
@@ -227,7 +227,7 @@ def read_times(path: Path) -> list[int]:
     for line, fields in read_rows(path, "frame times (timestamp_ns seconds exposure_ms)", DatasetError):
         time = parse_timestamp(fields[0], path, line, DatasetError)
         parse_floats(fields[1:], path, line, "seconds exposure_ms", DatasetError)
-        if abs(_parse_time(fields[1], path, line) - time) >= 1000:
+        if abs(read_time(fields[1], path, line) - time) >= 1000:
             raise DatasetError(f"{fields[0]} ns and {fields[1]} s are not the same time", path, line)
         times.append(time)
     return times
@@ -252,13 +252,6 @@ def read_transformations(path: Path) -> Transformations:
     if len(fields) != 1:
         raise DatasetError(f"expected the scale alone, found {len(fields)} numbers", path, line)
     return Transformations(S_AS, TS_cam_imu, w_gpsw, gps_imu, e_gpsw, _parse_scale(fields[0], path, line))
-
-
-def _parse_time(text: str, path: Path, line: int) -> int:
-    try:
-        return parse_time(text)
-    except ValueError as bad:
-        raise DatasetError(str(bad), path, line) from None
 
 
 def _parse_scale(text: str, path: Path, line: int) -> float:

@@ -20,7 +20,7 @@ from relocbench.datasets.core.build_options import ImportOptions, PosedRecording
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import open_writer, write_pairs
+from relocbench.datasets.importers.assembly import import_image, open_writer, write_pairs
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, timed_files, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort, undistort_points
@@ -240,26 +240,21 @@ class _FrameUnit:
 
 
 def _write_frame(unit: _FrameUnit) -> None:
-    """Import a frame: link images of a pinhole camera, undistort those of other cameras."""
+    """Import the image, depth and points of a frame."""
     where = unit.traversal, unit.camera_name, unit.timestamp_ns
     camera, writer = unit.camera.camera, unit.writer
-    distorted, size = camera.model != "pinhole", images.ExpectedSize(camera.size, CAMERA_FILE)
-    if not distorted:
-        images.read_image(unit.image, size)
-        writer.link_image(*where, unit.image, copy=unit.options.copy_images)
-    elif writer.needs_image(*where):
-        image = images.read_image(unit.image, size)
-        writer.image(*where, undistort(image, camera))
+    import_image(writer, where, unit.image, camera, CAMERA_FILE, copy=unit.options.copy_images)
     if unit.depth is not None and writer.needs_depth(*where):
         assert unit.camera.depth_scale is not None
+        size = images.ExpectedSize(camera.size, CAMERA_FILE)
         depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale, size)
-        writer.depth(*where, undistort(depth, camera, nearest=True) if distorted else depth)
+        writer.depth(*where, undistort(depth, camera, nearest=True))
     if unit.points is not None:
         points = images.read_points(unit.points)
         outside = np.nonzero(~camera.contains(points.uv, border=-0.5))[0]
         if outside.size:
             raise DatasetError("the point lies outside the image", unit.points, int(outside[0]) + 2)
-        writer.points(*where, undistort_points(points, camera) if distorted else points)
+        writer.points(*where, points if camera.model == "pinhole" else undistort_points(points, camera))
 
 
 def _why_no_pose(folder: GenericFolder) -> str:

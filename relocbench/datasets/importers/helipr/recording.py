@@ -123,7 +123,7 @@ def read_helipr(folder: Path, name: str, lidars: Sequence[str] = (), odometry: O
         ConfigError: there is no such lidar.
     """
     streams = []
-    for lidar in chosen_of(lidars, LIDARS, _DEFAULT, "HeLiPR"):
+    for lidar in chosen_of(lidars or None, LIDARS, _DEFAULT, "HeLiPR has no lidar"):
         where = folder / "LiDAR" / lidar
         scans = files_by_time(where, (".bin",), nanoseconds)
         if scans[0]:

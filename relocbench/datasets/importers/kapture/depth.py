@@ -50,7 +50,7 @@ def seen_by(depth: Floats, sensor: Camera, camera: Camera) -> Floats:
         sensor: the camera of the depth map; it stands and looks as ``camera`` does.
     """
     if sensor == camera:
-        return np.asarray(undistort(depth, camera, nearest=True) if camera.distortion else depth)
+        return undistort(depth, camera, nearest=True)
     v, u = np.nonzero(depth)
     rays, valid = sensor.unproject(np.stack([u, v], axis=-1).astype(np.float64))
     valid = valid & (rays[:, 2] > 0)

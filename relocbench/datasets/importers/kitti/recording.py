@@ -17,10 +17,11 @@ from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, detected_motion
 from relocbench.datasets.importers.kitti.files import KittiSequence
+from relocbench.datasets.importers.lidar_drives.drives import chosen_of
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
-from relocbench.errors import ConfigError, DatasetError, available
+from relocbench.errors import DatasetError
 from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
 
@@ -134,11 +135,8 @@ def read_kitti(
 
 def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[str, dict[int, Path]]:
     """Image files by camera and frame number."""
-    for name in cameras or ():
-        if name not in CAMERAS:
-            raise ConfigError(f"KITTI has no camera '{name}'{available(name, CAMERAS)}")
     found: dict[str, dict[int, Path]] = {}
-    for name in CAMERAS if cameras is None else dict.fromkeys(cameras):
+    for name in chosen_of(cameras, CAMERAS, CAMERAS, "KITTI has no camera"):
         numbers = files.image_frames(name)
         if numbers:
             found[name] = numbers

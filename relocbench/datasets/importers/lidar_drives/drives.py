@@ -123,9 +123,16 @@ def trajectory_of(times: Sequence[int] | Times, T_map_body: Array, T_body_rig: A
     return Trajectory(unique, T_map_body[first] @ T_body_rig)
 
 
-def chosen_of(asked: Sequence[str], known: Sequence[str], default: Sequence[str], dataset: str) -> list[str]:
-    """The lidars that were asked for, else the default ones. Raises ConfigError if there is no such lidar."""
-    for name in asked:
+def chosen_of(wanted: Sequence[str] | None, known: Sequence[str], default: Sequence[str], what: str) -> list[str]:
+    """The wanted sensors; None: the default ones.
+
+    Args:
+        what: the dataset and the kind of sensor that it has not, for messages.
+
+    Raises:
+        ConfigError: there is no such sensor.
+    """
+    for name in wanted or ():
         if name not in known:
-            raise ConfigError(f"{dataset} has no lidar '{name}'{available(name, known)}")
-    return list(dict.fromkeys(asked or default))
+            raise ConfigError(f"{what} '{name}'{available(name, known)}")
+    return list(default if wanted is None else dict.fromkeys(wanted))

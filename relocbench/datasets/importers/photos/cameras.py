@@ -5,9 +5,12 @@ Their pixel centres are at 0.5, 1.5, ...; here they are at integers.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
-from relocbench.errors import quoted
+from relocbench.errors import DatasetError, quoted
+from relocbench.files import parse_count, parse_floats
 from relocbench.geometry import Camera
 
 PARAMETERS = {
@@ -52,3 +55,14 @@ def camera_of(model: str, width: int, height: int, parameters: list[float]) -> C
     elif distortion:
         kind, distortion = "radtan", [*distortion, *[0.0] * (4 - len(distortion))]
     return Camera(kind, width, height, fx, fy, cx - 0.5, cy - 0.5, tuple(distortion))  # type: ignore[arg-type]
+
+
+def parse_camera(fields: list[str], path: Path, line: int) -> Camera:
+    """The camera of three fields or more, ``MODEL WIDTH HEIGHT PARAMS...``. Raises DatasetError with file and line."""
+    model, *sizes = fields[:3]
+    width, height = (parse_count(text, "the size", path, line, DatasetError) for text in sizes)
+    names = " ".join(["parameter"] * len(fields[3:]))
+    try:
+        return camera_of(model, width, height, parse_floats(fields[3:], path, line, names, DatasetError))
+    except ValueError as bad:
+        raise DatasetError(str(bad), path, line) from None

@@ -15,10 +15,10 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.names import write_names
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.importers.assembly import import_image
 from relocbench.datasets.importers.photos.model import SparseModel
 from relocbench.datasets.importers.photos.options import PhotoOptions
 from relocbench.datasets.importers.photos.points import Observations, keyframe_points
-from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.geometry import Camera, invert
 
 CAMERA = "photo"
@@ -130,12 +130,5 @@ class _Unit:
 
 
 def _write_image(unit: _Unit) -> None:
-    """Link an image of a pinhole camera, undistort that of another."""
-    photo, writer = unit.photo, unit.writer
-    if not photo.camera.distortion:
-        images.read_image(photo.path, photo.size)
-        writer.link_image(unit.traversal, CAMERA, photo.time, photo.path, copy=unit.copy)
-    elif writer.needs_image(unit.traversal, CAMERA, photo.time):
-        writer.image(
-            unit.traversal, CAMERA, photo.time, undistort(images.read_image(photo.path, photo.size), photo.camera)
-        )
+    photo, frame = unit.photo, (unit.traversal, CAMERA, unit.photo.time)
+    import_image(unit.writer, frame, photo.path, photo.camera, photo.size.source, copy=unit.copy)

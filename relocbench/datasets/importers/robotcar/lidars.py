@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from relocbench.arrays import Array
+from relocbench.datasets.importers.lidar_drives.drives import chosen_of
 from relocbench.datasets.importers.robotcar.sensors import LmsStream, check_scan_size, present_times
 from relocbench.datasets.importers.robotcar.track import T_RIG_VEHICLE
 from relocbench.datasets.importers.robotcar.velodyne import (
@@ -18,10 +19,10 @@ from relocbench.datasets.importers.robotcar.velodyne import (
 )
 from relocbench.datasets.sensors.recording import LidarStream
 from relocbench.datasets.sensors.scan_files import ScanFiles
-from relocbench.errors import ConfigError, DatasetError, available
+from relocbench.errors import DatasetError
 from relocbench.progress import Reporter
 
-__all__ = ["LIDARS", "VELODYNES", "chosen", "read_lidars"]
+__all__ = ["LIDARS", "VELODYNES", "read_lidars"]
 
 LIDARS = ("lms_front", "lms_rear", *VELODYNES)
 
@@ -40,7 +41,7 @@ def read_lidars(
         ConfigError: RobotCar has no such lidar.
     """
     streams: list[LidarStream] = []
-    for name in chosen(asked, LIDARS, "lidar"):
+    for name in chosen_of(asked, LIDARS, LIDARS, "RobotCar has no lidar"):
         if not (folder / name).is_dir():
             if asked is not None:
                 raise DatasetError("no such folder; expected lidar scans", folder / name)
@@ -67,11 +68,3 @@ def _velodyne(name: str, folder: Path, timestamps: Path, T_rig_lidar: Array, rep
         return []
     files = tuple(folder / f"{time // 1000}{suffix}" for time in times.tolist())
     return [ScanFiles(name, files, times, T_rig_lidar, decode, MAX_RANGE_M, SIGMA_M, min_range_m=NEAREST_M)]
-
-
-def chosen(asked: Sequence[str] | None, known: Sequence[str], what: str) -> tuple[str, ...]:
-    """The sensors that were asked for, else all. Raises ConfigError if RobotCar has no such sensor."""
-    for name in asked or ():
-        if name not in known:
-            raise ConfigError(f"RobotCar has no {what} '{name}'{available(name, known)}")
-    return tuple(known if asked is None else dict.fromkeys(asked))

@@ -20,9 +20,11 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.importers.lidar_drives.conditions import simulated_condition
+from relocbench.datasets.importers.lidar_drives.drives import chosen_of
+from relocbench.datasets.importers.lidar_drives.files import camera_of, image_size
 from relocbench.datasets.importers.robotcar import files
-from relocbench.datasets.importers.robotcar.lidars import VELODYNES, chosen, read_lidars
-from relocbench.datasets.importers.robotcar.sensors import RobotCarCamera, image_size, present_times
+from relocbench.datasets.importers.robotcar.lidars import VELODYNES, read_lidars
+from relocbench.datasets.importers.robotcar.sensors import RobotCarCamera, present_times
 from relocbench.datasets.importers.robotcar.track import (
     T_RIG_VEHICLE,
     MapOrigin,
@@ -32,7 +34,7 @@ from relocbench.datasets.importers.robotcar.track import (
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Trajectory
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import DatasetError
-from relocbench.geometry import Camera, invert, make_transform
+from relocbench.geometry import invert, make_transform
 from relocbench.progress import Reporter, Silent
 
 OdometrySource = Literal["auto", "vo", "ins", "lidar"]
@@ -196,7 +198,7 @@ def _cameras(
 ) -> dict[str, CameraStream]:
     streams: dict[str, CameraStream] = {}
     distorted: list[str] = []
-    for name in chosen(asked, tuple(CAMERAS), "camera"):
+    for name in chosen_of(asked, tuple(CAMERAS), tuple(CAMERAS), "RobotCar has no camera"):
         lens = CAMERAS[name]
         where = folder / lens.folder
         if not where.is_dir():
@@ -214,10 +216,7 @@ def _cameras(
         if not table.exists():
             distorted.append(name)
         size = image_size(where / f"{int(times[0]) // 1000}.png")
-        try:
-            camera = Camera("pinhole", *size, *model.intrinsics)
-        except ValueError as bad:
-            raise DatasetError(f"the camera model is impossible ({bad})", model.path) from None
+        camera = camera_of("pinhole", size, model.intrinsics, (), model.path)
         T_rig_cam = T_RIG_VEHICLE @ _T_vehicle_image(calibration, lens, model)
         found = table if table.exists() else None
         streams[name] = RobotCarCamera(name, where, camera, T_rig_cam, times, lens.bayer, found)

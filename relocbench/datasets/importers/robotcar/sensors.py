@@ -7,11 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Floats, Image, Times
 from relocbench.datasets.core import images
@@ -173,9 +172,3 @@ def present_times(
     if len(times) < len(found):
         reporter.note(f"{len(found) - len(times)} {what} that {timestamps.name} does not list are left out")
     return times
-
-
-def image_size(path: Path) -> tuple[int, int]:
-    """Size (width, height) of an image. Raises DatasetError naming the file."""
-    image: NDArray[Any] = images.read_image(path)
-    return image.shape[1], image.shape[0]

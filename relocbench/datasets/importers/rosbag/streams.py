@@ -117,7 +117,7 @@ class BagCamera:
         images.ExpectedSize(self.distorted.size, f"the first image of {self.messages.topic}").check(
             (image.shape[1], image.shape[0]), path
         )
-        return image if self.distorted.model == "pinhole" else undistort(image, self.distorted)
+        return undistort(image, self.distorted)
 
     def file(self, index: int) -> Path | None:
         """Always None: the images are in the bag."""

@@ -19,7 +19,8 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
-from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.importers.assembly import check_folder, import_image, open_writer, write_pairs
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort
@@ -83,27 +84,26 @@ class _Frame:
     T_world_cam: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Unit:
-    """One file to convert."""
+    """One frame to import."""
 
-    source: Path
-    target: Path
+    writer: DatasetWriter
+    traversal: str
+    frame: _Frame
     camera: Camera
-    metres_per_unit: float | None
-    """scale of a depth image; None for an image"""
+    options: Options
 
 
-def _convert(unit: _Unit) -> None:
-    """Undistort an image, or a depth image without interpolation, which would invent surfaces between two others."""
-    size = images.ExpectedSize(unit.camera.size, "--intrinsics")
-    if unit.metres_per_unit is None:
-        image = images.read_image(unit.source, size)
-        images.write_image(unit.target, undistort(image, unit.camera) if unit.camera.distortion else image)
-    else:
-        depth = images.read_raw_depth(unit.source, unit.metres_per_unit, size)
-        depth = undistort(depth, unit.camera, nearest=True) if unit.camera.distortion else depth
-        images.write_depth(unit.target, depth)
+def _write_frame(unit: _Unit) -> None:
+    """Import an image and its depth, without interpolation, which would invent surfaces between two others."""
+    frame, writer, options = unit.frame, unit.writer, unit.options
+    where = unit.traversal, CAMERA, frame.time
+    import_image(writer, where, frame.image, unit.camera, "--intrinsics", copy=options.copy_images)
+    if frame.depth and writer.needs_depth(*where):
+        size = images.ExpectedSize(unit.camera.size, "--intrinsics")
+        depth = images.read_raw_depth(frame.depth, 1.0 / options.depth_scale, size)
+        writer.depth(*where, undistort(depth, unit.camera, nearest=True))
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -143,16 +143,7 @@ def _write_traversal(job: Build[Options], source: Path, name: str, index: int) -
         source=f"TUM RGB-D sequence {source.resolve().name}, truth at t {time_offset:+g} s",
     )
     writer.traversal(file, {f.time: f.T_world_cam for f in frames})
-    target = writer.layout.traversal(name)
-    units = []
-    for frame in frames:
-        if not camera.distortion:
-            writer.link_image(name, CAMERA, frame.time, frame.image, copy=options.copy_images)
-        elif writer.needs_image(name, CAMERA, frame.time):
-            units.append(_Unit(frame.image, target.image(CAMERA, frame.time), camera, None))
-        if frame.depth and writer.needs_depth(name, CAMERA, frame.time):
-            units.append(_Unit(frame.depth, target.depth(CAMERA, frame.time), camera, 1.0 / options.depth_scale))
-    job.work(f"images of {name}", _convert, units)
+    job.work(f"images of {name}", _write_frame, [_Unit(writer, name, frame, camera, options) for frame in frames])
 
 
 def _intrinsics(source: Path, asked: str) -> Camera:
