@@ -55,7 +55,11 @@ def read_image(path: Path, expected: ExpectedSize | None = None) -> Image:
         DatasetError: the file is missing, neither PNG nor JPEG, damaged or too large
             (:mod:`relocbench.datasets.core.image_header` has the limits), or has another size.
     """
-    image = _decode(path, expected)
+    return as_8_bit(decode_image(read_bytes(path, "an image", DatasetError, MOST_FILE_BYTES), path, expected), path)
+
+
+def as_8_bit(image: NDArray[Any], path: Path) -> Image:
+    """A decoded image of 8 or 16 bits as (H, W) grey or (H, W, 3) RGB of 8. Raises DatasetError for other pixels."""
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     if image.dtype != np.uint8:
@@ -79,7 +83,7 @@ def read_depth(path: Path, expected: ExpectedSize | None = None) -> Floats:
 
 def read_raw_depth(path: Path, metres_per_unit: float, expected: ExpectedSize | None = None) -> Floats:
     """The values of a 16-bit PNG times ``metres_per_unit``, (H, W). Raises DatasetError like :func:`read_image`."""
-    stored = _decode(path, expected)
+    stored = decode_image(read_bytes(path, "an image", DatasetError, MOST_FILE_BYTES), path, expected)
     if stored.dtype != np.uint16 or stored.ndim != 2:
         raise DatasetError(f"pixels are {stored.dtype} x {stored.ndim - 1}, expected a 16-bit depth PNG", path)
     return stored.astype(np.float32) * np.float32(metres_per_unit)
@@ -137,8 +141,8 @@ def is_whole(path: Path) -> bool:
         return False
 
 
-def _decode(path: Path, expected: ExpectedSize | None) -> NDArray[Any]:
-    data = read_bytes(path, "an image", DatasetError, MOST_FILE_BYTES)
+def decode_image(data: bytes, path: Path, expected: ExpectedSize | None = None) -> NDArray[Any]:
+    """The pixels of a PNG or JPEG as they are stored, colours as BGR. Raises DatasetError like :func:`read_image`."""
     header = read_header(data, path)
     if expected is not None:
         expected.check(header.size, path)

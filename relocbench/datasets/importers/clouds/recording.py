@@ -25,7 +25,6 @@ from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
 from relocbench.datasets.importers.lidar_drives.files import check_file
 from relocbench.datasets.sensors.derived_lidar import DerivedLidar
-from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.matrices import parse_matrix
 from relocbench.datasets.sensors.recording import CameraStream, Scan, Trajectory
 from relocbench.datasets.sensors.scan_files import swept
@@ -173,11 +172,4 @@ def _trajectory(path: Path, times: Times) -> Trajectory:
 def _described(folder: Path, name: str) -> tuple[Condition, dict[str, CameraStream]]:
     """Condition and cameras by ``camera.yaml`` of the generic folder, whose rig is the lidar."""
     files = read_folder(folder, name, need_poses=False)
-    cameras: dict[str, CameraStream] = {}
-    for camera, entry in files.cameras.items():
-        times = np.array(list(entry.images), dtype=np.int64)
-        pose = entry.camera.T_rig_cam.matrix
-        cameras[camera] = ImageFiles(
-            camera, entry.camera.camera, pose, tuple(entry.images.values()), times, CAMERA_FILE
-        )
-    return files.condition, cameras
+    return files.condition, files.streams(np.eye(4))

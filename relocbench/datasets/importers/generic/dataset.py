@@ -21,7 +21,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import import_image, open_writer, write_pairs
-from relocbench.datasets.sensors.recording import Trajectory
+from relocbench.datasets.sensors.image_files import ImageFiles
+from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, timed_files, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort, undistort_points
 from relocbench.errors import DatasetError
@@ -101,6 +102,20 @@ class GenericFolder:
     @property
     def image_times(self) -> list[int]:
         return sorted({t for camera in self.cameras.values() for t in camera.images})
+
+    def streams(self, T_new_rig: Array) -> dict[str, CameraStream]:
+        """The cameras on a rig with other axes, ``T_new_rig`` (4, 4) being from those of the folder."""
+        return {
+            name: ImageFiles(
+                name,
+                entry.camera.camera,
+                T_new_rig @ entry.camera.T_rig_cam.matrix,
+                tuple(entry.images.values()),
+                np.array(list(entry.images), dtype=np.int64),
+                CAMERA_FILE,
+            )
+            for name, entry in self.cameras.items()
+        }
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:

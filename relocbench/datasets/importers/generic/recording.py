@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,14 +14,12 @@ from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, l
 from relocbench.datasets.importers.generic.dataset import (
     CAMERA_FILE,
     POSE_FILE,
-    CameraFolder,
     read_folder,
 )
-from relocbench.datasets.importers.generic.scans import LIDAR_FILE, T_NEW_RIG, read_lidar_file, read_lidars
-from relocbench.datasets.sensors.image_files import ImageFiles
-from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
+from relocbench.datasets.importers.generic.scans import T_NEW_RIG, read_lidar_file, read_lidars
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
-from relocbench.errors import DatasetError
 from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
 
@@ -55,51 +54,26 @@ def read_generic(
     title = name or traversal_names([folder])[0]
     header = read_lidar_file(folder)
     T_new_rig = T_NEW_RIG[header.rig_axes]
-    lidars = read_lidars(folder, T_new_rig, report)
-    max_gap_ns = round(max_gap_s * 1e9)
-    cameras: dict[str, CameraStream] = {}
-    condition, location = Condition(), ""
-    if (folder / CAMERA_FILE).exists():
-        files = read_folder(folder, title, need_poses=False)
-        condition, location = files.condition, files.location
-        cameras = {camera: _camera(camera, entry, T_new_rig) for camera, entry in files.cameras.items()}
-    if odometry == "poses" or (odometry == "auto" and (folder / POSE_FILE).exists()):
-        motion = _trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns)
-        motion = Trajectory(motion.times_ns, invert(motion.T_odom_rig[0]) @ motion.T_odom_rig, max_gap_ns)
-        source = ""
-    else:
-        spinning = _spinning(lidars, folder)
-        motion, source = from_lidar(spinning, report, max_gap_ns=max_gap_ns), spinning.name
+    described, max_gap_ns = (folder / CAMERA_FILE).exists(), round(max_gap_s * 1e9)
+    files = read_folder(folder, title, need_poses=False) if described else None
+    by_poses = odometry == "poses" or (odometry == "auto" and (folder / POSE_FILE).exists())
     prior = folder / PRIOR_FILE
-    return FieldRecording(
+    drive = DriveFiles(
         name=title,
         folder=folder,
-        condition=condition,
-        odometry=motion,
-        lidars=lidars,
-        cameras=cameras,
+        condition=files.condition if files else Condition(),
+        lidars=read_lidars(folder, T_new_rig, report),
+        poses=_trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns) if by_poses else None,
+        poses_from=POSE_FILE,
+        cameras=files.streams(T_new_rig) if files else {},
         prior=_trajectory(prior, T_new_rig, max_gap_ns) if prior.exists() else None,
-        location=location,
-        odometry_lidar=source,
+        location=files.location if files else "",
+        max_gap_ns=max_gap_ns,
     )
-
-
-def _camera(name: str, entry: CameraFolder, T_new_rig: Array) -> ImageFiles:
-    times = np.array(list(entry.images), dtype=np.int64)
-    T_rig_cam = T_new_rig @ entry.camera.T_rig_cam.matrix
-    return ImageFiles(name, entry.camera.camera, T_rig_cam, tuple(entry.images.values()), times, CAMERA_FILE)
+    return drive.recording(from_lidar, report)
 
 
 def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int) -> Trajectory:
     poses = read_trajectory(path)
-    if len(poses) < 2:
-        raise DatasetError(f"holds {len(poses)} poses; a trajectory has at least 2", path)
-    T_world_rig = np.array(list(poses.values())) @ invert(T_new_rig)
-    return Trajectory(np.array(list(poses), dtype=np.int64), T_world_rig, max_gap_ns)
-
-
-def _spinning(lidars: tuple[LidarStream, ...], folder: Path) -> LidarStream:
-    for lidar in lidars:
-        if lidar.pattern == "spinning":
-            return lidar
-    raise DatasetError(f"has neither {POSE_FILE} nor a spinning lidar in {LIDAR_FILE} to compute odometry from", folder)
+    T_world_rig = np.array(list(poses.values())).reshape(-1, 4, 4)
+    return replace(trajectory_of(list(poses), T_world_rig, invert(T_new_rig), path), max_gap_ns=max_gap_ns)

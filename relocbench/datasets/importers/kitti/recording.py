@@ -17,7 +17,7 @@ from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, detected_motion
 from relocbench.datasets.importers.kitti.files import KittiSequence
-from relocbench.datasets.importers.lidar_drives.drives import chosen_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
@@ -122,15 +122,16 @@ def read_kitti(
     if motion == "auto":
         motion = detected_motion(files.traversal, lidar, replace(lidar, motion="distorted"), report)
     lidar = replace(lidar, motion=motion)
-    return FieldRecording(
+    drive = DriveFiles(
         name=name or files.traversal,
         folder=files.folder,
         condition=Condition(),
-        odometry=_poses(files, times) if odometry == "poses" else from_lidar(lidar, report),
         lidars=(lidar,),
+        poses=_poses(files, times) if odometry == "poses" else None,
+        poses_from=f"poses/{sequence}.txt",
         cameras=streams,
-        odometry_lidar=lidar.name if odometry == "lidar" else "",
     )
+    return drive.recording(from_lidar, report)
 
 
 def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[str, dict[int, Path]]:
@@ -162,7 +163,7 @@ def _poses(files: KittiSequence, times: Times) -> Trajectory:
         T_world_cam0 = T_world_cam0[: len(times)]
     T_cam0_rig = files.calibration.T_cam0_lidar()
     T_world_rig = np.array(T_world_cam0) @ T_cam0_rig
-    return Trajectory(times[: len(T_world_rig)], invert(T_world_rig[0]) @ T_world_rig)
+    return Trajectory(times[: len(T_world_rig)], T_world_rig)
 
 
 def _camera(files: KittiSequence, name: str, numbers: dict[int, Path], times: Times) -> CameraStream:

@@ -37,6 +37,8 @@ class DriveFiles:
     """``T_map_rig`` in metres, in a map that drives may share; its coordinates may be large"""
     prior_sigma_m: float = 10.0
     location: str = ""
+    max_gap_ns: int = 1_000_000_000
+    """longest gap to interpolate over between poses that are computed from a lidar"""
 
     def with_times_only(self) -> FieldRecording:
         """The recording with the right times and no motion, which checks of options can be made on."""
@@ -58,7 +60,7 @@ class DriveFiles:
         if lidar is None:
             raise DatasetError("has neither poses nor a spinning lidar to compute odometry from", self.folder)
         reporter.note(f"{self.name}: odometry is computed from the scans of {lidar.name}")
-        return self._recording(from_lidar(lidar, reporter), lidar.name)
+        return self._recording(from_lidar(lidar, reporter, max_gap_ns=self.max_gap_ns), lidar.name)
 
     def _recording(self, odometry: Trajectory, odometry_lidar: str = "") -> FieldRecording:
         return FieldRecording(

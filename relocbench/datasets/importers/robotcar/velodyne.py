@@ -14,11 +14,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from relocbench.arrays import Array, Times
-from relocbench.datasets.core.image_header import check_affordable, check_content, read_header
+from relocbench.datasets.core.images import decode_image
 from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns
 from relocbench.datasets.sensors.scan_files import Returns
 from relocbench.errors import DatasetError
@@ -46,13 +45,10 @@ BASE_TO_FIRE_M = 0.090805
 
 def decode_raw(data: bytes, path: Path) -> Returns:
     """The points of a raw scan, each with the time of its firing."""
-    header = read_header(data, path)
-    check_affordable(header, path)
-    check_content(data, header, path)
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None or image.dtype != np.uint8 or image.ndim != 2 or image.shape[0] != _ROWS:
+    image = decode_image(data, path)
+    if image.dtype != np.uint8 or image.ndim != 2 or image.shape[0] != _ROWS:
         raise DatasetError(f"expected a raw Velodyne scan, a grey PNG of {_ROWS} rows", path)
-    columns = np.ascontiguousarray(np.asarray(image).T)
+    columns = np.ascontiguousarray(image.T)
     ranges = np.ascontiguousarray(columns[:, 32:96]).view("<u2") * _RANGE_STEP_M
     azimuth = np.ascontiguousarray(columns[:, 96:98]).view("<u2")[:, 0] * (2 * np.pi / 36000)
     times_us = np.ascontiguousarray(columns[:, 98:106]).view("<i8")[:, 0]

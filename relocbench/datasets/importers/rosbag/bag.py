@@ -277,6 +277,11 @@ def header_of(raw: bytes, ros1: bool) -> tuple[int, str]:
         raise ValueError("its header is cut off") from None
 
 
+def stamp_ns(stamp: Any) -> int:
+    """Nanoseconds of a ``builtin_interfaces/Time``."""
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
 def frame_name(name: str) -> str:
     """The name of a frame; the slash with which names began in early versions of ROS means nothing."""
     return name.removeprefix("/")

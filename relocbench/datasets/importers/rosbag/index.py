@@ -17,7 +17,7 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.importers.rosbag import kinds
-from relocbench.datasets.importers.rosbag.bag import Part, frame_name, header_of
+from relocbench.datasets.importers.rosbag.bag import Part, frame_name, header_of, stamp_ns
 from relocbench.datasets.importers.rosbag.survey import Survey
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes, write_bytes
@@ -167,7 +167,7 @@ def _take(rows: _Rows, kind: str, part: Part, topic: str, raw: bytes, place: tup
         rows.times.append((stamp, *place))
         return
     message = part.decode(topic, raw, received_ns)
-    stamp = _ns(message.header.stamp)
+    stamp = stamp_ns(message.header.stamp)
     if kind == kinds.FIX:
         values = (float(message.latitude), float(message.longitude), float(message.altitude))
         if int(message.status.status) < 0 or not np.isfinite(values[:2]).all():
@@ -206,7 +206,7 @@ def _take_links(
             static.add(names)
         t, q = transform.transform.translation, transform.transform.rotation
         rows.values.append(_checked((t.x, t.y, t.z, q.x, q.y, q.z, q.w), part, topic, received_ns))
-        rows.times.append((_ns(transform.header.stamp), received_ns, 0, 0))
+        rows.times.append((stamp_ns(transform.header.stamp), received_ns, 0, 0))
 
 
 def _pose(kind: str, message: Any) -> tuple[str, str, tuple[float, ...]]:
@@ -235,10 +235,6 @@ def _horizontal_sigma(message: Any) -> float:
         return 0.0
     variance = float(message.position_covariance[0]) + float(message.position_covariance[4])
     return float(np.sqrt(variance / 2)) if np.isfinite(variance) and variance > 0 else 0.0
-
-
-def _ns(stamp: Any) -> int:
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 def _index(

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from relocbench.arrays import Array, Times
+from relocbench.datasets.importers.rosbag.bag import stamp_ns
 from relocbench.errors import ConfigError, DatasetError
 
 _BYTES = 1206
@@ -59,10 +60,10 @@ def packet_points(message: Any, how: PacketReading) -> tuple[Array, Times]:
     library, packets = _library(), list(message.packets)
     if not packets:
         return np.empty((0, 3)), np.empty(0, dtype=np.int64)
-    stamps = np.array([_ns(packet.stamp) for packet in packets], dtype=np.int64)
+    stamps = np.array([stamp_ns(packet.stamp) for packet in packets], dtype=np.int64)
     data = [_checked(np.asarray(packet.data, dtype=np.uint8).tobytes(), how) for packet in packets]
     begin_ns, since_s = _firing_times(stamps, data)
-    scan_ns = _ns(message.header.stamp) or int(stamps[-1])
+    scan_ns = stamp_ns(message.header.stamp) or int(stamps[-1])
     if abs(begin_ns - scan_ns) > _FAR_NS:
         raise ValueError(f"its packets begin {(begin_ns - scan_ns) / 1e9:.1f} s from the scan's stamp")
     vector = library.PacketVector()
@@ -106,10 +107,6 @@ def _firing_times(stamps: Times, data: Sequence[bytes]) -> tuple[int, Array]:
     if np.any(np.abs(by_stamp) > _FAR_NS):
         raise ValueError(f"its packets are {np.abs(by_stamp).max() / 1e9:.1f} s apart")
     return int(stamps[0]), by_stamp / 1e9
-
-
-def _ns(stamp: Any) -> int:
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 def _library() -> Any:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Image
-from relocbench.datasets.core.image_header import MOST_PIXELS, check_affordable, check_content, read_header
+from relocbench.datasets.core import images
+from relocbench.datasets.core.image_header import MOST_PIXELS
 from relocbench.datasets.importers.rosbag import kinds
 from relocbench.errors import quoted
 from relocbench.geometry import Camera, is_rotation
@@ -89,22 +90,10 @@ def _converted(pixels: NDArray[Any], code: int | None) -> Image:
 
 
 def _compressed(message: Any, path: Path) -> Image:
-    told = str(message.format)
-    data = np.asarray(message.data, dtype=np.uint8).tobytes()
-    header = read_header(data, path)
-    check_affordable(header, path)
-    check_content(data, header, path)
-    found: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if found is None:
-        raise ValueError(f"an image in {quoted(told, 30)} cannot be decoded; expected PNG or JPEG")
-    pixels = (found >> 8).astype(np.uint8) if found.dtype == np.uint16 else found
-    if pixels.dtype != np.uint8:
-        raise ValueError(f"pixels are {pixels.dtype}, expected 8 or 16 bits")
-    if pixels.ndim == 3:
-        # Drivers compress what cv::imencode takes, which is BGR, whatever the encoding before it was.
-        return np.ascontiguousarray(pixels[..., 2::-1])
-    bayer = next((code for name, code in _BAYER.items() if told.startswith(name)), None)
-    return _converted(pixels, bayer)
+    # Drivers compress what cv::imencode takes, which is BGR, whatever the encoding before it was.
+    image = images.as_8_bit(images.decode_image(np.asarray(message.data, dtype=np.uint8).tobytes(), path), path)
+    bayer = next((code for name, code in _BAYER.items() if str(message.format).startswith(name)), None)
+    return image if image.ndim == 3 else _converted(image, bayer)
 
 
 @dataclass(frozen=True, eq=False)

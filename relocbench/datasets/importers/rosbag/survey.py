@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +24,10 @@ class Topic:
     """messages a second over the whole recording"""
     frame: str = ""
     """frame of the first message's header"""
-    child: str = ""
-    """for odometry, the frame whose poses it holds"""
     fields: tuple[str, ...] = ()
     """fields of a cloud"""
     encoding: str = ""
     """encoding of an image, or the format of a compressed one"""
-    size: tuple[int, int] = (0, 0)
-    """width and height of an image or of the images that a CameraInfo is of; (0, 0) if unknown"""
     fault: str = ""
     """why its first message cannot be read; such a topic is used only if it is named, and then it is an error"""
 
@@ -89,16 +85,10 @@ def _peek(found: Survey, topic: Topic) -> Topic:
     try:
         message = found.first(name)
     except DatasetError as bad:
-        return Topic(name, kind, topic.count, topic.rate_hz, fault=str(bad))
-    told: dict[str, Any] = {"frame": frame_name(str(message.header.frame_id))}
+        return replace(topic, fault=str(bad))
+    topic = replace(topic, frame=frame_name(str(message.header.frame_id)))
     if kind == kinds.CLOUD:
-        told["fields"] = field_names(message)
-    elif kind == kinds.IMAGE:
-        told |= {"encoding": str(message.encoding), "size": (int(message.width), int(message.height))}
-    elif kind == kinds.COMPRESSED:
-        told["encoding"] = str(message.format)
-    elif kind == kinds.CAMERA_INFO:
-        told["size"] = (int(message.width), int(message.height))
-    elif kind in (kinds.ODOMETRY, kinds.TRANSFORM):
-        told["child"] = frame_name(str(message.child_frame_id))
-    return Topic(name, kind, topic.count, topic.rate_hz, **told)
+        return replace(topic, fields=field_names(message))
+    if kind in kinds.CAMERAS:
+        return replace(topic, encoding=str(message.encoding if kind == kinds.IMAGE else message.format))
+    return topic

@@ -76,6 +76,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         DatasetError: a folder is missing or empty, or a photograph is damaged or too small.
         ConfigError: the photographs are too few for the splits, or a condition is given for no traversal.
     """
+    from relocbench.datasets.core.build import Build
     from relocbench.datasets.core.writer import DatasetWriter
     from relocbench.datasets.importers.assembly import configuration
     from relocbench.datasets.importers.single_photographs.photographs import digest_of, divided, find_photographs
@@ -91,15 +92,14 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     record = configuration("photographs", sources, options) | {"photographs": digest_of(folders)}
     titles = "-".join(source.resolve().name for source in sources)
     writer = DatasetWriter(out, options.name or fitting_name(f"photographs_{titles}"), record, options.licence)
-    made = make_views(writer, recipe, _places(splits, options.keyframes), reporter, run)
+    job = Build(writer, options, reporter, run)
+    made = make_views(job, recipe, _places(splits, options.keyframes))
     pair_sets: dict[str, list[str]] = {}
     for split, photographs in splits.items():
         own = [one for one in made if one.place.split == split]
         source = f"{len(photographs)} photographs, made-up depth and motion"
         _write_traversals(writer, recipe, split, own, options, source)
-        pair_sets[split] = [
-            write_pairs(writer, recipe, own, change, options.correspondences, reporter) for change in recipe.changes
-        ]
+        pair_sets[split] = [write_pairs(job, recipe, own, change) for change in recipe.changes]
     return writer.finish(pair_sets)
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.layout import pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.writer import DatasetWriter
@@ -24,9 +26,7 @@ from relocbench.datasets.moved_views.light import changed
 from relocbench.datasets.moved_views.pictures import Reduced, view_of
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.writing import is_finished, write_measured
-from relocbench.execution import Run, run_units
 from relocbench.geometry import make_transform
-from relocbench.progress import Reporter
 
 CAMERA = "photo"
 STEP_NS = 1_000_000_000
@@ -104,21 +104,15 @@ def query_traversal(split: str, change: Change) -> str:
     return f"{split}-{'unchanged' if change == 'none' else change}"
 
 
-def make_views(
-    writer: DatasetWriter, recipe: Recipe, places: Sequence[Place], reporter: Reporter, run: Run
-) -> list[Made]:
+def make_views(job: Build[ImportOptions], recipe: Recipe, places: Sequence[Place]) -> list[Made]:
     """Draw everything that is made up, and write the images and depths that are missing.
 
     Raises:
         DatasetError: a photograph is damaged.
     """
-    units = [_Unit(writer, recipe, place) for place in places]
-    found: dict[int, Made] = {}
-    with reporter.stage("keyframes and their queries", len(units)) as advance:
-        for index, made in run_units(_make, units, run if len(units) >= _WORTH_WORKERS else run.single_process()):
-            found[index] = made
-            advance(1)
-    return [found[index] for index in range(len(units))]
+    if len(places) < _WORTH_WORKERS:
+        job = replace(job, run=job.run.single_process())
+    return job.work("keyframes and their queries", _make, [_Unit(job.writer, recipe, place) for place in places])
 
 
 def _make(unit: _Unit) -> Made:
@@ -151,18 +145,12 @@ def _make(unit: _Unit) -> Made:
     return Made(place, keyframe, motions)
 
 
-def write_pairs(
-    writer: DatasetWriter,
-    recipe: Recipe,
-    made: Sequence[Made],
-    change: Change,
-    count: int,
-    reporter: Reporter,
-) -> str:
-    """Write the pairs of one split and one change, with up to ``count`` correspondences each; returns their set's name.
+def write_pairs(job: Build[ImportOptions], recipe: Recipe, made: Sequence[Made], change: Change) -> str:
+    """Write the pairs of one split and one change, with their correspondences; returns their set's name.
 
     A set that an earlier run of the same build has finished is kept.
     """
+    layout, count = job.writer.layout, job.options.correspondences
     split = made[0].place.split
     pairs = [
         Pair(
@@ -176,9 +164,9 @@ def write_pairs(
         for one in made
     ]
     name = pair_set_name(split, query_traversal(split, change), CAMERA)
-    if is_finished(writer.layout, name, pairs, with_correspondences=count > 0):
+    if is_finished(layout, name, pairs, with_correspondences=count > 0):
         return name
-    with reporter.stage(f"correspondences of {name}", len(pairs)) as advance:
+    with job.reporter.stage(f"correspondences of {name}", len(pairs)) as advance:
 
         def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
             for pair, one in zip(pairs, made, strict=True):
@@ -187,5 +175,5 @@ def write_pairs(
                 yield pair.key, exact_correspondences(one.keyframe, one.T_query_ref[change], count, rng)
                 advance(1)
 
-        write_measured(writer.layout, name, pairs, measured(), with_correspondences=count > 0)
+        write_measured(layout, name, pairs, measured(), with_correspondences=count > 0)
     return name
