@@ -45,9 +45,9 @@ def write_bags(root: Path) -> None:
 
 
 def _read(path: Path, place: Place, **settings: object) -> None:
+    from relocbench.datasets.importers.rosbag.reading import BagSettings
     from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
     from relocbench.datasets.importers.rosbag.roles import Wanted
-    from relocbench.datasets.importers.rosbag.settings import BagSettings
 
     how = BagSettings(wanted=Wanted(odometry="/odom"), **settings)  # type: ignore[arg-type]
     recording, _ = read_bag(open_bag(path, how.wanted), "drive", how, kept=place.out / "index.npz")

@@ -12,7 +12,6 @@ columns  what a line holds
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
@@ -144,21 +143,27 @@ def likely_order(T_world_rig: Array, order: QuaternionOrder) -> QuaternionOrder:
 
 def _steadiness(positions: Array, R_world_rig: Array) -> float | None:
     """Length of the mean of the unit directions of travel in the rig's axes, 0 to 1; None where little moves."""
-    chosen = list(_apart(positions))
+    # Equal distances along the path: what stands still has no direction.
+    chosen = spaced(positions, path_lengths(positions)[-1] / 1000)
     steps = np.diff(positions[chosen], axis=0)
-    if len(steps) < _FEWEST_STEPS:
+    lengths = np.linalg.norm(steps, axis=1, keepdims=True)
+    if len(steps) < _FEWEST_STEPS or not lengths.all():
         return None
     directions = np.einsum("nji,nj->ni", R_world_rig[chosen[:-1]], steps)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions /= lengths
     return float(np.linalg.norm(directions.mean(axis=0)))
 
 
-def _apart(positions: Array) -> Iterator[int]:
-    """Rows at equal distances along the path, a thousandth of it at least: what stands still has no direction."""
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    step = travelled[-1] / 1000
-    last = -np.inf
-    for row, metres in enumerate(travelled.tolist()):
-        if step > 0 and metres - last >= step:
-            yield row
+def path_lengths(positions: Array) -> Array:
+    """Metres (N,) along a path from the first of its positions (N, 2 or 3), at least one, to each."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+
+
+def spaced(positions: Array, apart_m: float) -> list[int]:
+    """Rows of positions (N, 3) at least ``apart_m`` along the path from the one before, the first among them."""
+    rows, last = [], -np.inf
+    for row, metres in enumerate(path_lengths(positions).tolist()):
+        if metres - last >= apart_m - 1e-9:
+            rows.append(row)
             last = metres
+    return rows

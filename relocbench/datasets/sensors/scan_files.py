@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Times
+from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.errors import DatasetError
@@ -63,9 +63,7 @@ class ScanFiles:
         if not data:
             raise DatasetError(f"is empty; expected a scan of {self.name}", path)
         found = self.decode(data, path)
-        with np.errstate(over="ignore", invalid="ignore"):  # points that are not finite are left out
-            distance = np.sqrt(np.sum(found.points**2, axis=1))
-        kept = np.isfinite(distance) & (distance >= self.min_range_m) & (distance <= self.max_range_m)
+        kept = in_range(found.points, self.min_range_m, self.max_range_m)
         times = np.full(int(kept.sum()), self.times_ns[index], dtype=np.int64)
         if found.offsets_ns is not None:
             offsets = found.offsets_ns[kept]
@@ -73,6 +71,14 @@ class ScanFiles:
                 raise DatasetError("has points more than a second away from the scan's time", path)
             times += offsets
         return Scan(found.points[kept], times)
+
+
+def in_range(points: Array, least_m: float, most_m: float) -> Mask:
+    """Which points (N, 3) are finite, and neither too near nor too far."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        distance = np.sqrt(np.sum(points**2, axis=1))
+    kept: Mask = np.isfinite(distance) & (distance >= least_m) & (distance <= most_m)
+    return kept
 
 
 def records(data: bytes, row: np.dtype[Any], path: Path) -> NDArray[Any]:

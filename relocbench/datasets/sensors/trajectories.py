@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -71,8 +71,26 @@ def read_time(text: str, path: Path, line: int | None = None, error: type[Relocb
         raise error(str(bad), path, line) from None
 
 
-def timed_files(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[int, Path]:
+def name_time(text: str, path: Path) -> int:
+    """The time that a file's name states, as :func:`parse_time`. Raises DatasetError."""
+    try:
+        time = parse_time(text)
+    except ValueError as bad:
+        raise DatasetError(f"the file's name {bad}", path) from None
+    if time < 0:
+        raise DatasetError("the file's name is a time before 1970; expected nanoseconds or seconds", path)
+    return time
+
+
+def timed_files(
+    folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES, parse: Callable[[str, Path], int] = name_time
+) -> dict[int, Path]:
     """The files of a folder by the times in their names, in time order; a missing folder has none.
+
+    Other files and hidden ones are skipped.
+
+    Args:
+        parse: nanoseconds of a file's name without its suffix; raises DatasetError.
 
     Raises:
         DatasetError: a name is not a time, or two files have the same time.
@@ -83,12 +101,7 @@ def timed_files(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.suffix.lower() not in suffixes:
             continue
-        try:
-            time = parse_time(path.stem)
-        except ValueError as bad:
-            raise DatasetError(f"the file's name {bad}", path) from None
-        if time < 0:
-            raise DatasetError("the file's name is a time before 1970; expected nanoseconds or seconds", path)
+        time = parse(path.stem, path)
         if time in found:
             raise DatasetError(f"has the same time as {found[time].name}", path)
         found[time] = path

@@ -9,6 +9,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Floats, Image, Mask
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
+from relocbench.datasets.sensors.scan_files import columns
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.geometry import Camera, apply
@@ -28,9 +29,9 @@ def read_scan(path: Path) -> Array:
         DatasetError: the file is missing, empty or not a whole number of points.
     """
     data = read_bytes(path, "a lidar scan (float32 x y z reflectance)", DatasetError, MOST_SCAN_BYTES)
-    if len(data) == 0 or len(data) % 16:
-        raise DatasetError(f"{len(data)} bytes are not a whole number of points (float32 x y z reflectance)", path)
-    points = np.frombuffer(data, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+    if not data:
+        raise DatasetError("is empty; expected a lidar scan", path)
+    points = columns(data, "x y z reflectance", path)[:, :3].astype(np.float64)
     return points[np.all(np.isfinite(points), axis=1)]
 
 

@@ -16,9 +16,9 @@ from refusals import assert_names, refused
 from robotcar_street import SMALL, Built, RobotCarStreet
 
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
+from relocbench.datasets.importers.rosbag.reading import BagSettings
 from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
 from relocbench.datasets.importers.rosbag.roles import Wanted
-from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.importers.rosbag.writing import Storage, write_bag
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import ConfigError

@@ -12,9 +12,9 @@ from recorded_street import StreetDrive
 from refusals import Notes
 
 from relocbench.datasets.groundtruth.odometry.deferred import later
+from relocbench.datasets.importers.rosbag.reading import BagSettings
 from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
 from relocbench.datasets.importers.rosbag.roles import Wanted
-from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.sensors.recording import LidarStream
 
 pytestmark = pytest.mark.thorough

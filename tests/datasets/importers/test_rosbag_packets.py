@@ -15,9 +15,9 @@ from velodyne_packets import BLOCK_US, DUAL, ELEVATION_DEG, FIRING_US, packet, t
 
 from relocbench.arrays import Array
 from relocbench.datasets.importers.rosbag.packets import PacketReading, check_calibration, packet_points
+from relocbench.datasets.importers.rosbag.reading import BagSettings
 from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
 from relocbench.datasets.importers.rosbag.roles import Wanted
-from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.errors import ConfigError, DatasetError
 
 START = 1_501_822_800 * SECOND

@@ -24,9 +24,9 @@ from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pendi
 from relocbench.datasets.importers.rosbag.bag import Part, parts_of
 from relocbench.datasets.importers.rosbag.extrinsics import read_extrinsics
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin, east_north_up, latitude_longitude
+from relocbench.datasets.importers.rosbag.reading import BagSettings
 from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
 from relocbench.datasets.importers.rosbag.roles import Wanted
-from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert, make_transform, se3_exp, transform_from_tq, transform_to_tq

@@ -12,6 +12,7 @@ import numpy as np
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core import images
 from relocbench.datasets.importers.lidar_drives.files import camera_of
+from relocbench.datasets.importers.lidar_drives.texts import finite_numbers
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
@@ -56,13 +57,17 @@ def read_intrinsics(path: Path) -> Intrinsics:
         raise DatasetError("expected entries image_width, camera_matrix and the like", path)
     if values.get("distortion_model", "plumb_bob") != "plumb_bob":
         raise DatasetError(f"distortion_model is {str(values['distortion_model'])[:40]}, expected plumb_bob", path)
+
+    def matrix(name: str, count: int) -> Array:
+        return finite_numbers(values.get(name), name, count, path)
+
     size = (_whole(values, "image_width", path), _whole(values, "image_height", path))
-    K = _data(values, "camera_matrix", 9, path).reshape(3, 3)
-    distortion = tuple(_data(values, "distortion_coefficients", 5, path).tolist())
-    R = _data(values, "rectification_matrix", 9, path).reshape(3, 3)
+    K = matrix("camera_matrix", 9).reshape(3, 3)
+    distortion = tuple(matrix("distortion_coefficients", 5).tolist())
+    R = matrix("rectification_matrix", 9).reshape(3, 3)
     if not is_rotation(R, 1e-3):
         raise DatasetError("rectification_matrix is not a rotation", path)
-    P = _data(values, "projection_matrix", 12, path).reshape(3, 4)
+    P = matrix("projection_matrix", 12).reshape(3, 4)
     camera = camera_of("radtan", size, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), distortion, path)
     return Intrinsics(camera, project_to_rotation(R), P)
 
@@ -79,15 +84,3 @@ def _whole(values: dict[str, Any], name: str, path: Path) -> int:
     if not isinstance(value, int) or isinstance(value, bool):
         raise DatasetError(f"{name} is missing or not a whole number", path)
     return value
-
-
-def _data(values: dict[str, Any], name: str, count: int, path: Path) -> Array:
-    entry = values.get(name)
-    data = entry.get("data") if isinstance(entry, dict) else None
-    try:
-        out = np.array(data, dtype=np.float64)
-    except (TypeError, ValueError):
-        out = np.empty(0)
-    if out.shape != (count,) or not np.isfinite(out).all():
-        raise DatasetError(f"{name} has no data of {count} numbers", path)
-    return out

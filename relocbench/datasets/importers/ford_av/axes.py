@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from relocbench.arrays import Array
+from relocbench.datasets.sensors.pose_files import path_lengths
 from relocbench.datasets.sensors.recording import LidarStream, Trajectory
 from relocbench.geometry import apply, invert, make_transform
 
@@ -57,7 +58,7 @@ def _pairs(lidar: LidarStream, poses: Trajectory) -> list[tuple[int, int]]:
     if len(known) < 2:
         return []
     where = poses.at(lidar.times_ns[known])[:, :3, 3]
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(where, axis=0), axis=1))])
+    travelled = path_lengths(where)
     later = np.searchsorted(travelled, travelled + _LEAST_M)
     fits = np.flatnonzero(later < len(known))
     fits = fits[travelled[later[fits]] - travelled[fits] <= _MOST_M]

@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Strict
+from relocbench.datasets.importers.lidar_drives.texts import finite_numbers
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml, load_yaml_values
 from relocbench.geometry import invert, make_transform, transform_from_tq
@@ -102,23 +103,12 @@ def read_intrinsics(path: Path) -> tuple[tuple[float, float, float, float], tupl
         found = values.get(name)
         if found is None:
             continue
-        matrix = _numbers(found, name, count, path).reshape(3, -1)
+        matrix = finite_numbers(found, name, count, path).reshape(3, -1)
         fx, fy, cx, cy = (float(v) for v in (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]))
         if fx <= 0 or fy <= 0:
             raise DatasetError(f"{name} has the focal lengths {fx:g} and {fy:g}", path)
         return (fx, fy, cx, cy), _size(values)
     raise DatasetError("has neither P nor K; expected those of a camera (sensor_msgs/CameraInfo)", path)
-
-
-def _numbers(found: Any, name: str, count: int, path: Path) -> Array:
-    data = found.get("data") if isinstance(found, dict) else found
-    try:
-        numbers = np.array(data, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise DatasetError(f"{name} is not {count} finite numbers", path)
-    return numbers
 
 
 def _size(values: dict[str, Any]) -> tuple[int, int] | None:

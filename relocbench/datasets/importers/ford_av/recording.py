@@ -42,10 +42,9 @@ from relocbench.datasets.importers.rosbag.extrinsics import Extrinsics, LidarEnt
 from relocbench.datasets.importers.rosbag.lidars import lidar_stream
 from relocbench.datasets.importers.rosbag.packets import PacketReading
 from relocbench.datasets.importers.rosbag.point_times import FIELDS
-from relocbench.datasets.importers.rosbag.reading import Opened, Reading
+from relocbench.datasets.importers.rosbag.reading import BagSettings, Opened, Reading
 from relocbench.datasets.importers.rosbag.recording import table_lines
 from relocbench.datasets.importers.rosbag.roles import CameraTopic, Roles
-from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.importers.rosbag.stamps import check_clocks
 from relocbench.datasets.importers.rosbag.streams import BagCamera, BagLidar, read_picture
 from relocbench.datasets.importers.rosbag.survey import Survey, survey

@@ -17,6 +17,7 @@ from relocbench.datasets.sensors.binary_layout import detect_layout
 from relocbench.datasets.sensors.point_clouds import read_point_cloud
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
+from relocbench.datasets.sensors.scan_files import in_range
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import check_distinct, check_name, load_yaml, read_bytes
@@ -124,9 +125,7 @@ class GenericLidarStream:
             raise DatasetError(f"has no {', '.join(missing)}; it holds {', '.join(fields) or 'nothing'}", path)
         points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
         times = np.full(len(points), self.times_ns[index], dtype=np.int64)
-        with np.errstate(over="ignore", invalid="ignore"):  # points that are not finite are left out
-            distance = np.sqrt(np.sum(points**2, axis=1))
-        kept = np.isfinite(distance) & (distance >= settings.min_range) & (distance <= settings.max_range)
+        kept = in_range(points, settings.min_range, settings.max_range)
         if settings.time is not None:
             times = _point_times(fields[settings.time], kept, int(self.times_ns[index]), settings, path)
         return Scan(points[kept], times[kept])

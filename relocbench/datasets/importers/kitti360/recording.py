@@ -26,7 +26,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, read_matrix_rows
 from relocbench.datasets.importers.lidar_drives.files import check_file, pinhole_files
 from relocbench.datasets.importers.lidar_drives.texts import read_transform
 from relocbench.datasets.sensors.matrices import as_transform, parse_matrix
@@ -176,16 +176,14 @@ class Calibration:
 
 def read_poses(path: Path, times: Times, calibration: Calibration) -> Trajectory:
     """Poses of the lidar at frames. Raises DatasetError with file and line."""
-    at, poses = [], []
-    for line, (frame, *fields) in read_rows(path, "poses (frame and 12 numbers)", DatasetError):
+
+    def time_of(frame: str, path: Path, line: int) -> int:
         number = parse_count(frame, "frame", path, line, DatasetError)
         if number >= len(times):
             raise DatasetError(f"frame {number} has no time; there are {len(times)}", path, line)
-        at.append(int(times[number]))
-        poses.append(parse_matrix(fields, path, line))
-    if not at:
-        raise DatasetError("holds no pose", path)
-    return trajectory_of(at, np.array(poses), invert(calibration.T_velo_imu()), path)
+        return int(times[number])
+
+    return read_matrix_rows(path, time_of, invert(calibration.T_velo_imu()))
 
 
 def _cameras(folder: Path, calibration: Calibration) -> dict[str, CameraStream]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,8 +11,10 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
+from relocbench.datasets.sensors.matrices import parse_matrix
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.errors import ConfigError, DatasetError, available
+from relocbench.files import read_rows
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
 
@@ -123,6 +125,27 @@ def trajectory_of(times: Sequence[int] | Times, T_map_body: Array, T_body_rig: A
     if len(unique) < 2:
         raise DatasetError(f"holds {len(unique)} poses; a trajectory has at least 2", path)
     return Trajectory(unique, T_map_body[first] @ T_body_rig)
+
+
+def read_matrix_rows(
+    path: Path, time_of: Callable[[str, Path, int], int], T_body_rig: Array | None = None
+) -> Trajectory:
+    """Poses of the rig from rows of a time and the upper three rows of ``T_map_body``, between commas or spaces.
+
+    Args:
+        time_of: nanoseconds of the first field of a row, with file and line for messages.
+        T_body_rig: default: the body is the rig.
+
+    Raises:
+        DatasetError: with file and line: a field is no number, or a matrix is no transform.
+    """
+    times, poses = [], []
+    for line, (time, *fields) in read_rows(path, "poses (time and 12 numbers a line)", DatasetError):
+        times.append(time_of(time, path, line))
+        poses.append(parse_matrix(fields, path, line))
+    if not poses:
+        raise DatasetError("holds no pose", path)
+    return trajectory_of(times, np.array(poses), np.eye(4) if T_body_rig is None else T_body_rig, path)
 
 
 def chosen_of(wanted: Sequence[str] | None, known: Sequence[str], default: Sequence[str], what: str) -> list[str]:

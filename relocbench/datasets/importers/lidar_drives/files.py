@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,37 +10,24 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.image_header import MOST_FILE_BYTES, read_header
 from relocbench.datasets.sensors.image_files import ImageFiles
+from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.geometry import Camera, CameraModel
 
-TimeParser = Callable[[str, Path], int]
-"""nanoseconds of a file's name without its suffix; raises DatasetError"""
 
-
-def files_by_time(folder: Path, suffixes: tuple[str, ...], parse: TimeParser) -> tuple[tuple[Path, ...], Times]:
-    """The files of a folder in the order of their times, and these (N,), which the names state.
-
-    A folder that does not exist has none. Other files and hidden ones are skipped.
+def files_by_time(
+    folder: Path, suffixes: tuple[str, ...], parse: Callable[[str, Path], int]
+) -> tuple[tuple[Path, ...], Times]:
+    """The files of a folder and their times (N,), as :func:`timed_files`.
 
     Raises:
         DatasetError: a name is not a time, two files have the same time, or a file is empty.
     """
-    if not folder.is_dir():
-        return (), np.empty(0, dtype=np.int64)
-    found: dict[int, Path] = {}
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            path = folder / entry.name
-            if entry.name.startswith(".") or path.suffix.lower() not in suffixes:
-                continue
-            time = parse(path.stem, path)
-            if time in found:
-                raise DatasetError(f"has the same time as {found[time].name}", path)
-            check_file(path)
-            found[time] = path
-    times = sorted(found)
-    return tuple(found[time] for time in times), np.array(times, dtype=np.int64)
+    found = timed_files(folder, suffixes, parse)
+    for path in found.values():
+        check_file(path)
+    return tuple(found.values()), np.array(list(found), dtype=np.int64)
 
 
 def check_file(path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,6 +54,21 @@ def read_matrix(path: Path, what: str, columns: int = 4) -> Array:
 def read_transform(path: Path, what: str) -> Array:
     """A transform (4, 4) in a file of 3 or 4 lines. Raises DatasetError with file and line."""
     return as_transform(read_matrix(path, what), path)
+
+
+def finite_numbers(entry: Any, name: str, count: int, path: Path) -> Array:
+    """Numbers (count,) of a YAML file, in a list or under ``data``, as calibrations of ROS have them.
+
+    Raises:
+        DatasetError: they are not ``count`` finite numbers.
+    """
+    try:
+        numbers = np.array(entry.get("data") if isinstance(entry, dict) else entry, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise DatasetError(f"{name} is not {count} finite numbers", path)
+    return numbers
 
 
 def transform_from_xyzrpy(values: ArrayLike) -> Array:

@@ -13,7 +13,6 @@ The rig is the base. The dataset has no cameras; radar, IMU and GPS are not read
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,14 +21,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, read_matrix_rows
 from relocbench.datasets.importers.lidar_drives.files import files_by_time
 from relocbench.datasets.importers.lidar_drives.texts import nanoseconds
-from relocbench.datasets.sensors.matrices import parse_matrix
-from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns
 from relocbench.errors import DatasetError
-from relocbench.files import read_rows
 from relocbench.geometry import make_transform
 
 OdometrySource = Literal["lidar", "poses"]
@@ -89,18 +85,3 @@ def read_mulran(
         prior=track,
         prior_sigma_m=_PRIOR_SIGMA_M,
     )
-
-
-def read_matrix_rows(path: Path, parse: Callable[[str, Path, int], int]) -> Trajectory:
-    """Poses of rows ``time`` and twelve numbers, the upper three rows of a transform, between commas or spaces.
-
-    Raises:
-        DatasetError: with file and line: a field is no number, or a matrix is no transform.
-    """
-    times, poses = [], []
-    for line, (time, *fields) in read_rows(path, "poses (time and 12 numbers a line)", DatasetError):
-        times.append(parse(time, path, line))
-        poses.append(parse_matrix(fields, path, line))
-    if not poses:
-        raise DatasetError("holds no pose", path)
-    return trajectory_of(times, np.array(poses), np.eye(4), path)

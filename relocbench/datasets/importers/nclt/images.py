@@ -12,6 +12,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Floats, Image, Times
 from relocbench.datasets.core.image_header import MOST_FILE_BYTES
+from relocbench.datasets.core.images import ExpectedSize
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.geometry import Camera
@@ -30,14 +31,12 @@ class LadybugImages:
     T_rig_cam: Array
     files: tuple[Path, ...]
     times_ns: Times
-    table: Path | None
-    """table of the undistortion; None if the images are undistorted"""
+    table: Path
+    """of the undistortion"""
 
     def read(self, index: int) -> Image:
         """Read an image, (H, W, 3) RGB, black outside the lens's view. Raises DatasetError with the file."""
         image = read_tiff(self.files[index], self.camera.size)
-        if self.table is None:
-            return image
         u, v = read_table(self.table, *self.camera.size)
         return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
 
@@ -49,10 +48,7 @@ class LadybugImages:
 def read_tiff(path: Path, size: tuple[int, int]) -> Image:
     """An 8-bit colour image, (H, W, 3) RGB. Raises DatasetError if it is damaged or has another size."""
     data = read_bytes(path, "a TIFF image", DatasetError, MOST_FILE_BYTES)
-    found = tiff_size(data, path)
-    if found != size:
-        told, wanted = (f"{w}x{h}" for w, h in (found, size))
-        raise DatasetError(f"image is {told}, expected {wanted} (the camera's first image)", path)
+    ExpectedSize(size, "the camera's first image").check(tiff_size(data, path), path)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:

@@ -20,7 +20,7 @@ from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.posed_frames import PosedFrames
-from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file
+from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file, spaced
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.files import check_distinct, check_name, fitting_name, plain_name
@@ -90,17 +90,6 @@ class _Drive:
         rows = spaced(T_world_frame[:, :3, 3], apart_m)
         chosen = tuple(times[row] for row in rows)
         return PosedFrames(chosen, T_world_frame[rows], frozenset(chosen if keyframes else ()))
-
-
-def spaced(positions: Array, apart_m: float) -> list[int]:
-    """Rows of positions (N, 3) at least ``apart_m`` along the path from the one before, the first among them."""
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    rows, last = [], -np.inf
-    for row, metres in enumerate(travelled.tolist()):
-        if metres - last >= apart_m - 1e-9:
-            rows.append(row)
-            last = metres
-    return rows
 
 
 def build(sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:

@@ -19,7 +19,7 @@ from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
-    from relocbench.datasets.importers.rosbag.settings import BagSettings
+    from relocbench.datasets.importers.rosbag.reading import BagSettings
 
 
 class Options(FieldOptions):
@@ -109,8 +109,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 def settings_of(options: Options) -> BagSettings:
     """How the options say that bags are read. Raises DatasetError with file and line of the extrinsics."""
     from relocbench.datasets.importers.rosbag.extrinsics import read_extrinsics
+    from relocbench.datasets.importers.rosbag.reading import BagSettings
     from relocbench.datasets.importers.rosbag.roles import Wanted
-    from relocbench.datasets.importers.rosbag.settings import BagSettings
 
     if options.min_range >= options.max_range:
         raise ConfigError(f"--min-range {options.min_range:g} is not below --max-range {options.max_range:g}")

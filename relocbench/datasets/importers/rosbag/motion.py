@@ -9,6 +9,7 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.importers.rosbag.index import Fixes
 from relocbench.datasets.sensors.geodesy import ECCENTRICITY2, R_enu_ecef, ecef_from_geodetic, prime_vertical_radius
+from relocbench.datasets.sensors.pose_files import path_lengths
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import invert, make_transform, transform_from_tq
 
@@ -113,7 +114,7 @@ def map_of_fixes(times_ns: Times, enu: Array, motion: Trajectory, antenna: Array
     times, there = times_ns[kept], enu[kept]
     T_odom_rig = motion.at(times)
     here = (T_odom_rig @ np.append(antenna, 1.0))[:, :3]
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(here[:, :2], axis=0), axis=1))])
+    travelled = path_lengths(here[:, :2])
     begin = np.searchsorted(travelled, travelled - _AROUND_M, side="left")
     end = np.searchsorted(travelled, travelled + _AROUND_M, side="right")
     a, b = here[:, 0] + 1j * here[:, 1], there[:, 0] + 1j * there[:, 1]

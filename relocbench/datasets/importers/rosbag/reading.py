@@ -2,21 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from relocbench.arrays import Times
+from relocbench.datasets.importers.rosbag.extrinsics import Extrinsics
 from relocbench.datasets.importers.rosbag.frames import BASES, Frames
 from relocbench.datasets.importers.rosbag.index import Index, read_index
-from relocbench.datasets.importers.rosbag.roles import Roles
-from relocbench.datasets.importers.rosbag.settings import BagSettings
-from relocbench.datasets.importers.rosbag.stamps import times_of
+from relocbench.datasets.importers.rosbag.packets import PacketReading
+from relocbench.datasets.importers.rosbag.point_times import PointTimes
+from relocbench.datasets.importers.rosbag.roles import Roles, Wanted
+from relocbench.datasets.importers.rosbag.stamps import Stamps, times_of
 from relocbench.datasets.importers.rosbag.streams import Messages
 from relocbench.datasets.importers.rosbag.survey import Survey
 from relocbench.errors import DatasetError, available
 from relocbench.progress import Reporter
+
+Pattern = Literal["auto", "spinning", "push-broom"]
+ScanMotion = Literal["auto", "compensated", "distorted"]
+
+
+@dataclass(frozen=True)
+class BagSettings:
+    """How bags are read: what the options of the command say, the same for all drives."""
+
+    wanted: Wanted = field(default_factory=Wanted)
+    base_frame: str = ""
+    """empty: it is guessed"""
+    extrinsics: Extrinsics = field(default_factory=Extrinsics)
+    extrinsics_file: Path | None = None
+    packets: PacketReading = field(default_factory=PacketReading)
+    point_times: PointTimes | None = None
+    """None: they are told from the values"""
+    motion: ScanMotion = "auto"
+    pattern: Pattern = "auto"
+    min_range_m: float = 0.5
+    max_range_m: float = 100.0
+    sigma_m: float = 0.03
+    stamps: Stamps = "header"
+    max_gap_ns: int = 1_000_000_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ from relocbench.datasets.importers.rosbag.bag import parts_of
 from relocbench.datasets.importers.rosbag.lidars import lidar_stream
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin
 from relocbench.datasets.importers.rosbag.pictures import calibration_of
-from relocbench.datasets.importers.rosbag.reading import Opened, Reading
+from relocbench.datasets.importers.rosbag.reading import BagSettings, Opened, Reading
 from relocbench.datasets.importers.rosbag.roles import TABLE, CameraTopic, Roles, Wanted, choose, table
-from relocbench.datasets.importers.rosbag.settings import BagSettings
 from relocbench.datasets.importers.rosbag.stamps import check_clocks
 from relocbench.datasets.importers.rosbag.streams import BagCamera, read_picture
 from relocbench.datasets.importers.rosbag.survey import Survey, survey
