@@ -44,8 +44,6 @@ def read_e57(path: Path, wanted: Sequence[int], most_points: int) -> tuple[list[
         import pye57
     except ImportError:
         raise ConfigError(f".e57 files need the package pye57: {EXTRA}") from None
-    if not path.is_file():
-        raise DatasetError("missing; expected an E57 file", path)
     try:
         file = pye57.E57(str(path))
         try:

@@ -31,10 +31,10 @@ def parse_count(text: str, path: Path) -> int:
     return int(text)
 
 
-def check_count(there: int, promised: int, path: Path) -> None:
+def check_count(held: int, promised: int, path: Path) -> None:
     """Raise DatasetError if there are fewer points than the header promises."""
-    if there < promised:
-        raise DatasetError(f"is truncated: its header promises {promised} points, but it holds {there}", path)
+    if held < promised:
+        raise DatasetError(f"is truncated: its header promises {promised} points, but it holds {held}", path)
 
 
 def decode_rows(body: bytes, row: np.dtype[Any], count: int) -> dict[str, NDArray[Any]]:

@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from relocbench.arrays import Times
-from relocbench.datasets.core.schema import Condition, Transform
+from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, detected_motion
-from relocbench.datasets.importers.clouds.detection import ScanLayout, layout_of_scan
+from relocbench.datasets.importers.clouds.detection import with_layout
 from relocbench.datasets.importers.clouds.times import clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
 from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, GenericLidarStream
@@ -37,7 +37,6 @@ OdometrySource = Literal["auto", "poses", "lidar"]
 
 POSE_FILES = ("poses.txt", "poses.csv", "poses.tum")
 _TURN_NS = 100_000_000
-_IDENTITY = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,25 +77,16 @@ def read_clouds(
     files = _cloud_files(folder)
     found, times_from = clouds_with_times(files, folder, rate_hz)
     times = np.array(list(found), dtype=np.int64)
-    seen = _look(list(found.values()), times, tuple(columns))
-    settings = GenericLidar(
-        pattern=pattern,
-        T_rig_lidar=_IDENTITY,
-        max_range=max_range,
-        min_range=min(0.5, max_range / 2),
-        columns=seen.columns,
-        dtype=seen.dtype,
-        time=seen.time,
-        time_unit=seen.time_unit,
-        time_from=seen.time_from,
-    )
+    least = min(0.5, max_range / 2)
+    given = GenericLidar(pattern=pattern, max_range=max_range, min_range=least, columns=tuple(columns))
+    settings, words = _look(list(found.values()), times, given)
     clouds = GenericLidarStream("lidar", settings, np.eye(4), tuple(found.values()), times)
     poses = next((folder / p for p in POSE_FILES if (folder / p).is_file()), None)
     if poses is None and odometry == "poses":
         raise DatasetError(f"holds no poses; expected {' or '.join(POSE_FILES)}", folder)
     reporter.note(f"{name}: {len(found)} clouds, times from {times_from}")
-    reporter.note(f"{name}: points are {seen.words}{_assumed(seen.time, motion, pattern)}")
-    turning = seen.time is None and motion != "compensated" and pattern == "spinning"
+    reporter.note(f"{name}: points are {words}{_assumed(settings.time, motion, pattern)}")
+    turning = settings.time is None and motion != "compensated" and pattern == "spinning"
     if turning and motion == "auto":
         turning = detected_motion(name, clouds, SweptClouds(clouds), reporter) == "distorted"
     use = poses if odometry != "lidar" else None
@@ -112,15 +102,15 @@ def read_clouds(
     )
 
 
-def _look(files: Sequence[Path], times: Times, columns: tuple[str, ...]) -> ScanLayout:
+def _look(files: Sequence[Path], times: Times, given: GenericLidar) -> tuple[GenericLidar, str]:
     """What the clouds hold, by the first of a few along the drive that has enough points."""
-    places = [len(files) // 2, len(files) // 4, 3 * len(files) // 4, 0]
-    for place in places[:-1]:
+    *places, last = len(files) // 2, len(files) // 4, 3 * len(files) // 4, 0
+    for place in places:
         try:
-            return layout_of_scan(files[place], int(times[place]), columns)
+            return with_layout(given, files[place], int(times[place]))
         except DatasetError:
             continue  # such as a cloud taken beside a wall that returned nothing
-    return layout_of_scan(files[places[-1]], int(times[places[-1]]), columns)
+    return with_layout(given, files[last], int(times[last]))
 
 
 def _assumed(time: str | None, motion: str, pattern: str) -> str:

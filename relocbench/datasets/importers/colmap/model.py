@@ -171,8 +171,8 @@ class _Bytes:
         if self.at != len(self.data):
             raise self.fault(f"{len(self.data) - self.at} bytes are left after the last record")
 
-    def fault(self, told: str) -> DatasetError:
-        return DatasetError(f"{told} (at byte {self.at}); expected {self.what}", self.path)
+    def fault(self, what: str) -> DatasetError:
+        return DatasetError(f"{what} (at byte {self.at}); expected {self.what}", self.path)
 
     def _next(self, count: int) -> bytes:
         if count > len(self.data) - self.at:

@@ -6,33 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
-from relocbench.arrays import Array, Image
-from relocbench.datasets.core import images
+from relocbench.arrays import Array
 from relocbench.datasets.importers.lidar_drives.files import camera_of
 from relocbench.datasets.importers.lidar_drives.texts import finite_numbers
-from relocbench.datasets.sensors.image_files import ImageFiles
-from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml_value
 from relocbench.geometry import Camera, invert, is_rotation, make_transform, project_to_rotation
-
-
-class BayerImages(ImageFiles):
-    """The images of one camera, demosaicked and undistorted when read."""
-
-    def read(self, index: int) -> Image:
-        """Read an image, (H, W, 3) RGB. Raises DatasetError with the file."""
-        image = images.read_image(self.files[index], images.ExpectedSize(self.distorted.size, self.size_from))
-        if image.ndim == 2:
-            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BayerRGGB2RGB), dtype=np.uint8)
-        return undistort(image, self.distorted)
-
-    def file(self, index: int) -> Path | None:
-        """Always None: every image has to be demosaicked."""
-        return None
 
 
 @dataclass(frozen=True, eq=False)

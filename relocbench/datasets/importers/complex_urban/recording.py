@@ -23,11 +23,12 @@ from typing import Literal
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.importers.complex_urban.images import BayerImages, T_left_right, read_intrinsics
+from relocbench.datasets.importers.complex_urban.images import T_left_right, read_intrinsics
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of, read_matrix_rows
 from relocbench.datasets.importers.lidar_drives.files import files_by_time
 from relocbench.datasets.importers.lidar_drives.texts import nanoseconds
+from relocbench.datasets.sensors.image_files import BayerImages
 from relocbench.datasets.sensors.matrices import as_transform
 from relocbench.datasets.sensors.recording import CameraStream
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns

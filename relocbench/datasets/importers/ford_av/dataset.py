@@ -48,12 +48,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         DatasetError: with file, topic and time: something in a log is missing or wrong, or no pair can be accepted.
         ConfigError: the options do not fit the logs, or the packages that read bags are not installed.
     """
-    from relocbench.datasets.core.build import Build
-    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
-    from relocbench.datasets.groundtruth.odometry.deferred import later
     from relocbench.datasets.importers.ford_av.files import find_logs
     from relocbench.datasets.importers.ford_av.recording import ReadingOptions, read_ford
-    from relocbench.datasets.importers.lidar_drives.drives import on_one_map
+    from relocbench.datasets.importers.lidar_drives.building import build_from
     from relocbench.datasets.importers.rosbag.packets import check_calibration
 
     assert isinstance(options, Options)
@@ -73,7 +70,4 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         except DatasetError as bad:
             faults.append(bad)
     raise_all(list({str(fault): fault for fault in faults}.values()))
-    check_recordings([drive.with_times_only() for drive in drives], options)
-    # Odometry that is missing is computed by the build, after it has checked all drives.
-    recordings = [drive.recording(later, reporter) for drive in on_one_map(drives, reporter)]
-    return build_ground_truth(recordings, Build(writer, options, reporter, run))
+    return build_from(drives, "ford-av", sources, options, out, reporter, run, writer)

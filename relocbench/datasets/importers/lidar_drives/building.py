@@ -20,6 +20,7 @@ from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.core.writer import DatasetWriter
 
 
 ReadDrive = Callable[[Path, str, Reporter], DriveFiles]
@@ -61,14 +62,19 @@ def build_from(
     out: Path,
     reporter: Reporter,
     run: Run,
+    writer: DatasetWriter | None = None,
 ) -> Dataset:
     """Build a dataset from drives whose files have been read, the reference first.
+
+    Args:
+        writer: that of the build; None: it is opened.
 
     Raises:
         DatasetError, ConfigError: like :func:`build_drives`.
     """
     check_recordings([drive.with_times_only() for drive in drives], options)
-    writer = open_writer(kind, sources, options, out, fitting_name(f"{kind.replace('-', '_')}_{drives[0].name}"))
+    if writer is None:
+        writer = open_writer(kind, sources, options, out, fitting_name(f"{kind.replace('-', '_')}_{drives[0].name}"))
     # Odometry that is missing is computed by the build, after it has checked all drives.
     recordings = [drive.recording(later, reporter) for drive in on_one_map(drives, reporter)]
     return build_ground_truth(recordings, Build(writer, options, reporter, run))

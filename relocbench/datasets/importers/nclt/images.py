@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from relocbench.arrays import Array, Floats, Image, Times
+from relocbench.arrays import Floats, Image
 from relocbench.datasets.core.image_header import MOST_FILE_BYTES
 from relocbench.datasets.core.images import ExpectedSize
+from relocbench.datasets.sensors.image_files import ConvertedImages, remapped
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
-from relocbench.geometry import Camera
 
 _MOST_TABLE_BYTES = 2**28
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
@@ -23,37 +23,26 @@ _WIDTH, _HEIGHT = 256, 257
 
 
 @dataclass(frozen=True, eq=False)
-class LadybugImages:
+class LadybugImages(ConvertedImages):
     """The images of one camera."""
 
-    name: str
-    camera: Camera
-    T_rig_cam: Array
-    files: tuple[Path, ...]
-    times_ns: Times
     table: Path
     """of the undistortion"""
 
     def read(self, index: int) -> Image:
         """Read an image, (H, W, 3) RGB, black outside the lens's view. Raises DatasetError with the file."""
-        image = read_tiff(self.files[index], self.camera.size)
-        u, v = read_table(self.table, *self.camera.size)
-        return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
-
-    def file(self, index: int) -> Path | None:
-        """Always None: datasets hold PNG or JPEG."""
-        return None
+        return remapped(read_tiff(self.files[index], self.size), self.table, read_table)
 
 
-def read_tiff(path: Path, size: tuple[int, int]) -> Image:
+def read_tiff(path: Path, expected: ExpectedSize) -> Image:
     """An 8-bit colour image, (H, W, 3) RGB. Raises DatasetError if it is damaged or has another size."""
     data = read_bytes(path, "a TIFF image", DatasetError, MOST_FILE_BYTES)
-    ExpectedSize(size, "the camera's first image").check(tiff_size(data, path), path)
+    expected.check(tiff_size(data, path), path)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
         image = None
-    if image is None or image.shape[1::-1] != size or image.dtype != np.uint8:
+    if image is None or image.shape[1::-1] != expected.size or image.dtype != np.uint8:
         raise DatasetError("cannot be decoded; expected an 8-bit TIFF", path)
     return np.ascontiguousarray(np.asarray(image, dtype=np.uint8)[..., ::-1])
 

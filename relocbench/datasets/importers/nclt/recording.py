@@ -131,17 +131,17 @@ def _cameras(folder: Path, calibration: Path | None) -> dict[str, CameraStream]:
         number = name[-1]
         path = where / f"K_cam{number}.csv"
         K = read_matrix(path, "the camera's matrix", columns=3)
-        pose = where / f"x_lb3_c{number}.csv"
-        rows = list(read_rows(pose, f"the camera's pose ({_SIX})", DatasetError))
-        six = np.array(parse_floats([f for _, fields in rows for f in fields], pose, 1, _SIX, DatasetError))
-        T_lb3_cam = transform_from_xyzrpy([*six[:3], *np.radians(six[3:])])
+        mount = where / f"x_lb3_c{number}.csv"
+        rows = list(read_rows(mount, f"the camera's pose ({_SIX})", DatasetError))
+        six = np.array(parse_floats([f for _, fields in rows for f in fields], mount, 1, _SIX, DatasetError))
+        pose = T_RIG_BODY @ T_BODY_LB3 @ transform_from_xyzrpy([*six[:3], *np.radians(six[3:])])
         size = tiff_size(read_bytes(found[0][0], "a TIFF image", DatasetError, MOST_FILE_BYTES), found[0][0])
         intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
         camera = camera_of("pinhole", size, intrinsics, (), path)
         table = next(iter(_tables(where, name)), None)
         if table is None:
             raise DatasetError(f"holds no U2D_{name}_*.txt, by which images are undistorted", where)
-        streams[name] = LadybugImages(name, camera, T_RIG_BODY @ T_BODY_LB3 @ T_lb3_cam, *found, table)
+        streams[name] = LadybugImages(name, camera, pose, *found, "the camera's first image", table)
     return streams
 
 
@@ -154,8 +154,8 @@ def _calibration(folder: Path, given: Path | None) -> Path:
         if not given.is_dir():
             raise DatasetError("no such folder; expected K_camN.csv, x_lb3_cN.csv and U2D_CamN_*.txt", given)
         return given
-    here = folder.resolve()
-    found = next((p / "cam_params" for p in (here, here.parent) if (p / "cam_params").is_dir()), None)
+    drive = folder.resolve()
+    found = next((p / "cam_params" for p in (drive, drive.parent) if (p / "cam_params").is_dir()), None)
     if found is None:
         raise DatasetError("has images, but there is no folder cam_params in it or above it", folder)
     return found

@@ -184,8 +184,8 @@ def _find_calibration(folder: Path, extrinsics: Path | None, models: Path | None
             if not given.is_dir():
                 raise DatasetError(f"no such folder; expected the {name} of the dataset's SDK", given)
             return given
-        here = folder.resolve()
-        return next((p / name for p in (here, here.parent, here.parent.parent) if (p / name).is_dir()), None)
+        drive = folder.resolve()
+        return next((p / name for p in (drive, drive.parent, drive.parent.parent) if (p / name).is_dir()), None)
 
     found = find(extrinsics, "extrinsics")
     if found is None:
@@ -215,11 +215,11 @@ def _cameras(
         table = calibration.models / f"{lens.model}_distortion_lut.bin"
         if not table.exists():
             distorted.append(name)
-        size = image_size(where / f"{int(times[0]) // 1000}.png")
-        camera = camera_of("pinhole", size, model.intrinsics, (), model.path)
+        paths = tuple(where / f"{time // 1000}.png" for time in times.tolist())
+        camera = camera_of("pinhole", image_size(paths[0]), model.intrinsics, (), model.path)
         T_rig_cam = T_RIG_VEHICLE @ _T_vehicle_image(calibration, lens, model)
-        found = table if table.exists() else None
-        streams[name] = RobotCarCamera(name, where, camera, T_rig_cam, times, lens.bayer, found)
+        size_from, look_up = f"the first image of {name}", table if table.exists() else None
+        streams[name] = RobotCarCamera(name, camera, T_rig_cam, paths, times, size_from, lens.bayer, look_up)
     if distorted:
         reporter.note(f"{title}: no look-up table for {', '.join(distorted)}; images are not undistorted")
     return streams

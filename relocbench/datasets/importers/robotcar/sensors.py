@@ -7,21 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
-import cv2
 import numpy as np
 
 from relocbench.arrays import Array, Floats, Image, Times
-from relocbench.datasets.core import images
 from relocbench.datasets.core.image_header import MOST_PIXELS
 from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns
 from relocbench.datasets.importers.robotcar.files import read_timestamps
+from relocbench.datasets.sensors.image_files import BayerImages, remapped
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
-from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 _POINT_BYTES = 24
@@ -80,36 +78,16 @@ def check_scan_size(path: Path, size: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotCarCamera:
-    """The images of one lens: stored as Bayer mosaics, demosaicked and undistorted when read."""
+class RobotCarCamera(BayerImages):
+    """The images of one lens, demosaicked and undistorted when read."""
 
-    name: str
-    folder: Path
-    camera: Camera
-    T_rig_cam: Array
-    times_ns: Times
-    bayer: Literal["GBRG", "RGGB"]
-    """colours of the top left 2x2 pixels"""
-    look_up_table: Path | None
+    look_up_table: Path | None = None
     """table of the undistortion; None if images are not undistorted"""
-
-    _CODES: ClassVar[dict[str, int]] = {"GBRG": cv2.COLOR_BayerGBRG2RGB, "RGGB": cv2.COLOR_BayerRGGB2RGB}
 
     def read(self, index: int) -> Image:
         """Read an image, (H, W, 3) RGB, black outside the lens's view. Raises DatasetError with the file."""
-        path = self.folder / f"{int(self.times_ns[index]) // 1000}.png"
-
-        image = images.read_image(path, images.ExpectedSize(self.camera.size, f"the first image of {self.name}"))
-        # Some copies of the data set already hold colour images.
-        colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, self._CODES[self.bayer]), dtype=np.uint8)
-        if self.look_up_table is None:
-            return colour
-        u, v = read_look_up_table(self.look_up_table, *self.camera.size)
-        return np.asarray(cv2.remap(colour, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
-
-    def file(self, index: int) -> Path | None:
-        """Always None: every image has to be demosaicked."""
-        return None
+        image = super().read(index)
+        return image if self.look_up_table is None else remapped(image, self.look_up_table, read_look_up_table)
 
 
 @lru_cache(maxsize=8)

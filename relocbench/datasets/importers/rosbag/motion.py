@@ -111,13 +111,13 @@ def map_of_fixes(times_ns: Times, enu: Array, motion: Trajectory, antenna: Array
     kept = motion.covers(times_ns)
     if kept.sum() < 2:
         return None
-    times, there = times_ns[kept], enu[kept]
+    times, p_map = times_ns[kept], enu[kept]
     T_odom_rig = motion.at(times)
-    here = (T_odom_rig @ np.append(antenna, 1.0))[:, :3]
-    travelled = path_lengths(here[:, :2])
+    p_odom = (T_odom_rig @ np.append(antenna, 1.0))[:, :3]
+    travelled = path_lengths(p_odom[:, :2])
     begin = np.searchsorted(travelled, travelled - _AROUND_M, side="left")
     end = np.searchsorted(travelled, travelled + _AROUND_M, side="right")
-    a, b = here[:, 0] + 1j * here[:, 1], there[:, 0] + 1j * there[:, 1]
+    a, b = (p[:, 0] + 1j * p[:, 1] for p in (p_odom, p_map))
     heading = np.full(len(times), np.nan)
     for i, (first, last) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
         p, q = a[first:last] - a[first:last].mean(), b[first:last] - b[first:last].mean()
@@ -130,5 +130,5 @@ def map_of_fixes(times_ns: Times, enu: Array, motion: Trajectory, antenna: Array
     R = np.zeros((len(known), 3, 3))
     R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = cosine, -sine, sine, cosine, 1.0
     R_map_rig = R @ T_odom_rig[known, :3, :3]
-    position = there[known] - R_map_rig @ antenna
+    position = p_map[known] - R_map_rig @ antenna
     return Trajectory(times[known], make_transform(R_map_rig, position), _GNSS_GAP_NS)

@@ -43,14 +43,14 @@ def odometry(reading: Reading) -> Trajectory | None:
     )
 
 
-def _T_body_rig(reading: Reading, poses: Poses, told: Transform | None) -> Array:
+def _T_body_rig(reading: Reading, poses: Poses, mounted: Transform | None) -> Array:
     """From the rig to the frame whose poses are given.
 
     Args:
-        told: its pose on the rig by the extrinsics.
+        mounted: its pose on the rig by the extrinsics.
     """
-    if told is not None:
-        return np.asarray(invert(reading.settings.extrinsics.T_new_rig @ told.matrix))
+    if mounted is not None:
+        return np.asarray(invert(reading.settings.extrinsics.T_new_rig @ mounted.matrix))
     if not poses.child:
         reading.note(f"the poses in '{poses.parent}' name no frame of the vehicle; they are taken for those of the rig")
         return np.asarray(invert(reading.settings.extrinsics.T_new_rig))
