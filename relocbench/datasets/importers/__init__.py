@@ -68,9 +68,15 @@ class Importer(Protocol):
 
     Options: type[DatasetOptions]
 
-    def build(
-        self, sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run
-    ) -> Dataset: ...
+    def build(self, sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+        """Build a dataset.
+
+        Raises:
+            DatasetError: with file and line, or topic and time: something in a recording is missing or wrong, or no
+                pair can be accepted.
+            ConfigError: the options do not fit the recordings, or a package that reads them is not installed.
+        """
+        ...
 
 
 class Recorder(Protocol):

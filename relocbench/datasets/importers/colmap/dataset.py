@@ -34,9 +34,8 @@ from relocbench.datasets.importers.photos.collection import (
     write_traversal,
 )
 from relocbench.datasets.importers.photos.lists import chosen_queries, listed_pairs, pairs_by_name
-from relocbench.datasets.importers.photos.model import SparseModel
 from relocbench.datasets.importers.photos.options import PhotoOptions
-from relocbench.datasets.importers.photos.points import Observations
+from relocbench.datasets.importers.photos.points import Observations, SparseModel
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import ConfigError, DatasetError, quoted
@@ -70,14 +69,10 @@ class Options(PhotoOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a sparse model.
+    """Build a dataset from a sparse model. Raises as :class:`Importer`.
 
     Args:
         sources: the model's folder, with ``cameras``, ``images`` and ``points3D``, ``.bin`` or ``.txt``.
-
-    Raises:
-        DatasetError: with file and line: something in the model or a list is missing or wrong.
-        ConfigError: the options do not fit together.
     """
     assert isinstance(options, Options)
     if len(sources) != 1:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from relocbench.arrays import Indices
 from relocbench.datasets.core.named_poses import pose_of_numbers
 from relocbench.datasets.importers.photos.cameras import PARAMETERS, camera_of, parse_camera
-from relocbench.datasets.importers.photos.model import ModelImage, SparseModel
+from relocbench.datasets.importers.photos.points import ModelImage, SparseModel
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import lines_of, parse_count, parse_floats, read_bytes, read_text
 from relocbench.geometry import Camera

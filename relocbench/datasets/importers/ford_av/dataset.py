@@ -42,12 +42,7 @@ class Options(FieldOptions, LinkingOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference log (the first source) and one or more query logs.
-
-    Raises:
-        DatasetError: with file, topic and time: something in a log is missing or wrong, or no pair can be accepted.
-        ConfigError: the options do not fit the logs, or the packages that read bags are not installed.
-    """
+    """Build a dataset from a reference log, the first source, and query logs. Raises as :class:`Importer`."""
     from relocbench.datasets.importers.ford_av.files import find_logs
     from relocbench.datasets.importers.ford_av.recording import ReadingOptions, read_ford
     from relocbench.datasets.importers.lidar_drives.building import build_from

@@ -79,12 +79,7 @@ class Options(PosedRecordingOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Import one or more recordings; the first is the reference.
-
-    Raises:
-        DatasetError: with file and line: a recording is incomplete or contradicts itself, or there is no pair.
-        ConfigError: the options give a condition for a recording that is not imported.
-    """
+    """Import one or more recordings; the first is the reference. Raises as :class:`Importer`."""
     assert isinstance(options, Options)
     names = traversal_names(sources)
     options.check_conditions(names)

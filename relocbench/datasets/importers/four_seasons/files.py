@@ -7,7 +7,6 @@ aligned with gravity and north, and ``e`` the earth (ECEF).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -99,19 +98,12 @@ class GnssPose:
 
 @dataclass(frozen=True, eq=False)
 class Transformations:
-    """The content of ``Transformations.txt``, in the file's order."""
+    """What is used of ``Transformations.txt``."""
 
-    S_AS: Array
-    TS_cam_imu: Array
-    w_gpsw: Array
-    gps_imu: Array
-    e_gpsw: Array
+    T_e_w: Array
+    """(4, 4) from the SLAM world in metres to the earth: ``p_e = e_gpsw inv(w_gpsw) (scale p_w)``"""
     scale: float
-
-    @cached_property
-    def T_e_w(self) -> Array:
-        """(4, 4) from the SLAM world in metres to the earth: ``p_e = e_gpsw inv(w_gpsw) (scale p_w)``."""
-        return self.e_gpsw @ invert(self.w_gpsw)
+    """metres per unit of ``w``"""
 
 
 _TRANSFORMATIONS = ("S_AS", "TS_cam_imu", "w_gpsw", "gps_imu", "e_gpsw", "scale")
@@ -247,11 +239,11 @@ def read_transformations(path: Path) -> Transformations:
         titles = [text for text in lines[: line - 1] if text.strip().startswith("#")]
         if titles and name not in titles[-1]:
             raise DatasetError(f"expected {name} here, but its title is '{titles[-1].strip('# ')}'", path, line)
-    S_AS, TS_cam_imu, w_gpsw, gps_imu, e_gpsw = (parse_pose(fields, path, line) for line, fields in rows[:5])
+    _, _, w_gpsw, _, e_gpsw = (parse_pose(fields, path, line) for line, fields in rows[:5])
     line, fields = rows[5]
     if len(fields) != 1:
         raise DatasetError(f"expected the scale alone, found {len(fields)} numbers", path, line)
-    return Transformations(S_AS, TS_cam_imu, w_gpsw, gps_imu, e_gpsw, _parse_scale(fields[0], path, line))
+    return Transformations(e_gpsw @ invert(w_gpsw), _parse_scale(fields[0], path, line))
 
 
 def _parse_scale(text: str, path: Path, line: int) -> float:

@@ -119,12 +119,7 @@ class GenericFolder:
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Import one or more generic folders; the first is the reference.
-
-    Raises:
-        DatasetError: with file and line: a part of a folder is missing or contradicts another, or there is no pair.
-        ConfigError: the options give a condition for a folder that is not imported.
-    """
+    """Import one or more generic folders; the first is the reference. Raises as :class:`Importer`."""
     assert isinstance(options, Options)
     names = traversal_names(sources)
     options.check_conditions(names)

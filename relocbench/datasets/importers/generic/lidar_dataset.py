@@ -29,12 +29,7 @@ class Options(FieldOptions, LinkingOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference drive (the first source) and one or more query drives.
-
-    Raises:
-        DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
-        ConfigError: the options do not fit the recordings.
-    """
+    """Build a dataset from a reference drive, the first source, and query drives. Raises as :class:`Importer`."""
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
     from relocbench.datasets.groundtruth.odometry.deferred import later

@@ -89,15 +89,11 @@ class _Part:
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from kapture folders.
+    """Build a dataset from kapture folders. Raises as :class:`Importer`.
 
     Args:
         sources: the map and any number of folders of queries, or one folder, or one that holds ``mapping`` and
             ``query``.
-
-    Raises:
-        DatasetError: with file and line: something in a folder or a list is missing or wrong.
-        ConfigError: the options do not fit together.
     """
     assert isinstance(options, Options)
     options.check_pairs()

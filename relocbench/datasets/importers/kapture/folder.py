@@ -24,7 +24,7 @@ from relocbench.datasets.importers.kapture.tables import (
     read_trajectories,
     read_version,
 )
-from relocbench.datasets.importers.photos.model import ModelImage, SparseModel
+from relocbench.datasets.importers.photos.points import ModelImage, SparseModel
 from relocbench.errors import DatasetError, quoted
 from relocbench.geometry import Camera, invert, rotation_angle
 

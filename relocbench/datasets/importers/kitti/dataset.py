@@ -108,14 +108,10 @@ def _compute_depth(unit: _StereoUnit | _LidarUnit) -> None:
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from one sequence, or from a reference and a query sequence.
+    """Build a dataset from one sequence, or from a reference and a query sequence. Raises as :class:`Importer`.
 
     Args:
         sources: the folder that holds ``sequences`` and ``poses``, or one sequence folder.
-
-    Raises:
-        DatasetError: with file and line: something in the recording is missing or wrong.
-        ConfigError: the options do not fit the recording.
     """
     assert isinstance(options, Options)
     sequences = _find_sequences(sources, options)

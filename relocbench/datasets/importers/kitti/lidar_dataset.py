@@ -34,12 +34,7 @@ class Options(SequenceOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference sequence and one or more query sequences.
-
-    Raises:
-        DatasetError: with file and line: something in a sequence is missing or wrong, or no pair can be accepted.
-        ConfigError: the options do not fit the recordings.
-    """
+    """Build a dataset from a reference sequence and one or more query sequences. Raises as :class:`Importer`."""
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
     from relocbench.datasets.groundtruth.odometry.deferred import later

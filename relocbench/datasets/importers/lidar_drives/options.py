@@ -61,11 +61,7 @@ class SequenceOptions(FieldOptions, LinkingOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference drive (the first source) and one or more query drives.
-
-    Raises:
-        DatasetError, ConfigError: like :func:`build_drives`.
-    """
+    """Build a dataset from a reference drive, the first source, and query drives. Raises as :class:`Importer`."""
     from relocbench.datasets.importers.lidar_drives.building import build_drives
 
     assert isinstance(options, DriveOptions)

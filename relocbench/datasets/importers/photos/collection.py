@@ -16,9 +16,8 @@ from relocbench.datasets.core.names import write_names
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import import_image
-from relocbench.datasets.importers.photos.model import SparseModel
 from relocbench.datasets.importers.photos.options import PhotoOptions
-from relocbench.datasets.importers.photos.points import Observations, keyframe_points
+from relocbench.datasets.importers.photos.points import Observations, SparseModel, keyframe_points
 from relocbench.geometry import Camera, invert
 
 CAMERA = "photo"

@@ -1,4 +1,4 @@
-"""Keyframe points from the points of a model, with the uncertainty that their observations leave."""
+"""Sparse models, and keyframe points from them, with the uncertainty that their observations leave."""
 
 from __future__ import annotations
 
@@ -8,9 +8,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from relocbench.arrays import Array, Indices
-from relocbench.datasets.importers.photos.model import SparseModel
 from relocbench.geometry import Camera, apply, invert
 from relocbench.tracking import KeyframePoints
+
+
+@dataclass(frozen=True, eq=False)
+class ModelImage:
+    """An image with a pose."""
+
+    name: str
+    """path below the folder of images"""
+    camera: int
+    T_cam_world: Array
+    """(4, 4)"""
+    points: Indices
+    """(K,) the points that it observes, increasing"""
+
+
+@dataclass(frozen=True, eq=False)
+class SparseModel:
+    """A sparse model."""
+
+    cameras: Mapping[int, Camera]
+    images: Mapping[int, ModelImage]
+    point_ids: Indices
+    """(P,) increasing"""
+    xyz: Array
+    """(P, 3) in units of the model"""
+    error_px: Array
+    """(P,) mean reprojection error; NaN where the model does not say"""
 
 
 @dataclass(frozen=True, eq=False)

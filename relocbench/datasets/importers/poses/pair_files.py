@@ -72,12 +72,7 @@ class _Listed:
 
 
 def build(sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Write a pair set for each file, with its poses as the truth; pairs without a pose have it withheld.
-
-    Raises:
-        DatasetError: with file and line: a file cannot be parsed, two are of the same pair set, or one holds no pair.
-        ConfigError: the options do not fit the files.
-    """
+    """Write a pair set for each file, with its poses, or none, as the truth. Raises as :class:`Importer`."""
     assert isinstance(options, Options)
     keys = _keys(sources, options)
     names = sorted({name for key in keys for name in key[:2]})

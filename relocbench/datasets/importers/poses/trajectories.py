@@ -93,12 +93,7 @@ class _Drive:
 
 
 def build(sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Pair the poses of the first trajectory, as keyframes, with those of the others, or with its own.
-
-    Raises:
-        DatasetError: with file and line: a file of poses is bad, or there is no pair.
-        ConfigError: the options do not fit the files.
-    """
+    """Pair the poses of the first trajectory with those of the others, or its own. Raises as :class:`Importer`."""
     assert isinstance(options, Options)
     names = names_of_files(sources, options.traversals, "files of poses")
     options.check_conditions(names)

@@ -35,12 +35,7 @@ class Options(FieldOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from a reference traversal (the first source) and one or more query traversals.
-
-    Raises:
-        DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
-        ConfigError: the options do not fit the recordings.
-    """
+    """Build a dataset from a reference traversal, the first source, and query ones. Raises as :class:`Importer`."""
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
     from relocbench.datasets.groundtruth.odometry.deferred import later

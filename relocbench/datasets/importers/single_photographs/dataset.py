@@ -67,14 +67,10 @@ class Options(ImportOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Make a dataset of single photographs.
+    """Make a dataset of single photographs. Raises as :class:`Importer`.
 
     Args:
         sources: folders of photographs, whose folders are searched too.
-
-    Raises:
-        DatasetError: a folder is missing or empty, or a photograph is damaged or too small.
-        ConfigError: the photographs are too few for the splits, or a condition is given for no traversal.
     """
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.core.writer import DatasetWriter

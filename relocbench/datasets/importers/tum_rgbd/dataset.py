@@ -107,14 +107,10 @@ def _write_frame(unit: _Unit) -> None:
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """Build a dataset from one recording, or from a reference and a query recording that share a world.
+    """Build a dataset from one recording, or from two that share a world. Raises as :class:`Importer`.
 
     Args:
         sources: one or two sequence folders: reference, query.
-
-    Raises:
-        DatasetError: with file and line: something in a recording is missing or wrong.
-        ConfigError: the options do not fit the recordings.
     """
     assert isinstance(options, Options)
     if not 1 <= len(sources) <= 2:
