@@ -103,8 +103,7 @@ def test_published_poses_of_a_standing_car_give_a_camera_that_looks_along_the_ro
 
 
 def test_odometry_is_the_best_there_is_and_lidar_without_poses(drives: list[StreetDrive], tmp_path: Path) -> None:
-    folder = tmp_path / "boreas-2021-01-26-11-22"
-    shutil.copytree(drives[0].folder, folder)
+    folder = shutil.copytree(drives[0].folder, tmp_path / "boreas-2021-01-26-11-22")
     whole = read_boreas(folder, "a")
     assert whole.poses is not None
     assert whole.poses_from == "applanix/gps_post_process.csv"
@@ -205,8 +204,7 @@ def renamed_scan(folder: Path) -> None:
 def test_a_fault_is_told_with_its_file(
     drives: list[StreetDrive], tmp_path: Path, spoil: Callable[[Path], None], words: ErrorData
 ) -> None:
-    folder = tmp_path / "spoilt"
-    shutil.copytree(drives[0].folder, folder)
+    folder = shutil.copytree(drives[0].folder, tmp_path / "spoilt")
     spoil(folder)
     with refused(DatasetError, *words):
         read_all_scans(folder)

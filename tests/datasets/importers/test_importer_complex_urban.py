@@ -85,8 +85,7 @@ def scans_named_by_their_start(folder: Path) -> None:
 def test_a_wrong_convention_shows_in_the_depths(
     drive: StreetDrive, scene: LidarScene, folder: Path, tmp_path: Path, spoil: Callable[[Path], None]
 ) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
+    copy = shutil.copytree(folder, tmp_path / "copy")
     spoil(copy)
     recording = from_poses(read_complex_urban(copy, "a", odometry="poses"))
     assert not agrees(errors_of(drive, recording, "stereo_left", 5, scene))
@@ -102,8 +101,7 @@ def test_a_scan_of_the_sick_described_by_hand_is_decoded(folder: Path, tmp_path:
     assert found.offsets_ns is not None
     assert found.offsets_ns[0] < found.offsets_ns[143] < found.offsets_ns[285]
     assert abs(int(found.offsets_ns[143])) < 10_000
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
+    copy = shutil.copytree(folder, tmp_path / "copy")
     name = next((copy / "sensor_data" / "VLP_left").iterdir()).name
     write(copy / "sensor_data" / "SICK_back" / name, table.tobytes())
     write(copy / "calibration" / "Vehicle2BackSick.txt", f"R: {numbers(np.eye(3))}\nT: 0 0 1\n")
@@ -135,8 +133,7 @@ def test_a_scan_of_the_sick_described_by_hand_is_decoded(folder: Path, tmp_path:
 def test_a_fault_is_told_with_its_file(
     folder: Path, tmp_path: Path, spoil: Callable[[Path], object], words: ErrorData
 ) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
+    copy = shutil.copytree(folder, tmp_path / "copy")
     spoil(copy)
     with refused(DatasetError, *words):
         read_complex_urban(copy, "a")

@@ -95,8 +95,7 @@ def test_a_wrong_convention_shows_in_the_depths(
     sensor: str,
     change: Callable[[dict[str, Any]], None],
 ) -> None:
-    calibration = tmp_path / "calibration"
-    shutil.copytree(logs[0].calibration, calibration)
+    calibration = shutil.copytree(logs[0].calibration, tmp_path / "calibration")
     changed(calibration / calibration_file(sensor), change)
     how = ReadingOptions(lidars=("red",), axes="velodyne")
     recording = from_poses(read(logs[0].folder, how, calibration)[0])
@@ -175,8 +174,7 @@ def test_small_images_of_the_bag_stand_in_for_missing_ones(
     pixels = np.array([[0.0, 0.0], [7.0, 3.0], [small.width - 1.0, small.height - 1.0]])
     np.testing.assert_allclose(small.unproject(pixels)[0], whole.unproject(2 * pixels + 0.5)[0], atol=1e-12)
     assert np.median(np.abs(errors_of(drives[0], from_poses(drive), "front_left", 13, scene))) < 0.06
-    calibration = tmp_path / "calibration"
-    shutil.copytree(logs[0].calibration, calibration)
+    calibration = shutil.copytree(logs[0].calibration, tmp_path / "calibration")
     changed(calibration / "cameraFrontLeftIntrinsics.yaml", lambda values: values.update(width=whole.width * 2))
     drive, spoken = read(bag, calibration=calibration)
     assert not drive.cameras
@@ -275,8 +273,7 @@ RED, INTRINSICS = "lidarRed_body.yaml", "cameraFrontLeftIntrinsics.yaml"
 def test_a_fault_of_the_calibration_is_told_with_its_file(
     logs: list[Made], tmp_path: Path, file: str, change: Callable[[dict[str, Any]], None], words: ErrorData
 ) -> None:
-    calibration = tmp_path / "calibration"
-    shutil.copytree(logs[0].calibration, calibration)
+    calibration = shutil.copytree(logs[0].calibration, tmp_path / "calibration")
     changed(calibration / file, change)
     with refused(DatasetError, *words):
         read(logs[0].folder, calibration=calibration)

@@ -341,8 +341,7 @@ def test_pairs_may_be_listed_and_truth_withheld(made: Path, tmp_path: Path, text
 
 
 def test_several_query_folders_share_a_list(made: Path, tmp_path: Path) -> None:
-    night = tmp_path / "night"
-    shutil.copytree(made / "query", night)
+    night = shutil.copytree(made / "query", tmp_path / "night")
     records = night / "sensors/records_camera.txt"
     records.write_text(records.read_text().replace("q/", "n/"))
     (night / "sensors/records_data/q").rename(night / "sensors/records_data/n")

@@ -80,8 +80,7 @@ def inverse(rows: np.ndarray) -> np.ndarray:
 def test_a_wrong_convention_shows_in_the_depths(
     drives: list[StreetDrive], scene: LidarScene, root: Path, tmp_path: Path, spoil: Callable[[Path], None]
 ) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(root, copy)
+    copy = shutil.copytree(root, tmp_path / "copy")
     spoil(copy)
     assert not agrees(
         errors_of(drives[0], from_poses(read_kitti360(copy, "0000", "a", "poses")), "image_00", 14, scene)
@@ -127,8 +126,7 @@ def test_times_keep_their_nine_decimals(tmp_path: Path) -> None:
 def test_a_fault_is_told_with_its_file(
     root: Path, tmp_path: Path, spoil: Callable[[Path], object], words: ErrorData
 ) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(root, copy)
+    copy = shutil.copytree(root, tmp_path / "copy")
     spoil(copy)
     with refused(DatasetError, *words):
         read_kitti360(copy, "0000", "a")

@@ -128,8 +128,7 @@ def test_bags_of_a_spinning_lidar_are_brought_together_by_one_command(
 def test_a_build_continues_from_its_index_and_ends_with_the_same_bytes(
     built: Built, bags: dict[Storage, list[Path]], tmp_path: Path
 ) -> None:
-    out = tmp_path / "again"
-    shutil.copytree(built.root, out)
+    out = shutil.copytree(built.root, tmp_path / "again")
     (out / "dataset.yaml").unlink()
     shutil.rmtree(out / "pairs")
     outcome = build(out, *bags["mcap"], *AS_ROBOTCAR, "--cameras", "/stereo_left/image_raw")
