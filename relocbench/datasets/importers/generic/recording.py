@@ -16,10 +16,11 @@ from relocbench.datasets.importers.generic.dataset import (
     POSE_FILE,
     read_folder,
 )
-from relocbench.datasets.importers.generic.scans import T_NEW_RIG, read_lidar_file, read_lidars
+from relocbench.datasets.importers.generic.scans import LIDAR_FILE, T_NEW_RIG, read_lidar_file, read_lidars
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.errors import DatasetError
 from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
 
@@ -57,12 +58,17 @@ def read_generic(
     described, max_gap_ns = (folder / CAMERA_FILE).exists(), round(max_gap_s * 1e9)
     files = read_folder(folder, title, need_poses=False) if described else None
     by_poses = odometry == "poses" or (odometry == "auto" and (folder / POSE_FILE).exists())
+    lidars = read_lidars(folder, T_new_rig, report)
+    if not by_poses and all(lidar.pattern != "spinning" for lidar in lidars):
+        raise DatasetError(
+            f"has neither {POSE_FILE} nor a spinning lidar in {LIDAR_FILE} to compute odometry from", folder
+        )
     prior = folder / PRIOR_FILE
     drive = DriveFiles(
         name=title,
         folder=folder,
         condition=files.condition if files else Condition(),
-        lidars=read_lidars(folder, T_new_rig, report),
+        lidars=lidars,
         poses=_trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns) if by_poses else None,
         poses_from=POSE_FILE,
         cameras=files.streams(T_new_rig) if files else {},
