@@ -24,12 +24,12 @@ from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, pipelines_payload
+from relocbench.leaderboard.html.chosen import worst_and_drawn
+from relocbench.leaderboard.html.pipeline_pages.payloads import PipelinePages
 from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds
 from relocbench.leaderboard.html.retrieval_pages.distances import distances_of
 from relocbench.leaderboard.html.retrieval_pages.lists import kept_lists
-from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, ranks_payload
-from relocbench.leaderboard.html.retrieval_pages.queries import chosen_queries
+from relocbench.leaderboard.html.retrieval_pages.queries import RankedQueries
 from relocbench.leaderboard.html.site import write_site
 from relocbench.leaderboard.html.thumbnails import small, thumbnail_name
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION, Pipeline, PipelineBoard
@@ -159,8 +159,7 @@ def test_every_file_of_the_site_is_listed_and_goes_with_its_results(boards: Boar
 def test_chance_is_the_one_of_the_tables_at_the_depths_that_both_have(retrieval: RetrievalBoard) -> None:
     asked = _set(retrieval, "views")
     task = asked.truth.tasks[S2D]
-    lists_of = {m.label: kept_lists(asked, m, S2D) for m in asked.methods}
-    depths, recall = ranks_payload(asked, S2D, lists_of, None)["chance"]
+    depths, recall = RankedQueries(asked, S2D).answers()["chance"]
     expected = chance_level(task.relevance, ["R@1", "R@5", "R@10"])
     for depth in (1, 5, 10):
         assert recall[depths.index(depth)] == pytest.approx(expected[f"R@{depth}"], abs=1e-6)
@@ -198,22 +197,23 @@ def test_right_images_are_marked_with_and_without_the_dataset(made: Path, retrie
             assert all(one[0] for one in found)
 
 
-def test_the_worst_queries_of_each_method_that_is_no_floor_are_chosen(retrieval: RetrievalBoard) -> None:
+def test_the_worst_queries_of_each_method_that_is_no_baseline_are_chosen(retrieval: RetrievalBoard) -> None:
     asked = _set(retrieval, "views")
     same = next(m for m in asked.methods if m.label == "same")
     first = np.array([answer.ranks[0] for answer in same.answers[S2D]])
-    assert int(np.argmax(first)) in chosen_queries([same], S2D, 1)
-    floor: Retriever = replace(same, run=same.run.model_copy(update={"target": "random"}))
-    assert chosen_queries([floor], S2D, 2) == chosen_queries([floor], S2D, 2)
-    assert len(chosen_queries([floor], S2D, 2)) == 2
-    assert chosen_queries(asked.methods, S2D, 0) == []
+    how_bad = RankedQueries(replace(asked, methods=(same,)), S2D).how_bad()
+    assert int(np.argmax(first)) in worst_and_drawn(how_bad, len(first), 1)
+    baseline: Retriever = replace(same, run=same.run.model_copy(update={"target": "random"}))
+    assert RankedQueries(replace(asked, methods=(baseline,)), S2D).how_bad() == []
+    assert len(worst_and_drawn([], len(first), 2)) == 2
+    assert worst_and_drawn(how_bad, len(first), 0) == []
 
 
 def test_each_picture_is_written_once_and_is_small(site: Path, retrieval: RetrievalBoard) -> None:
     asked = _set(retrieval, "views")
-    payload = _payload(site, f"lists/{id_of_places(asked)}/{S2D}")
+    payload = _payload(site, f"lists/{links.set_id(asked.record)}/{S2D}")
     names = {name for name in [*payload["pictures"], *payload["queries"].values()] if name}
-    there = {path.stem for path in site.glob(f"data/thumbnails/{id_of_places(asked)}/*.js")}
+    there = {path.stem for path in site.glob(f"data/thumbnails/{links.set_id(asked.record)}/*.js")}
     assert names
     assert names <= there
     assert small(np.zeros((900, 1200, 3), dtype=np.uint8)).shape == (210, 280, 3)
@@ -223,7 +223,7 @@ def test_each_picture_is_written_once_and_is_small(site: Path, retrieval: Retrie
 
 def test_shares_of_a_pipeline_add_up(pipelines: PipelineBoard) -> None:
     (asked,) = pipelines.sets
-    payload = pipelines_payload(pipelines, asked, {})
+    payload = PipelinePages().payload(pipelines, asked)
     for table in payload["tables"]:
         for row in table["rows"]:
             assert sum(row["values"][name] for name in payload["losses"]) == pytest.approx(1.0)
@@ -234,7 +234,7 @@ def test_the_keyframes_of_a_pipeline_and_their_errors_are_those_of_its_table(
 ) -> None:
     (asked,) = pipelines.sets
     pipeline: Pipeline = next(c for c in asked.methods if c.label == NEAR)
-    told = _payload(site, f"candidates/{id_of_pipelines(asked)}/{ACROSS}")["pipelines"][NEAR]
+    told = _payload(site, f"candidates/{links.set_id(asked.record)}/{ACROSS}")["pipelines"][NEAR]
     for answer, keyframes in zip(pipeline.answers[ACROSS], told, strict=True):
         assert len(keyframes) == answer.asked == 2
         hits = [rank for rank, one in enumerate(keyframes, start=1) if one[3]]

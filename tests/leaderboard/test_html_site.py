@@ -14,6 +14,7 @@ import pytest
 from browser_pages import needs_browser, serious_faults
 from test_leaderboard import NIGHT, WINTER, MadeResults, made
 
+from relocbench.evaluation.common.folders import SetLike
 from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.html import colours, links
@@ -72,14 +73,14 @@ def test_scripts_have_the_colours_of_cells() -> None:
 
 
 def test_links_hold_what_names_must_not() -> None:
-    assert links.hash_of({"set": links.set_id("town", "ab" * 32), "method": "x&y=<"}) == (
-        "set=town-abababababab&method=x%26y%3D%3C"
-    )
+    town = cast(SetLike, SimpleNamespace(name="town", fingerprint="ab" * 32))
+    state = {"set": links.set_id(town), "method": "x&y=<"}
+    assert links.hash_of(state) == "set=town-abababababab&method=x%26y%3D%3C"
 
 
 def test_ids_are_names_of_files_and_do_not_collide() -> None:
     names = [HOSTILE, "<script>alert(2)</script>", "../up", "a/b", "a-b", "", "x" * 400]
-    ids = [links.method_id(name) for name in names]
+    ids = [links.file_id(name) for name in names]
     assert len(set(ids)) == len(names)
     assert all(name and "/" not in name and "<" not in name and len(name) <= 120 for name in ids)
 

@@ -18,6 +18,7 @@ import re
 from urllib.parse import quote
 
 from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.evaluation.common.folders import SetLike
 from relocbench.files import fitting_name, plain_name
 
 START = "index.html"
@@ -31,39 +32,24 @@ _LONGEST = 120
 _PLAIN = re.compile(r"[0-9A-Za-z][0-9A-Za-z._+-]*")
 
 
-def set_id(name: str, fingerprint: str) -> str:
-    """The id of a dataset, which is part of file names and of addresses: its name and short fingerprint."""
-    return f"{_safe(name)}-{_safe(fingerprint[:SHORT])}"
+def set_id(record: SetLike) -> str:
+    """The id of a set, which is part of file names and of addresses: its name and short fingerprint."""
+    return f"{file_id(record.name)}-{file_id(record.fingerprint[:SHORT])}"
 
 
-def method_id(label: str) -> str:
-    """The id of a method, which is part of file names."""
-    return _safe(label)
+def set_page(record: SetLike, task: str = "set") -> str:
+    """The page of a set; ``task`` is ``set`` for trackers, ``retrieval`` or ``relocalization``."""
+    return f"{task}-{set_id(record)}.html"
 
 
-def pair_set_id(pair_set: str) -> str:
-    """The id of a pair set within its dataset, which is part of file names."""
-    return _safe(pair_set)
-
-
-def set_page(of_set: str) -> str:
-    """The page of a dataset's trackers, by the dataset's id."""
-    return f"set-{of_set}.html"
-
-
-def retrieval_page(of_set: str) -> str:
-    """The page of retrievers, by the id of their set."""
-    return f"retrieval-{of_set}.html"
-
-
-def relocalization_page(of_set: str) -> str:
-    """The page of pipelines, by the id of their dataset."""
-    return f"relocalization-{of_set}.html"
+def unit_key(folder: str, record: SetLike, unit: str) -> str:
+    """The key of a payload of a pair set or task of a set."""
+    return f"{folder}/{set_id(record)}/{file_id(unit)}"
 
 
 def method_page(label: str) -> str:
     """The page of a method, which may be a tracker, a retriever or both."""
-    return f"method-{method_id(label)}.html"
+    return f"method-{file_id(label)}.html"
 
 
 def hash_of(state: dict[str, str]) -> str:
@@ -76,9 +62,10 @@ def data_file(key: str) -> str:
     return f"data/{key}.js"
 
 
-def _safe(name: str) -> str:
-    """The name where it is one of plain ASCII in lower case; otherwise what is left of it, with a hash of all of it.
+def file_id(name: str) -> str:
+    """A name as a part of names of files: itself where it is one of plain ASCII in lower case.
 
+    Otherwise what is left of it, with a hash of all of it.
     Names that differ in case alone would be one file on some systems.
     """
     short = fitting_name(name, _LONGEST)

@@ -10,7 +10,7 @@ from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.colours import share_style
 from relocbench.leaderboard.html.pair_page.write import middle_picture
-from relocbench.leaderboard.html.payloads import id_of, marks_of
+from relocbench.leaderboard.html.payloads import marks_of
 from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall, Line, by_condition
 from relocbench.leaderboard.tracking.model import DatasetBoard, short_title
 from relocbench.metrics import CORRECT
@@ -57,7 +57,7 @@ def _words(results: ByCondition, column: Column) -> str:
 
 
 def _set(dataset: DatasetBoard, datasets: Sequence[DatasetBoard], span: int) -> dict[str, Any]:
-    return {"title": short_title(dataset, datasets), "page": links.set_page(id_of(dataset)), "span": span}
+    return {"title": short_title(dataset, datasets), "page": links.set_page(dataset.entry.record), "span": span}
 
 
 def _column(results: ByCondition, column: Column, pictures: bool) -> dict[str, Any]:
@@ -109,5 +109,5 @@ _NOTHING = {"text": "", "style": "", "link": "", "words": ""}
 
 
 def _shown(share: float, dataset: DatasetBoard, place: int, label: str, words: str) -> dict[str, str]:
-    link = f"{links.set_page(id_of(dataset))}#{links.hash_of({'method': label, 'column': str(place)})}"
+    link = f"{links.set_page(dataset.entry.record)}#{links.hash_of({'method': label, 'column': str(place)})}"
     return {"text": number(share, "share"), "style": share_style(share), "link": link, "words": words}

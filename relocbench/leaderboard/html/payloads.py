@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from relocbench.evaluation.tables.rows import STATUSES
 from relocbench.leaderboard.common.headings import COUNTS, SECONDS
 from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
-from relocbench.leaderboard.html.looks import looks
 from relocbench.leaderboard.tracking.by_condition import UNKNOWN, by_condition
 from relocbench.leaderboard.tracking.cells import level_with_identity, plain_heading, why_no_ranks
 from relocbench.leaderboard.tracking.marks import MARKS
@@ -34,28 +32,6 @@ _LIST = [
 """the columns of lists of pairs: key of a row, heading, how it is shown, and whether more is better"""
 
 
-def id_of(dataset: DatasetBoard) -> str:
-    """The id of a dataset in links and names of files."""
-    return links.set_id(dataset.entry.record.name, dataset.entry.record.fingerprint)
-
-
-def answers_key(dataset: DatasetBoard, pair_set: str) -> str:
-    """The key of the payload with the answers to the pairs of a pair set."""
-    return f"pairs/{id_of(dataset)}/{links.pair_set_id(pair_set)}"
-
-
-def site_payload(board: Board | None) -> dict[str, Any]:
-    """What every page knows: the look of each method, and which pages there are."""
-    methods = [m for dataset in (board.datasets if board else ()) for m in dataset.entry.methods]
-    baselines = {m.label for m in methods if m.is_baseline}
-    return {
-        "looks": looks({m.label for m in methods}, baselines),
-        "pages": {m.label: links.method_page(m.label) for m in methods},
-        "correct": list(CORRECT),
-        "statuses": list(STATUSES),
-    }
-
-
 def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
     """All tables of a dataset."""
     entry = dataset.entry
@@ -64,7 +40,7 @@ def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
     metrics = [board.metric, *first, *(m for m in shown if m not in first), metric_named(SECONDS)]
     described = {m.name: {"heading": plain_heading(m), "unit": m.unit, "higher": m.higher_is_better} for m in metrics}
     return {
-        "id": id_of(dataset),
+        "id": links.set_id(entry.record),
         "title": entry.title,
         "ranking": board.metric.name,
         "unit": "pair",
@@ -77,12 +53,12 @@ def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
         "views": {"methods": ["method", "rank", *described, COUNTS]},
         "heat": ["query", "reference"],
         "least_cells": 2,
-        "charts": f"charts/{id_of(dataset)}",
+        "charts": f"charts/{links.set_id(entry.record)}",
         "methods": {m.label: _method(m) for m in _best_first(dataset)},
         "tasks": {
             name: {
-                "answers": f"errors/{id_of(dataset)}/{links.pair_set_id(name)}",
-                "pictures": answers_key(dataset, name),
+                "answers": links.unit_key("errors", entry.record, name),
+                "pictures": links.unit_key("pairs", entry.record, name),
                 "title": record.query if record.query_condition == UNKNOWN else record.query_condition,
                 "gallery": record.reference_condition,
                 "query": record.query_condition,
@@ -153,6 +129,12 @@ def table_title(table: Table) -> str:
     return f"{kind}, split {table.split}" if table.split else kind
 
 
+def no_gain(dataset: DatasetBoard, table: Table) -> str:
+    """Which methods of a table gain nothing over the identity pose, without a full stop; empty for none."""
+    level = ", ".join(level_with_identity(dataset, table))
+    return f"No significant gain over the identity baseline: {level}" if level else ""
+
+
 def _best_first(dataset: DatasetBoard) -> list[Method]:
     """The methods in the order of the matrix."""
     order = [line.label for line in by_condition([dataset]).lines]
@@ -160,7 +142,6 @@ def _best_first(dataset: DatasetBoard) -> list[Method]:
 
 
 def _table(board: Board, dataset: DatasetBoard, table: Table, metrics: list[str]) -> dict[str, Any]:
-    level = ", ".join(level_with_identity(dataset, table))
     return {
         "title": table_title(table),
         "total": table.is_total,
@@ -168,10 +149,7 @@ def _table(board: Board, dataset: DatasetBoard, table: Table, metrics: list[str]
         "group": table.group,
         "finer": sorted(table.finer),
         "about": f"{'. '.join(_about(table))}.",
-        "notes": [
-            why_no_ranks(board, table),
-            f"No significant gain over the identity baseline: {level}" if level else "",
-        ],
+        "notes": [why_no_ranks(board, table), no_gain(dataset, table)],
         "rows": [_row(table, row, metrics) for row in table.rows],
     }
 

@@ -2,34 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
-from relocbench.evaluation.tables.matching import ALL
 from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common import ranks
-from relocbench.leaderboard.common.ranks import HasRank, rank_text
+from relocbench.leaderboard.common.by_query import Board as QueryBoard
+from relocbench.leaderboard.common.columns import Line
+from relocbench.leaderboard.common.model import Row
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.payloads import id_of, marks_of, table_title
-from relocbench.leaderboard.html.pipeline_pages.payloads import id_of_pipelines, is_keyframe_pose, marks_of_row
-from relocbench.leaderboard.html.retrieval_pages.payloads import id_of_places, is_random, marks_of_retriever
-from relocbench.leaderboard.relocalization.board import PipelineBoard, PipelineRow, PipelineSetBoard, PipelineTable
-from relocbench.leaderboard.retrieval.board import (
-    RetrievalBoard,
-    RetrievalRow,
-    RetrievalSetBoard,
-    RetrievalTable,
-    chance_of,
-)
+from relocbench.leaderboard.html.payloads import marks_of, no_gain, table_title
+from relocbench.leaderboard.html.pipeline_pages.payloads import PipelinePages
+from relocbench.leaderboard.html.query_pages import QueryPages
+from relocbench.leaderboard.html.retrieval_pages.payloads import RetrievalPages
 from relocbench.leaderboard.retrieval.columns import CHANCE
-from relocbench.leaderboard.retrieval.page import not_above_chance
-from relocbench.leaderboard.tracking.cells import level_with_identity, why_no_ranks
-from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
+from relocbench.leaderboard.tracking.cells import why_no_ranks
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
+from relocbench.leaderboard.tracking.model import Row as TrackerRow
 from relocbench.metrics import Interval
 
-_MEAN = "mean "
-"""begins the names of tables over several tasks that are not of some conditions or views alone"""
+_LAST = 1_000_000
+"""by which rows without a rank sort"""
+
+
+def pages_by_query(boards: Boards) -> list[tuple[QueryPages[Any, Any, Any, Any], QueryBoard[Any, Any, Any, Any]]]:
+    """The boards of retrievers and of pipelines, with the pages that they get."""
+    both = ((RetrievalPages(), boards.retrieval), (PipelinePages(boards.tracking), boards.relocalization))
+    return [(pages, board) for pages, board in both if board is not None]
 
 
 def sections(boards: Boards) -> list[dict[str, Any]]:
@@ -37,173 +38,109 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
     sections = []
     board = boards.tracking
     if board is not None:
-        rows = [line(board, d, table, row) for d in board.datasets for table in d.totals for row in table.rows]
-        notes = [note for d in board.datasets for table in d.totals for note in _notes(board, d, table)]
+        totals = [(dataset, table) for dataset in board.datasets for table in dataset.totals]
+        rows = [tracker_row(board, of, table, row) for of, table in totals for row in table.rows]
+        notes = []
+        for of, table in totals:
+            notes += _notes(of.entry.title, table_title(table), why_no_ranks(board, table), no_gain(of, table))
         section = {"title": "Trackers", "metric": board.metric.name, "what": "pairs", "rows": rows, "notes": notes}
         sections.append(section)
-    if boards.retrieval is not None:
-        sections.append(_retrievers(boards.retrieval))
-    if boards.relocalization is not None:
-        sections.append(_pipelines(boards.relocalization))
+    for pages, by_query in pages_by_query(boards):
+        first = [(of, table) for of in by_query.sets for table in _first(pages, of.tables)]
+        lines = [line for of, table in first for line in pages.display.lines(of, table)]
+        notes = []
+        for of, table in first:
+            why = ranks.why_no_ranks(table.rows, by_query.metric, f"{table.queries} queries")
+            notes += _notes(of.title, table.name, why, pages.note(by_query, table))
+        rows = query_rows(pages, by_query, lines)
+        section = {"title": pages.title, "metric": by_query.metric, "what": "queries", "rows": rows, "notes": notes}
+        sections.append(section)
     return sections
 
 
-def _retrievers(board: RetrievalBoard) -> dict[str, Any]:
-    """The means of each set, and the single tasks of one whose directions are not to be mixed up."""
-    rows, notes = [], []
-    for asked in board.sets:
-        for table in asked.tables:
-            if not _is_first(table, asked.tables, across_views=_across_views(table)):
-                continue
-            rows += [retriever_line(board, asked, table, row) for row in table.rows]
-            rows.append(_chance(asked, table, board.metric))
-            if why := ranks.why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
-                notes.append(f"{asked.title}, {table.name}: {why}")
-            level = [row.method.label for row in table.rows if not_above_chance(board, table, row)]
-            if level:
-                notes.append(f"{asked.title}, {table.name}: no significant gain over chance: {', '.join(level)}")
-    return {"title": "Retrievers", "metric": board.metric, "what": "queries", "rows": rows, "notes": notes}
-
-
-def _pipelines(board: PipelineBoard) -> dict[str, Any]:
-    """The means of each dataset."""
-    first = [(asked, table) for asked in board.sets for table in asked.tables if _is_first(table, asked.tables)]
-    rows = [pipeline_line(board, asked, table, row) for asked, table in first for row in table.rows]
-    notes = [
-        f"{asked.title}, {table.name}: {why}"
-        for asked, table in first
-        if (why := ranks.why_no_ranks(table.rows, board.metric, f"{table.queries} queries"))
-    ]
-    return {
-        "title": "Full pipeline: retrieval, then tracking",
-        "metric": board.metric,
-        "what": "queries",
-        "rows": rows,
-        "notes": notes,
-    }
-
-
-def _is_first(table: Any, tables: Sequence[Any], *, across_views: bool = False) -> bool:
-    """Whether a table is one of those that a reader looks at first; the others are on the page of the set."""
-    if not any(other.name.startswith(_MEAN) for other in tables):
-        return True
-    return bool(table.name.startswith(_MEAN)) or (across_views and len(table.tasks) == 1 and "__" not in table.name)
-
-
-def _across_views(table: RetrievalTable) -> bool:
-    return any(record.view_query != record.view_gallery for record in table.records)
-
-
-def line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[str, Any]:
-    metric, value = board.metric, row.values[board.metric.name]
-    state = {"table": table_title(table), "method": row.method.label}
+def tracker_row(board: Board, dataset: DatasetBoard, table: Table, row: TrackerRow) -> dict[str, Any]:
+    """The row of a tracker in a table of all pairs of a pair set, or in a total."""
+    metric, label = board.metric, row.method.label
     return {
         "set": dataset.entry.title,
-        "page": links.set_page(id_of(dataset)),
         "table": table_title(table),
         "count": table.pairs,
-        "method": row.method.label,
-        "method_page": links.method_page(row.method.label),
+        "method": label,
+        "method_page": links.method_page(label),
         "baseline": row.method.is_baseline,
         "marks": marks_of(row.method),
-        **_ranked(row, table),
-        "value": number(value, metric.unit),
-        "sort": "" if value is None else repr(float(value)),
-        "bounds": _bounds(row.intervals.get(metric.name), metric.unit),
         "finer": metric.name in table.finer,
-        "missing": list(row.missing),
-        "failed": row.failed,
-        "broke": row.broke,
-        "link": f"{links.set_page(id_of(dataset))}#{links.hash_of(state)}&pairs=1" if table.group == ALL else "",
+        **_of_row(row, table.rows),
+        **_number(row.values[metric.name], row.intervals.get(metric.name), metric.unit),
+        **_linked(links.set_page(dataset.entry.record), {"table": table_title(table), "method": label}, "pairs"),
     }
 
 
-def retriever_line(
-    board: RetrievalBoard, asked: RetrievalSetBoard, table: RetrievalTable, row: RetrievalRow
-) -> dict[str, Any]:
-    """The row of a retriever in a table of a retrieval set."""
-    method = row.method
-    page = links.retrieval_page(id_of_places(asked))
-    own = {"page": page, "method_page": links.method_page(method.label), "baseline": is_random(method)}
-    state = {"table": table.name, "method": method.label}
-    marks = marks_of_retriever(method)
-    return _other(asked.title, table, method.label, row, board.metric) | own | _linked(page, state) | {"marks": marks}
+def query_rows(
+    pages: QueryPages[Any, Any, Any, Any],
+    board: QueryBoard[Any, Any, Any, Any],
+    lines: Iterable[Line[Any, Any, Row[Any]]],
+) -> list[dict[str, Any]]:
+    """The rows of lines of the tables of a task that is asked by queries; what chance scores has one too."""
+    column = pages.display.columns(board)[board.metric]
+    rows = []
+    for line in lines:
+        row, state = line.row, {"table": line.table.name}
+        label = CHANCE if row is None else row.method.label
+        bounds = None if column.bounds is None else column.bounds(line)
+        rows.append(
+            {
+                "set": line.set.title,
+                "table": line.table.name,
+                "count": line.table.queries,
+                "method": label,
+                "method_page": links.method_page(label) if row is not None and pages.has_method_pages else "",
+                "baseline": row is None or pages.is_baseline(row.method),
+                "marks": [] if row is None else pages.marks(row, line.table),
+                "finer": False,
+                **_of_row(row, line.table.rows),
+                **_number(column.value(line), bounds, column.unit),
+                **_linked(
+                    links.set_page(line.set.record, pages.page),
+                    state if row is None else {**state, "method": label},
+                    "queries",
+                ),
+            }
+        )
+    return rows
 
 
-def pipeline_line(
-    board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, row: PipelineRow
-) -> dict[str, Any]:
-    """The row of a pipeline in a table of a dataset."""
-    page = links.relocalization_page(id_of_pipelines(asked))
-    own = {"page": page, "baseline": is_keyframe_pose(row.method), "marks": marks_of_row(row, table)}
-    state = {"table": table.name, "method": row.method.label}
-    return _other(asked.title, table, row.method.label, row, board.metric) | own | _linked(page, state)
+def _first(pages: QueryPages[Any, Any, Any, Any], tables: Iterable[Any]) -> list[Any]:
+    """The tables that a reader looks at first; the others are on the page of the set."""
+    several = any(table.name.startswith("mean ") for table in tables)
+    return [table for table in tables if not several or pages.is_first(table)]
 
 
-def _linked(page: str, state: dict[str, str]) -> dict[str, str]:
-    return {"link": f"{page}#{links.hash_of(state)}&queries=1"}
-
-
-def _other(title: str, table: Any, label: str, row: Any, metric: str) -> dict[str, Any]:
-    value = row.values.get(metric)
+def _of_row(row: Row[Any] | None, rows: Iterable[Row[Any]]) -> dict[str, Any]:
+    """The rank as text and what sorts by it, what is missing, and how many answers were declined and crashed."""
+    if row is None:
+        return {"rank": "", "order": _LAST, "missing": [], "failed": None, "broke": None}
     return {
-        "set": title,
-        "table": table.name,
-        "count": table.queries,
-        "method": label,
-        "method_page": "",
-        **_ranked(row, table),
-        "value": number(value, "share"),
-        "sort": "" if value is None else repr(float(value)),
-        "bounds": _bounds(row.intervals.get(metric), "share"),
-        "finer": False,
+        "rank": rank_text(row, rows),
+        "order": _LAST if row.rank is None else row.rank,
         "missing": list(row.missing),
         "failed": row.failed,
         "broke": row.broke,
     }
 
 
-def _chance(asked: RetrievalSetBoard, table: RetrievalTable, metric: str) -> dict[str, Any]:
-    """What a random order of the gallery scores."""
-    value = float(chance_of(table)[metric])
-    page = links.retrieval_page(id_of_places(asked))
-    return (
-        dict.fromkeys(("method_page", "bounds"), "")
-        | _linked(page, {"table": table.name})
-        | {
-            "set": asked.title,
-            "page": page,
-            "table": table.name,
-            "count": table.queries,
-            "method": CHANCE,
-            "baseline": True,
-            "marks": [],
-            "rank": "",
-            "order": 1_000_000,
-            "value": number(value, "share"),
-            "sort": repr(value),
-            "finer": False,
-            "missing": [],
-            "failed": None,
-            "broke": None,
-        }
-    )
+def _number(value: Any, interval: Interval | None, unit: str) -> dict[str, str]:
+    """A value as text, what sorts by it, and its interval."""
+    bounds = "" if interval is None else f"[{number(interval.low, unit)}, {number(interval.high, unit)}]"
+    return {"value": number(value, unit), "sort": "" if value is None else repr(float(value)), "bounds": bounds}
 
 
-def _notes(board: Board, dataset: DatasetBoard, table: Table) -> list[str]:
-    """What a reader of a total must know besides its numbers."""
-    where = f"{dataset.entry.title}, {table_title(table)}"
-    notes = [f"{where}: {why}"] if (why := why_no_ranks(board, table)) else []
-    level = level_with_identity(dataset, table)
-    if level:
-        notes.append(f"{where}: no significant gain over the identity baseline: {', '.join(level)}")
-    return notes
+def _linked(page: str, state: dict[str, str], units: str) -> dict[str, str]:
+    """The page of a set, and the link to the list of a method's pairs or queries on it."""
+    return {"page": page, "link": f"{page}#{links.hash_of(state)}&{units}=1"}
 
 
-def _ranked(row: HasRank, table: Any) -> dict[str, Any]:
-    """The rank as text, and what sorts by it."""
-    return {"rank": rank_text(row, table.rows), "order": 1_000_000 if row.rank is None else row.rank}
-
-
-def _bounds(interval: Interval | None, unit: str) -> str:
-    return "" if interval is None else f"[{number(interval.low, unit)}, {number(interval.high, unit)}]"
+def _notes(title: str, table: str, *notes: str) -> list[str]:
+    """What a reader of a table must know besides its numbers, without what is empty."""
+    no_ranks, gain = notes
+    return [f"{title}, {table}: {note}" for note in (no_ranks, gain[:1].lower() + gain[1:]) if note]

@@ -9,6 +9,8 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from relocbench.evaluation.common.results import RunRecord
+from relocbench.evaluation.tables.rows import STATUSES
 from relocbench.files import remove_parts
 from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common.ranks import SHARED
@@ -16,25 +18,20 @@ from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.assets import asset_files, write_assets
 from relocbench.leaderboard.html.data import write_data
+from relocbench.leaderboard.html.looks import looks
 from relocbench.leaderboard.html.manifest import earlier_files, write_manifest
 from relocbench.leaderboard.html.matrix import matrix_columns, matrix_of
-from relocbench.leaderboard.html.other_tasks import results_of, retriever_labels, with_other_tasks
 from relocbench.leaderboard.html.pages import write_page
 from relocbench.leaderboard.html.pair_page.write import USUAL_PAIRS, write_pair_pages
-from relocbench.leaderboard.html.payloads import (
-    errors_payload,
-    id_of,
-    marks_of,
-    set_payload,
-    site_payload,
-)
-from relocbench.leaderboard.html.pipeline_pages.write import write_pipeline_pages
-from relocbench.leaderboard.html.retrieval_pages.write import write_retrieval_pages
-from relocbench.leaderboard.html.rows import line, sections
+from relocbench.leaderboard.html.payloads import errors_payload, marks_of, set_payload
+from relocbench.leaderboard.html.query_pages import write_query_pages
+from relocbench.leaderboard.html.rows import pages_by_query, query_rows, sections, tracker_row
 from relocbench.leaderboard.html.set_page.write import write_charts
+from relocbench.leaderboard.retrieval import page as retrieval_page
+from relocbench.leaderboard.retrieval.board import RetrievalBoard
 from relocbench.leaderboard.tracking.cells import why_no_ranks
 from relocbench.leaderboard.tracking.marks import MARKS
-from relocbench.leaderboard.tracking.method import Method, evaluate_command
+from relocbench.leaderboard.tracking.method import Method, evaluate_command, machine_words
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.leaderboard.tracking.reservations import reservations
 from relocbench.metrics import CORRECT, LEVEL
@@ -62,27 +59,24 @@ def write_site(boards: Boards, site: Path, *, pairs: int = USUAL_PAIRS, reporter
         ConfigError: the folder holds files and no site, or an installed package does not ship the scripts that the
             pages need.
     """
-    board = boards.tracking
+    board, report = boards.tracking, reporter or Silent()
     earlier = earlier_files(site)
     remove_parts(site)
     fixed = {*asset_files(site), *(site / name for name in (links.PAIR_PAGE, links.START, READING))}
     write_manifest(site, earlier | fixed)  # a run that is killed leaves a site
     write_assets(site)
-    written = {write_data(site, "site", with_other_tasks(site_payload(board), boards)), *fixed}
+    written = {write_data(site, "site", _site_payload(boards)), *fixed}
     datasets = board.datasets if board else ()
-    with (reporter or Silent()).stage("site", len(datasets)) as advance:
+    with report.stage("site", len(datasets)) as advance:
         for dataset in datasets:
             assert board is not None
             written |= _write_set(board, dataset, site, pictures=pairs > 0)
             advance(1)
     written |= _write_methods(boards, site)
     if board is not None:
-        written |= write_pair_pages(board, site, pairs=pairs, reporter=reporter)
-    if boards.retrieval is not None:
-        written |= write_retrieval_pages(boards.retrieval, site, queries=pairs, reporter=reporter or Silent())
-    if boards.relocalization is not None:
-        told = reporter or Silent()
-        written |= write_pipeline_pages(boards.relocalization, board, site, queries=pairs, reporter=told)
+        written |= write_pair_pages(board, site, pairs=pairs, reporter=report)
+    for pages, by_query in pages_by_query(boards):
+        written |= write_query_pages(pages, by_query, site, queries=pairs, reporter=report)
     write_page(site / links.PAIR_PAGE, "pair.html.j2", page="pair")
     marks = [(mark.name, _code_spans(mark.words)) for mark in MARKS]
     write_page(site / READING, "reading.html.j2", page="reading", metric=board.metric if board else None, marks=marks)
@@ -111,16 +105,16 @@ def _opening(board: Board | None, datasets: Sequence[DatasetBoard], *, pictures:
 
 
 def _write_set(board: Board, dataset: DatasetBoard, site: Path, *, pictures: bool) -> set[Path]:
-    of_set = id_of(dataset)
-    key = f"sets/{of_set}"
+    record = dataset.entry.record
+    key = f"sets/{links.set_id(record)}"
     payload = {**set_payload(board, dataset), "matrix": matrix_columns(dataset)}
     written = {write_data(site, key, payload)}
     for name in dataset.entry.pair_sets:
         errors = errors_payload(dataset, name)
         if errors is not None:
-            written.add(write_data(site, f"errors/{of_set}/{links.pair_set_id(name)}", errors))
+            written.add(write_data(site, links.unit_key("errors", record, name), errors))
     written |= write_charts(board, dataset, site)
-    page = site / links.set_page(of_set)
+    page = site / links.set_page(record)
     opening = _opening(board, [dataset], pictures=pictures)
     write_page(
         page,
@@ -130,18 +124,40 @@ def _write_set(board: Board, dataset: DatasetBoard, site: Path, *, pictures: boo
         entry=dataset.entry,
         key=key,
         charts=_CHARTS,
-        pairs=_pairs(dataset),
+        pairs=sum(of.pairs for of in dataset.entry.pair_sets.values()),
         **opening,
     )
     return written | {page}
 
 
-def _pairs(dataset: DatasetBoard) -> int:
-    return sum(record.pairs for record in dataset.entry.pair_sets.values())
+def _site_payload(boards: Boards) -> dict[str, Any]:
+    """What every page knows: the look of each method, and which pages there are.
+
+    Each task draws from the same colours, so that those of trackers do not depend on what else was evaluated; a
+    retriever that is called as a tracker looks as that one does.
+    """
+    found: dict[str, dict[str, str]] = {}
+    for pages, by_query in reversed(pages_by_query(boards)):
+        methods = [method for of in by_query.sets for method in of.methods]
+        found |= looks({m.label for m in methods}, {m.label for m in methods if pages.is_baseline(m)})
+    trackers = [m for dataset in (boards.tracking.datasets if boards.tracking else ()) for m in dataset.entry.methods]
+    found |= looks({m.label for m in trackers}, {m.label for m in trackers if m.is_baseline})
+    in_order = dict.fromkeys([*_retrievers(boards), *(m.label for m in trackers)])
+    return {
+        "looks": found,
+        "pages": {label: links.method_page(label) for label in in_order},
+        "correct": list(CORRECT),
+        "statuses": list(STATUSES),
+    }
+
+
+def _retrievers(boards: Boards) -> list[str]:
+    """The labels of all retrievers, sorted."""
+    return sorted({m.label for of in (boards.retrieval.sets if boards.retrieval else ()) for m in of.methods})
 
 
 def _write_methods(boards: Boards, site: Path) -> set[Path]:
-    by_label: dict[str, list[tuple[DatasetBoard, Method]]] = {label: [] for label in retriever_labels(boards)}
+    by_label: dict[str, list[tuple[DatasetBoard, Method]]] = {label: [] for label in _retrievers(boards)}
     board = boards.tracking
     for dataset in board.datasets if board else ():
         for method in dataset.entry.methods:
@@ -149,41 +165,75 @@ def _write_methods(boards: Boards, site: Path) -> set[Path]:
     written = set()
     for label, own in by_label.items():
         page = site / links.method_page(label)
-        numbers = [n for dataset, method in own if board for n in _numbers(board, dataset, method)]
-        runs = [_run(dataset, method) for dataset, method in own]
-        marks = list(dict.fromkeys(mark for _, method in own for mark in marks_of(method)))
-        shown = {"label": label, "marks": marks, "numbers": numbers, "runs": runs, **results_of(label, boards)}
-        shown["metric"] = board.metric.name if board else ""
-        write_page(page, "method.html.j2", page="method", **shown)
+        write_page(
+            page,
+            "method.html.j2",
+            page="method",
+            label=label,
+            metric=board.metric.name if board else "",
+            marks=list(dict.fromkeys(mark for _, method in own for mark in marks_of(method))),
+            numbers=[n for dataset, method in own if board for n in _numbers(board, dataset, method)],
+            others=_other_numbers(label, boards),
+            runs=[*(_run(dataset, method) for dataset, method in own), *_retrieval_runs(label, boards.retrieval)],
+        )
         written.add(page)
     return written
 
 
 def _numbers(board: Board, dataset: DatasetBoard, method: Method) -> list[dict[str, Any]]:
     """The rows of a method on the totals and pair sets of a dataset."""
-    rows = []
-    for table in [*dataset.totals, *dataset.pair_sets]:
-        row = next((row for row in table.rows if row.method is method), None)
-        if row is not None:
-            rows.append(line(board, dataset, table, row))
-    return rows
+    tables = [*dataset.totals, *dataset.pair_sets]
+    return [tracker_row(board, dataset, t, row) for t in tables for row in t.rows if row.method is method]
+
+
+def _other_numbers(label: str, boards: Boards) -> dict[str, dict[str, Any]]:
+    """The rows of a method as a retriever and in pipelines, by the page of these tasks."""
+    out: dict[str, dict[str, Any]] = {}
+    for pages, board in pages_by_query(boards):
+        lines = [line for of in board.sets for table in of.tables for line in pages.display.lines(of, table)]
+        own = [line for line in lines if line.row is not None and pages.involves(line.row.method, label)]
+        marks = dict.fromkeys(mark for line in own for mark in pages.marks(line.row, line.table))
+        if own:
+            out[pages.page] = {"rows": query_rows(pages, board, own), "metric": board.metric, "marks": list(marks)}
+    return out
 
 
 def _run(dataset: DatasetBoard, method: Method) -> dict[str, Any]:
     run = method.run
     return {
         "title": dataset.entry.title,
-        "page": links.set_page(id_of(dataset)),
-        "facts": [
-            ("target", run.target),
-            ("parameters", json_text(run.parameters)),
-            ("versions", json_text(run.versions)),
-            ("machine", method.machine or "not recorded"),
-            ("files", json_text(run.files)),
-        ],
-        "missing": [(name, why) for name, why in method.missing.items() if name in dataset.entry.used],
+        "page": links.set_page(dataset.entry.record),
+        "facts": [*_run_facts(run, method.machine), ("files", json_text(run.files))],
+        "missing": [f"{name}: {why}" for name, why in method.missing.items() if name in dataset.entry.used],
         "command": evaluate_command(run, matching=bool(method.matching)),
     }
+
+
+def _retrieval_runs(label: str, board: RetrievalBoard | None) -> list[dict[str, Any]]:
+    own = [(of, method) for of in (board.sets if board else ()) for method in of.methods if method.label == label]
+    return [
+        {
+            "title": of.title,
+            "page": links.set_page(of.record, "retrieval"),
+            "facts": [
+                *_run_facts(method.run, machine_words(method.run)),
+                *([("files", json_text(method.run.files))] if method.run.files else []),
+                *([("what it tells of itself", json_text(method.run.info))] if method.run.info else []),
+            ],
+            "missing": sorted(set(of.used) - method.answers.keys()),
+            "command": retrieval_page.evaluate_command(of.record, method.run),
+        }
+        for of, method in own
+    ]
+
+
+def _run_facts(run: RunRecord, machine: str) -> list[tuple[str, str]]:
+    return [
+        ("target", run.target),
+        ("parameters", json_text(run.parameters)),
+        ("versions", json_text(run.versions)),
+        ("machine", machine or "not recorded"),
+    ]
 
 
 def _code_spans(words: str) -> Markup:

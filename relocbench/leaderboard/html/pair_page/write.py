@@ -28,7 +28,6 @@ from relocbench.leaderboard.html.chosen import kept_rows, worst_and_drawn
 from relocbench.leaderboard.html.data import floats, write_data
 from relocbench.leaderboard.html.pair_page.matches import shown_matches
 from relocbench.leaderboard.html.pair_page.pictures import depth_payload, image_payload
-from relocbench.leaderboard.html.payloads import answers_key, id_of
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.metrics import CORRECT
@@ -86,7 +85,7 @@ def write_pair_pages(
         chosen = chosen_pairs(methods, name, pairs)
         kept = kept_rows(chosen, len(methods[0].errors[name]), rows)
         payload = _answers_payload(dataset, name, methods, kept, chosen)
-        written.add(write_data(site, answers_key(dataset, name), payload))
+        written.add(write_data(site, links.unit_key("pairs", dataset.entry.record, name), payload))
         if dataset.entry.dataset is not None and _has_images(dataset.entry.dataset, name):
             keys = methods[0].errors[name].keys
             jobs |= _jobs(
@@ -114,7 +113,7 @@ def middle_picture(dataset: DatasetBoard, pair_set: str) -> str | None:
         return None
     keys = methods[0].errors[pair_set].keys
     folder = _folders(known.pair_set(pair_set))["query"]
-    return f"images/{id_of(dataset)}/{folder}/{int(keys[len(keys) // 2, 1])}"
+    return f"images/{links.set_id(dataset.entry.record)}/{folder}/{int(keys[len(keys) // 2, 1])}"
 
 
 def _methods(dataset: DatasetBoard, pair_set: str) -> list[Method]:
@@ -143,7 +142,7 @@ def _answers_payload(
         **({"alone": True} if alone else {}),
         "pictured": shown,
         "images": _folders(pair_set) if pair_set is not None and pictured else {},
-        "set": id_of(dataset),
+        "set": links.set_id(dataset.entry.record),
     }
 
 
@@ -208,14 +207,14 @@ def _poses(poses: Sequence[Array | None], axes: Array | None) -> dict[str, str]:
 def _folders(pair_set: PairSet) -> dict[str, str]:
     """The part of the keys of pictures that is the same for all keyframes, and for all queries."""
     return {
-        "reference": links.pair_set_id(f"{pair_set.reference}__{pair_set.camera}"),
-        "query": links.pair_set_id(f"{pair_set.query}__{pair_set.camera}"),
+        "reference": links.file_id(f"{pair_set.reference}__{pair_set.camera}"),
+        "query": links.file_id(f"{pair_set.query}__{pair_set.camera}"),
     }
 
 
 def _jobs(dataset: DatasetBoard, known: Dataset, name: str, keys: Iterable[PairKey], site: Path) -> dict[Path, _Job]:
     """The pictures of some pairs, by the first file that each writes; one that is also a keyframe has its depth."""
-    of_set, pair_set = id_of(dataset), known.pair_set(name)
+    of_set, pair_set = links.set_id(dataset.entry.record), known.pair_set(name)
     wanted: set[_Picture] = set()
     for reference_ns, query_ns in keys:
         wanted.add(_Picture(pair_set.reference, pair_set.camera, reference_ns, True))
@@ -226,7 +225,7 @@ def _jobs(dataset: DatasetBoard, known: Dataset, name: str, keys: Iterable[PairK
 
 def _key(job: _Job, kind: str) -> str:
     picture = job.picture
-    folder = links.pair_set_id(f"{picture.traversal}__{picture.camera}")
+    folder = links.file_id(f"{picture.traversal}__{picture.camera}")
     return f"{kind}/{job.of_set}/{folder}/{picture.timestamp_ns}"
 
 

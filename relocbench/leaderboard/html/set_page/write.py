@@ -11,7 +11,6 @@ from pathlib import Path
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import write_data
 from relocbench.leaderboard.html.looks import further_looks
-from relocbench.leaderboard.html.payloads import id_of
 from relocbench.leaderboard.html.set_page.maps import Maps
 from relocbench.leaderboard.html.set_page.measured import matching_payload, probe_payload, probes_of
 from relocbench.leaderboard.html.set_page.months import months_apart
@@ -26,14 +25,14 @@ def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
         DatasetError: a file of the available dataset is bad.
         PredictionError: a table of a probe is bad.
     """
-    of_set, entry = id_of(dataset), dataset.entry
+    entry = dataset.entry
     known = {name: table.keys for name in entry.pair_sets if (table := entry.errors_of(name)) is not None}
     maps = Maps(entry.dataset, list(known)) if entry.dataset is not None and known else None
     written = set()
     if maps is not None:
         for name, keys in known.items():
             places = maps.places(name, [(int(ref), int(query)) for ref, query in keys.tolist()])
-            written.add(write_data(site, f"maps/{of_set}/{links.pair_set_id(name)}", places))
+            written.add(write_data(site, links.unit_key("maps", entry.record, name), places))
     probes = probes_of(dataset)
     labels = {method.label for each in board.datasets for method in each.entry.methods}
     payload = {
@@ -45,4 +44,4 @@ def write_charts(board: Board, dataset: DatasetBoard, site: Path) -> set[Path]:
         "looks": further_looks({line.points[0].method for probe in probes for line in probe.lines}, labels),
         "sweep": sweep_of(entry.pair_sets, entry.dataset),
     }
-    return written | {write_data(site, f"charts/{of_set}", payload)}
+    return written | {write_data(site, f"charts/{links.set_id(entry.record)}", payload)}
