@@ -194,6 +194,10 @@ def test_a_sweep_has_intervals_and_says_what_is_not_known(page: Any, swept: Path
     assert all(high > 0 for high in good["error_y"]["array"][1:])
     assert "the dataset is available" in page.locator("#map-about").inner_text()
     assert not page.locator("#map-section").is_visible()
+    _click(page, "sweep", 0, 1)
+    page.wait_for_selector("#list-dialog[open]")
+    assert ", step of wetness 2.000: " in page.locator("#list-title").inner_text()
+    assert "of 60 found" in page.locator("#list-title").inner_text()
 
 
 @pytest.mark.thorough

@@ -12,7 +12,7 @@ from relocbench.files import write_bytes, write_text
 _OWN = (
     *("site.css", "core.js", "tables.js", "charts.js", "legend.js", "heat.js", "start.js"),
     *("rows.js", "parts.js", "errors.js", "recall.js", "stages.js", "map.js", "against.js", "measured.js", "board.js"),
-    *("warp.js", "matches.js", "pair.js", "pair.css", "query.js", "places.css"),
+    *("walk.js", "warp.js", "matches.js", "pair.js", "pair.css", "query.js", "places.css"),
 )
 _EXPORT = re.compile(r"export\{[^{}]*?(\w+) as default[^{}]*\};?")
 _NOTICES = """\

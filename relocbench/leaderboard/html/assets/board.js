@@ -3,13 +3,12 @@
 "use strict";
 
 (async () => {
-  const { element, escape, number, state, load, heat, legend, hiddenLabels, unitLink, worstFirst, bestFirst, KINDS } = relocbench;
+  const { element, option, escape, number, state, load, heat, legend, hiddenLabels, unitLink, worstFirst, bestFirst, KINDS } = relocbench;
   const $ = (id) => document.getElementById(id);
   const site = relocbench.payload("site");
   const set = await load($("set").dataset.set);
   const labels = Object.keys(set.methods), titles = [...new Set(set.tables.map((table) => table.title))];
   const extra = set.charts ? load(set.charts) : {};
-  const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
   let shown = {};
 
   function current() {

@@ -76,6 +76,27 @@
     return out;
   }
 
+  /** An option of a choice. */
+  const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
+
+  /** An element of a drawing. */
+  function svg(name, attributes, text = "") {
+    const out = document.createElementNS("http://www.w3.org/2000/svg", name);
+    for (const [key, value] of Object.entries(attributes)) out.setAttribute(key, value);
+    out.textContent = text;
+    return out;
+  }
+
+  /** A small drawing from its markup. */
+  function sign(width, height, markup) {
+    const out = element("span");
+    out.innerHTML = `<svg class="key" width="${width}" height="${height}" viewBox="0 0 ${width} ${height}" aria-hidden="true">${markup}</svg>`;
+    return out.firstChild;
+  }
+
+  /** The mean of numbers; null where one is missing, or there is none. */
+  const mean = (values) => (values.length && !values.includes(null) ? values.reduce((sum, value) => sum + value, 0) / values.length : null);
+
   /** Ties go to the even digit, as on the pages that relocbench itself fills. */
   function rounded(value, digits) {
     const scaled = Math.abs(value) * 10 ** digits;
@@ -188,13 +209,11 @@
 
   window.relocbench = {
     QUALITY, STATUS, thumbs, verdict, errorText,
-    load, script, bytes, escape, breakable, element, number, state,
+    load, script, bytes, escape, breakable, element, option, svg, sign, mean, number, state,
     printing: false,
     get isDark() { return document.documentElement.dataset.theme === "dark"; },
     /** A payload that is loaded already. */
     payload: (key) => payloads.get(key),
-    /** Whether a payload is loaded already. */
-    has: (key) => payloads.has(key),
     css: (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim(),
   };
 })();

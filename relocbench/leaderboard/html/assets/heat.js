@@ -11,10 +11,7 @@ relocbench.heat = (id, cells, a, b, titles) => {
   const rows = names("row"), columns = names("column");
   const at = (row, column) => cells.filter((one) => one.row === row && one.column === column);
   const valueOf = (one) => { const own = one.value(a), other = b ? one.value(b) : 0; return own === null || other === null ? null : 100 * (own - other); };
-  const z = rows.map((row) => columns.map((column) => {
-    const values = at(row, column).map(valueOf);
-    return values.length && !values.includes(null) ? values.reduce((s, v) => s + v, 0) / values.length : null;
-  }));
+  const z = rows.map((row) => columns.map((column) => relocbench.mean(at(row, column).map(valueOf))));
   const height = (innerWidth > 640 ? 130 : 260) + 60 * rows.length;
   node.style.minHeight = `${height}px`;
   chart(id, [{

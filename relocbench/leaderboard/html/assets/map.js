@@ -2,13 +2,11 @@
 "use strict";
 
 (() => {
-  const { element, escape, number, state, load, chart, pairText, openPair, css } = relocbench;
+  const { element, option, sign, state, load, escape, chart, pairText, openPair, css } = relocbench;
   const $ = (id) => document.getElementById(id);
   const MOST_SVG = 1500; // points up to which they are drawn sharply, and as marks that print well
   const FAINT = 0.01, STRONG = 10; // errors at the ends of the colours, in thresholds
   let last = null;
-
-  const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
 
   /** Good to bad, as on all maps, with a step at the threshold: what is found is blue, what is missed orange. */
   const AT_THRESHOLD = Math.log10(1 / FAINT) / Math.log10(STRONG / FAINT);
@@ -77,15 +75,15 @@
   }
 
   function keys(page, label, world, unplaced = 0) {
-    const svg = (mark) => { const item = element("span"); item.innerHTML = `<svg class="key" width="20" height="12" viewBox="0 0 20 12" aria-hidden="true">${mark}</svg>`; return item.firstChild; };
-    const line = (dash) => svg(`<line x1="0" y1="6" x2="20" y2="6" stroke="${css("--line-strong")}" stroke-width="2" stroke-dasharray="${dash}"/>`);
+    const mark = (markup) => sign(20, 12, markup);
+    const line = (dash) => mark(`<line x1="0" y1="6" x2="20" y2="6" stroke="${css("--line-strong")}" stroke-width="2" stroke-dasharray="${dash}"/>`);
     const { keyframes, queries } = drives(page, world);
     const some = (names) => (names.length > 4 ? `${names.length} drives` : names.join(", "));
     const unknown = unplaced ? element("li", { class: "muted" }, `${unplaced} of ${page.shown[label].length} pairs have no place in this world`) : null;
     const missing = page.shown[label].filter((pair) => !Number.isFinite(pair[page.field])).length;
     $("map-keys").replaceChildren(...[
-      element("li", {}, svg(`<circle cx="10" cy="6" r="5" fill="${GOOD}" stroke="${css("--line-strong")}"/>`), "where a query stands: blue if it is found, orange if it is missed; the worst are on top"),
-      element("li", {}, svg(`<path d="M6 2L14 10M14 2L6 10" stroke="${css("--text")}" stroke-width="2"/>`), `no answer: ${missing} of ${page.shown[label].length}`),
+      element("li", {}, mark(`<circle cx="10" cy="6" r="5" fill="${GOOD}" stroke="${css("--line-strong")}"/>`), "where a query stands: blue if it is found, orange if it is missed; the worst are on top"),
+      element("li", {}, mark(`<path d="M6 2L14 10M14 2L6 10" stroke="${css("--text")}" stroke-width="2"/>`), `no answer: ${missing} of ${page.shown[label].length}`),
       keyframes.length ? element("li", {}, line(""), `drive of the keyframes: ${some(keyframes)}`) : null,
       queries.length ? element("li", {}, line("2 3"), `of the queries: ${some(queries)}`) : null,
       unknown,

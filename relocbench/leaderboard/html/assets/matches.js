@@ -8,12 +8,7 @@
 relocbench.drawMatches = (node, reference, query, matches, words) => {
   const [width, height] = reference.camera, [across, down] = query.camera, gap = 8;
   const total = [width + gap + across, Math.max(height, down)];
-  const draw = (name, attributes) => {
-    const found = document.createElementNS("http://www.w3.org/2000/svg", name);
-    for (const [key, value] of Object.entries(attributes)) found.setAttribute(key, value);
-    return found;
-  };
-  const svg = draw("svg", { viewBox: `0 0 ${total[0]} ${total[1]}`, role: "img", "aria-label": words });
+  const draw = relocbench.svg, svg = draw("svg", { viewBox: `0 0 ${total[0]} ${total[1]}`, role: "img", "aria-label": words });
   svg.append(draw("image", { href: reference.src, width, height }), draw("image", { href: query.src, x: width + gap, width: across, height: down }));
   for (const [u, v, x, y, agrees] of [...matches].sort((a, b) => a[4] - b[4])) {
     const line = { x1: u, y1: v, x2: x + width + gap, y2: y };

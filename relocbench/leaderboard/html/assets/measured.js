@@ -2,11 +2,9 @@
 "use strict";
 
 (() => {
-  const { element, escape, number, state, chart, keys, css, line } = relocbench;
+  const { element, option, mean, escape, number, state, chart, keys, css, line } = relocbench;
   const $ = (id) => document.getElementById(id);
   const percent = (shares) => shares.map((share) => (share === null ? null : 100 * share));
-  const mean = (values) => (values.length && !values.includes(null) ? values.reduce((sum, value) => sum + value, 0) / values.length : null);
-  const option = (value, text, chosen) => element("option", { value, selected: value === chosen }, text);
 
   /* Sweeps */
   function drawSweep(page) {
@@ -45,7 +43,7 @@
     chart("sweep", traces, {
       xaxis: { title: { text: escape(sweep.axis) } }, yaxis: { title: { text: `${escape(set.ranking)}, %` }, range: [-2, 102] },
       shapes: [{ type: "line", x0: sweep.reference, x1: sweep.reference, yref: "paper", y0: 0, y1: 1, line: { color: css("--line-strong"), dash: "dot", width: 1.5 } }],
-    }, (event) => { const { meta } = event.points[0].data, value = event.points[0].customdata; page.openPairs(meta, page.shown[meta].filter((pair) => sweep.values[pair.set] === value), `${sweep.axis} ${number(value, "m")}`); });
+    }, (event) => { const { meta } = event.points[0].data, value = event.points[0].customdata; page.openList(meta, page.shown[meta].filter((pair) => sweep.values[pair.task] === value), `${sweep.axis} ${number(value, "m")}`); });
     keys("sweep-keys", drawn);
   }
 

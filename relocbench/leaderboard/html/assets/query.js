@@ -3,36 +3,15 @@
 "use strict";
 
 (() => {
-  const { element, number, state, load, hash, shortName, worstFirst, KINDS, STATUS } = relocbench;
+  const { element, fact, number, load, hash, shortName, KINDS, STATUS } = relocbench;
   const $ = (id) => document.getElementById(id);
   const kind = $("shown").dataset.sets, ofEveryMethod = ["task", "query", "group", "positives"];
-  const opened = new Map();
-  let now = null; // what is shown: the task, the query, the method and its list
-  let turn = 0;
+  let now = null; // what is shown: the task, the query, and the pairs of trackers
 
-  function tell(...what) {
-    $("note").hidden = !what.length;
-    $("note").replaceChildren(...what);
-    if (what.length) $("shown").hidden = true;
-  }
-
-  async function open(setId, name) {
-    const key = `${setId}/${name}`;
-    if (!opened.has(key)) {
-      const set = await load(`${kind}/${setId}`), task = Object.hasOwn(set.tasks, name) ? set.tasks[name] : null;
-      if (!task) throw new Error(`the set has no task '${name}'`);
-      const [answers, details] = await Promise.all([load(task.answers), task.details ? load(task.details) : null]);
-      const labels = Object.keys(answers.methods), kept = details?.rows || Array.from(answers.units.query, (_, row) => row);
-      opened.set(key, {
-        set, name, task, answers, details, labels, rows: Object.fromEntries(labels.map((label) => [label, relocbench.rows(set, name, answers, label)])),
-        pairs: await pairsOf(task, name), places: new Map(kept.map((row, at) => [row, at])), pictured: new Set(Object.keys(details?.queries ?? {}).map(Number)),
-      });
-    }
-    return opened.get(key);
-  }
-
-  /** The pairs of the task that have a page of their own, among the results of trackers. */
-  async function pairsOf(task, name) {
+  /** The pairs of a task that have a page of their own, among the results of trackers. */
+  const known = new Map();
+  const pairsOf = (task, name) => known.get(task) ?? known.set(task, readPairs(task, name)).get(task);
+  async function readPairs(task, name) {
     if (!task.trackers) return null;
     try {
       const set = await load(`sets/${task.trackers}`), { methods, units: { reference, query } } = await load(set.tasks[name].answers);
@@ -40,36 +19,18 @@
     } catch { return null; }
   }
 
-  async function render() {
-    const own = ++turn, { set: setId, task, query, ...wanted } = state.all();
-    const none = (...why) => tell(...why, element("a", { href: "index.html" }, "all results"), ".");
-    if (!setId || !task || !query) return none("This page shows one query. Choose one in the list that opens with a click on a number of a set: ");
-    let of = null;
-    try { of = await open(setId, task); } catch (error) { return own === turn ? none(`The task cannot be shown: ${error.message}. See `) : null; }
-    if (own !== turn) return null;
-    const row = of.answers.units.query.findIndex((each) => String(each) === query), method = of.set.page.method;
-    if (row < 0) return none(`The task '${of.name}' has no query ${query}. See `);
-    tell();
-    $("shown").hidden = false;
-    $("pictured").disabled = !of.pictured.size;
-    if (!of.pictured.size) $("pictured").checked = false;
-    const label = of.labels.includes(wanted[method]) ? wanted[method] : of.labels.find((each) => of.set.methods[each].competes) || of.labels[0];
-    const list = worstFirst(of.rows[label], of.set.worst).filter((each) => !$("pictured").checked || of.pictured.has(each.row));
-    now = { ...of, row: of.rows[label][row], label, list, at: list.findIndex((each) => each.row === row), place: of.places.get(row) };
-    document.title = `${shortName(query)} – relocbench`;
-    $("title").textContent = `${of.task.gallery || of.name} ← ${of.task.query || of.name}`;
-    const fact = (name, ...value) => element("div", {}, element("dt", {}, name), element("dd", {}, ...value));
+  async function show(of, isCurrent) {
+    const { set, name, task, row, answers, details } = of, pairs = await pairsOf(task, name);
+    if (!isCurrent()) return;
+    now = { ...of, pairs };
+    document.title = `${shortName(row.query)} – relocbench`;
+    $("title").textContent = `${task.gallery || name} ← ${task.query || name}`;
     $("facts").replaceChildren(
-      fact("set", element("a", { href: `${kind === "retrieval" ? "retrieval" : "relocalization"}-${setId}.html${hash({ table: of.name })}` }, of.set.title)), fact("task", of.name), fact("query", query),
-      ...(now.row.group ? [fact("place", now.row.group)] : []), ...("positives" in now.row ? [fact("right images", String(now.row.positives)), fact("gallery", String(of.answers.gallery))] : []));
-    $("method").replaceChildren(...of.labels.map((each) => element("option", { value: each, selected: each === label }, each)));
-    $("previous").disabled = now.at === 0 || !list.length;
-    $("next").disabled = now.at === list.length - 1 || !list.length;
-    $("place").textContent = now.at < 0 ? `not among the ${list.length} queries with images` : `${now.at + 1} of ${list.length} queries, worst first`;
-    picture($("query-picture"), of.details?.queries[row], "Query image");
+      fact("set", element("a", { href: `${kind === "retrieval" ? "retrieval" : "relocalization"}-${set.id}.html${hash({ table: name })}` }, set.title)), fact("task", name), fact("query", String(row.query)),
+      ...(row.group ? [fact("place", row.group)] : []), ...("positives" in row ? [fact("right images", String(row.positives)), fact("gallery", String(answers.gallery))] : []));
+    picture($("query-picture"), details?.queries[row.row], "Query image");
     for (const draw of kind === "retrieval" ? [drawTop, drawRight] : [drawVerdict, drawPictures, drawAsked]) draw(now);
     drawNumbers(now);
-    return null;
   }
 
   /** A picture, or a field that says why there is none. */
@@ -164,8 +125,8 @@
   }
 
   /** The answers of all methods to this query, the best first. */
-  function drawNumbers({ set, answers, labels, rows, row: { row }, label }) {
-    const own = labels.map((each) => ({ label: each, ...rows[each][row] })), key = set.worst;
+  function drawNumbers({ set, answers, labels, rowOf, row: { row }, label }) {
+    const own = labels.map((each) => ({ label: each, ...rowOf(each, row) })), key = set.worst;
     const best = [...own].sort((a, b) => (a[key] === b[key] ? 0 : a[key] < b[key] ? -1 : 1));
     const columns = set.list.filter(({ key, optional }) => !ofEveryMethod.includes(key) && (!optional || own.some((each) => each[key] >= 0)));
     const words = ({ kind: of }) => (["text", "status", "outcome"].includes(of) ? "text" : null);
@@ -177,32 +138,8 @@
       ...(kind === "retrieval" ? [element("td", { class: "text" }, flags(each.label))] : []), element("td", { class: "text message" }, answers.methods[each.label].messages[row] || ""))));
   }
 
-  function choose(label) {
-    state.set({ [now.set.page.method]: label });
-    render();
-  }
-
-  function go(step) {
-    const to = now?.list[now.at < 0 ? 0 : now.at + step];
-    if (!to) return;
-    state.set({ query: String(to.query) });
-    render();
-  }
-
-  const next = (step) => now && choose(now.labels.at((now.labels.indexOf(now.label) + step) % now.labels.length));
-  $("previous").addEventListener("click", () => go(-1));
-  $("next").addEventListener("click", () => go(1));
-  $("method").addEventListener("change", () => choose($("method").value));
-  $("pictured").addEventListener("change", () => { state.set({ pictured: $("pictured").checked ? "1" : null }); render(); });
-  $("pictured").checked = state.get("pictured") === "1";
-  document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input[type=text], input[type=search], textarea")) return;
-    if (event.target.closest(".scroll") && event.key.startsWith("Arrow")) return; // a table that is scrolled by keys
-    const step = { ArrowLeft: () => go(-1), ArrowRight: () => go(1), m: () => next(1), n: () => next(-1) }[event.key];
-    if (!step) return;
-    event.preventDefault();
-    step();
+  const { choose, nextMethod } = relocbench.walk({
+    folder: kind, content: "shown", taskKey: "task", taskWord: "task", unitKey: "query", draw: show,
+    keys: { m: () => nextMethod(1), n: () => nextMethod(-1) },
   });
-  addEventListener("hashchange", render);
-  render();
 })();

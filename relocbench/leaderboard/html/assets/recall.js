@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { escape, chart, line, aside, curves, cumulative, upright } = relocbench;
+  const { escape, chart, line, aside, curves, cumulative, mean, upright } = relocbench;
   const $ = (id) => document.getElementById(id);
   const MARKS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000, 100000];
 
@@ -12,8 +12,6 @@
     for (let i = 0; i <= 400; i++) all.add(Math.round(most ** (i / 400)));
     return [...all].filter((k) => k >= 1 && k <= most).sort((a, b) => a - b);
   }
-
-  const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 
   /** The share of all queries whose first right image is among the first k, for ascending k. */
   function reached(first, ks) {

@@ -4,18 +4,27 @@
 (() => {
   const isColumn = (value) => Array.isArray(value) || ArrayBuffer.isView(value);
 
-  /** Rows of the columns of a task and of a method; what stands in `words` is said by its place there. */
-  relocbench.rows = (set, task, answers, label) => {
+  /** What gives row i of the columns of a task and of a method; what stands in `words` is said by its place there. */
+  relocbench.reader = (set, task, answers, label) => {
     const method = answers.methods[label];
-    if (!method) return [];
     const words = { status: relocbench.payload("site").statuses, ...set.words, ...answers.words }, columns = Object.entries({ ...answers.units, ...method }).filter(([, values]) => isColumn(values));
-    return Array.from(answers.units.query, (_, row) => {
+    return (row) => {
       const out = { task, row };
       for (const [key, values] of columns) out[key] = words[key] ? words[key][values[row]] : values[row];
       if (set.correct) out.both = Math.max(out.translation_error_m / set.correct[0], out.rotation_error_deg / set.correct[1]);
       return out;
-    });
+    };
   };
+
+  /** All rows; none of a method that has no answers. */
+  relocbench.rows = (set, task, answers, label) => {
+    if (!answers.methods[label]) return [];
+    const read = relocbench.reader(set, task, answers, label);
+    return Array.from(answers.units.query, (_, row) => read(row));
+  };
+
+  /** What a pair or query is called in addresses. */
+  relocbench.unitName = ({ reference, query }) => (reference === undefined ? String(query) : `${reference}-${query}`);
 
   /** Rows by what says how bad an answer is, the worst first; equal ones in their order. */
   relocbench.worstFirst = (rows, key) => [...rows].sort((a, b) => (a[key] === b[key] ? 0 : b[key] > a[key] ? 1 : -1));
@@ -26,7 +35,7 @@
   /** The link to the page of a pair or query, with the thresholds of the list it stands in where they are not the usual ones. */
   relocbench.unitLink = (set, row, label, thresholds = set.correct) => {
     const { file, task, unit, method } = set.page, within = thresholds && String(thresholds) !== String(set.correct) ? { within: thresholds.join(",") } : {};
-    return file + relocbench.hash({ set: set.id, [task]: row.task, [unit]: unit === "pair" ? `${row.reference}-${row.query}` : row.query, [method]: label, ...within });
+    return file + relocbench.hash({ set: set.id, [task]: row.task, [unit]: relocbench.unitName(row), [method]: label, ...within });
   };
 
   /** The end of an image's path: its file and folder, which tell images of a list apart. */

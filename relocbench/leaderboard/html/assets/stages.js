@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { escape, chart, css } = relocbench;
+  const { escape, chart, css, mean } = relocbench;
   const $ = (id) => document.getElementById(id);
 
   /** The words and looks of each share: blue for what retrieval did, orange for tracking, with patterns for those who see no colours. */
@@ -33,10 +33,9 @@
   }
 
   function drawClock({ set, own, shown, open }) {
-    const mean = (values) => { const known = values.filter((v) => !Number.isNaN(v)); return known.length ? known.reduce((s, v) => s + v, 0) / known.length : null; };
     const retrieval = {}, tracking = {}, together = {};
     for (const label of own) {
-      const split = shown[label].filter((row) => row.retrieval_seconds >= 0 && !Number.isNaN(row.seconds)), whole = mean(shown[label].map((row) => row.seconds));
+      const split = shown[label].filter((row) => row.retrieval_seconds >= 0 && !Number.isNaN(row.seconds)), whole = mean(shown[label].map((row) => row.seconds).filter((seconds) => !Number.isNaN(seconds)));
       if (split.length) {
         retrieval[label] = mean(split.map((row) => row.retrieval_seconds));
         tracking[label] = mean(split.map((row) => Math.max(0, row.seconds - row.retrieval_seconds)));
