@@ -27,7 +27,7 @@ class MayHaveCard(Protocol):
     def card(self) -> KeptCard | None: ...
 
 
-class Submitted(MayHaveCard, Protocol):
+class Ran(MayHaveCard, Protocol):
     """The same with how it was run."""
 
     @property
@@ -48,7 +48,7 @@ class ShownCard:
     remarks: tuple[str, ...]
 
 
-def shown_cards(title: str, methods: Iterable[Submitted]) -> list[ShownCard]:
+def shown_cards(title: str, methods: Iterable[Ran]) -> list[ShownCard]:
     """The cards of the methods of one dataset that have one."""
     return [
         ShownCard(

@@ -6,18 +6,19 @@ and the heading says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from relocbench.leaderboard.common.headings import COUNTS, RANK, heading
-from relocbench.leaderboard.common.ranks import HasRank, rank_text
+from relocbench.leaderboard.common.model import Row
+from relocbench.leaderboard.common.ranks import rank_text
 from relocbench.leaderboard.common.text import Value, with_bounds
 from relocbench.metrics import Interval
 
 B = TypeVar("B")
 T = TypeVar("T", bound="Ranked")
-R = TypeVar("R", bound="Scored")
+R = TypeVar("R", bound=Row[Any])
 L_contra = TypeVar("L_contra", contravariant=True)
 
 
@@ -25,26 +26,7 @@ class Ranked(Protocol):
     """A table."""
 
     @property
-    def rows(self) -> Sequence[HasRank]: ...
-
-
-class Scored(HasRank, Protocol):
-    """A row with numbers."""
-
-    @property
-    def missing(self) -> tuple[str, ...]: ...
-
-    @property
-    def failed(self) -> int | None: ...
-
-    @property
-    def broke(self) -> int | None: ...
-
-    @property
-    def values(self) -> Mapping[str, float | None]: ...
-
-    @property
-    def intervals(self) -> Mapping[str, Interval | None]: ...
+    def rows(self) -> Sequence[Row[Any]]: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,20 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from typing import Protocol
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.evaluation.common.results import RunRecord
-
-
-class Answered(Protocol):
-    """A method with its results on one dataset."""
-
-    @property
-    def label(self) -> str: ...
-
-    @property
-    def run(self) -> RunRecord: ...
+from relocbench.leaderboard.common.cards import Ran
 
 
 def distinct_label(label: str, known: Container[str], fingerprint: str) -> str:
@@ -24,7 +13,7 @@ def distinct_label(label: str, known: Container[str], fingerprint: str) -> str:
     return f"{label}@{fingerprint[:SHORT]}" if label in known else label
 
 
-def answers_on_copies(methods: Sequence[Answered], copies: Sequence[str]) -> list[tuple[list[str], str]]:
+def answers_on_copies(methods: Sequence[Ran], copies: Sequence[str]) -> list[tuple[list[str], str]]:
     """The labels of methods that answered on another copy, and the short fingerprint of that copy.
 
     Args:

@@ -2,47 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Iterable, Sequence
+from typing import Any
 
-from relocbench.metrics import MIN_EFFECTIVE, Interval
+from relocbench.leaderboard.common.model import Row
+from relocbench.metrics import MIN_EFFECTIVE
 
 NO_RANK = "–"
 """in place of the rank that all methods of a table share"""
 SHARED = "Methods share a rank where the pairs show no significant difference between them"
 
 
-class HasRank(Protocol):
-    """A row of a table of any task."""
-
-    @property
-    def rank(self) -> int | None:
-        """Among the rows of its table; None for a row that is not ranked."""
-        ...
-
-
-class ScoredRow(HasRank, Protocol):
-    """A row with the intervals of its numbers."""
-
-    @property
-    def intervals(self) -> Mapping[str, Interval | None]:
-        """By metric."""
-        ...
-
-
-def share_a_rank(rows: Iterable[HasRank]) -> bool:
+def share_a_rank(rows: Iterable[Row[Any]]) -> bool:
     """Whether all ranked rows share the first rank."""
     return all(row.rank in (1, None) for row in rows)
 
 
-def rank_text(row: HasRank, rows: Iterable[HasRank]) -> str:
+def rank_text(row: Row[Any], rows: Iterable[Row[Any]]) -> str:
     """The rank as text: empty for a row that is not ranked, a dash where all rows share a rank."""
     if row.rank is None:
         return ""
     return NO_RANK if share_a_rank(rows) else str(row.rank)
 
 
-def why_no_ranks(rows: Sequence[ScoredRow], metric: str, of: str) -> str:
+def why_no_ranks(rows: Sequence[Row[Any]], metric: str, of: str) -> str:
     """Why a table shows no ranks, in a sentence without its full stop; empty where it has some, and without methods.
 
     Args:
