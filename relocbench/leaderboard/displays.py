@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -11,13 +11,13 @@ from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.by_query import Board, SetBoard, Table
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.columns import Column, records
+from relocbench.leaderboard.common.headings import METHOD, RANK, RETRIEVER, TOP, TRACKER
+from relocbench.leaderboard.common.latex import LatexTable, document
 from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.relocalization import columns as of_pipelines
-from relocbench.leaderboard.relocalization import latex as latex_of_pipelines
 from relocbench.leaderboard.relocalization.board import PipelineBoard
 from relocbench.leaderboard.relocalization.page import relocalization_page
 from relocbench.leaderboard.retrieval import columns as of_retrievers
-from relocbench.leaderboard.retrieval import latex as latex_of_retrievers
 from relocbench.leaderboard.retrieval.board import RetrievalBoard
 from relocbench.leaderboard.retrieval.page import retrieval_page
 
@@ -38,7 +38,14 @@ class Display(Generic[B, L]):
     terminal: Callable[[B], Sequence[str]]
     """the columns on the terminal"""
     page: Callable[[B], str]
-    latex: Callable[[B], str]
+    names: tuple[str, ...]
+    """the columns that name a method"""
+    paper: Callable[[B], Iterable[str]]
+    """the columns of numbers in LaTeX"""
+    competes: Callable[[L], bool]
+    """whether values of a line may be the best of a table"""
+    note: str = ""
+    """what the caption says besides the number of queries"""
 
     def records(self, board: B) -> list[dict[str, Value]]:
         """The rows of CSV and JSON: shares 0..1, metres, degrees, seconds; None where there is no value."""
@@ -50,6 +57,25 @@ class Display(Generic[B, L]):
         columns = self.columns(board)
         keys = self.terminal(board)
         return [[columns[key].text(line, bounds=False) for key in keys] for line in self.lines(of, table)]
+
+    def latex(self, board: B) -> str:
+        """All tables in LaTeX, means over several tasks first."""
+        columns = self.columns(board)
+        return document(
+            LatexTable(
+                of=of.title,
+                place=table.name,
+                names=[columns[key] for key in self.names],
+                rank=columns[RANK],
+                columns=[columns[key] for key in dict.fromkeys(self.paper(board))],
+                lines=self.lines(of, table),
+                competes=self.competes,
+                metric=board.metric,
+                note=f"{table.queries} queries{self.note}.",
+            )
+            for of in board.sets
+            for table in of.means_first
+        )
 
     def write_table(self, board: B, out: Path) -> list[Path]:
         """Write the table in CSV; returns the files."""
@@ -71,7 +97,9 @@ RETRIEVAL: Display[RetrievalBoard, of_retrievers.RetrievalLine] = Display(
     of_retrievers.lines_of,
     of_retrievers.terminal_columns,
     retrieval_page,
-    latex_of_retrievers.latex_page,
+    (METHOD,),
+    of_retrievers.paper_columns,
+    lambda line: line.row is not None,
 )
 RELOCALIZATION: Display[PipelineBoard, of_pipelines.PipelineLine] = Display(
     "relocalization",
@@ -79,5 +107,8 @@ RELOCALIZATION: Display[PipelineBoard, of_pipelines.PipelineLine] = Display(
     of_pipelines.lines_of,
     of_pipelines.terminal_columns,
     relocalization_page,
-    latex_of_pipelines.latex_page,
+    (RETRIEVER, TRACKER, TOP),
+    of_pipelines.paper_columns,
+    of_pipelines.competes,
+    f"; {TOP} is the number of keyframes that are tried",
 )

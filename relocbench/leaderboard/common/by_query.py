@@ -81,6 +81,16 @@ class SetBoard(Loaded[S, U, M, T]):
         """The tasks that no method has answered."""
         return [name for name in self.units if name not in self.used]
 
+    @property
+    def means_first(self) -> list[Table[M, U]]:
+        """The tables, those of means over several tasks before those of single ones."""
+        return sorted(self.tables, key=lambda table: len(table.tasks) == 1)
+
+    @property
+    def missing(self) -> list[tuple[str, tuple[str, ...]]]:
+        """The methods that miss a task of the first of these tables, each with what it misses."""
+        return [(row.method.label, row.missing) for table in self.means_first[:1] for row in table.rows if row.missing]
+
 
 @dataclass(frozen=True, eq=False)
 class Board(Generic[S, U, M, T]):

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+import shlex
+
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
 from relocbench.evaluation.tracking.clock import CLOCK
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
 from relocbench.leaderboard.common.text import json_text
+
+
+def page_command(option: str, metric: str, seed: int, split: str | None, datasets: str = "") -> str:
+    """The command that makes a page again.
+
+    Args:
+        option: the one that chooses the metric.
+        datasets: what stands for the datasets that errors are computed anew from; empty where none were available.
+    """
+    dataset = f" --dataset {datasets}" if datasets else ""
+    of_split = f" --split {shlex.quote(split)}" if split else ""
+    return f"relocbench leaderboard RESULTS --out DIR{dataset} {option} '{metric}' --seed {seed}{of_split}"
 
 
 def method_words(run: RunRecord) -> list[str]:

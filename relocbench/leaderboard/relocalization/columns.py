@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from relocbench.evaluation.relocalization.basin import SAID
-from relocbench.evaluation.relocalization.records import PipelineBasin
+from relocbench.evaluation.relocalization.records import KEYFRAME, PipelineBasin
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, POSE_METRICS, RANKING, basin_recall
 from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
 from relocbench.leaderboard.common.headings import BASIN, COUNTS, RANK, RESCORED, RETRIEVER, SECONDS, TOP, TRACKER
@@ -50,6 +50,16 @@ def stage_columns(table: PipelineTable) -> tuple[str, ...]:
 def terminal_columns(board: PipelineBoard) -> tuple[str, ...]:
     """The columns of a table on the terminal."""
     return (RETRIEVER, TRACKER, TOP, RANK, *dict.fromkeys((board.metric, HIT, MEDIANS[0])))
+
+
+def paper_columns(board: PipelineBoard) -> tuple[str, ...]:
+    """The numbers of a table in LaTeX."""
+    return (board.metric, "recall@(1m,5deg)", basin_recall(1), HIT, GIVEN_HIT, *MEDIANS, SECONDS)
+
+
+def competes(line: PipelineLine) -> bool:
+    """Whether values of a pipeline may be the best of a table: those of trivial baselines and the oracle may not."""
+    return line.row is not None and line.row.method.is_ranked and line.row.method.run.tracker != KEYFRAME
 
 
 def lines_of(asked: PipelineSetBoard, table: PipelineTable) -> list[PipelineLine]:

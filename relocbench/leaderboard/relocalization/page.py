@@ -10,7 +10,7 @@ from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
 from relocbench.evaluation.relocalization.pipeline import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineRun
 from relocbench.leaderboard.common.columns import texts
-from relocbench.leaderboard.common.commands import labelled_target, settings_of
+from relocbench.leaderboard.common.commands import labelled_target, page_command, settings_of
 from relocbench.leaderboard.common.headings import RETRIEVER, TRACKER
 from relocbench.leaderboard.common.ranks import why_no_ranks
 from relocbench.leaderboard.common.text import json_text, number
@@ -34,9 +34,7 @@ from relocbench.pages.markdown import escaped, table_text
 def relocalization_page(board: PipelineBoard) -> str:
     """The whole page."""
     metres, degrees = RIGHT
-    split = f" --split {shlex.quote(board.split)}" if board.split else ""
     rescored = any(pipeline.rescored for asked in board.sets for pipeline in asked.methods)
-    dataset = " --dataset DATASET" if rescored else ""
     return render(
         __name__,
         "page.md.j2",
@@ -49,8 +47,9 @@ def relocalization_page(board: PipelineBoard) -> str:
         marks=MARKS,
         sets=[_set(board, asked) for asked in board.sets],
         commands=[(asked.title, evaluate_commands(asked.methods)) for asked in board.sets],
-        page_command=f"relocbench leaderboard RESULTS --out DIR{dataset} --relocalization-metric '{board.metric}' "
-        f"--seed {board.seed}{split}",
+        page_command=page_command(
+            "--relocalization-metric", board.metric, board.seed, board.split, "DATASET" if rescored else ""
+        ),
     )
 
 
@@ -114,13 +113,9 @@ def _set(board: PipelineBoard, asked: PipelineSetBoard) -> dict[str, object]:
     halves, differing = _methods(asked)
     return {
         "record": asked.record,
-        "tasks": [
-            (name, task)
-            for name, task in asked.record.tasks.items()
-            if any(name in table.tasks for table in asked.tables)
-        ],
+        "tasks": [(name, asked.units[name]) for name in asked.used],
         "sections": [_section(board, asked, table) for table in asked.tables],
-        "missing": [(row.method.label, row.missing) for row in asked.tables[0].rows if row.missing],
+        "missing": asked.missing,
         "halves": [(name, part, half, machine_words(half)) for (part, name), half in halves],
         "parameters": [(name, json_text(half.parameters)) for (_, name), half in halves if half.parameters],
         "differing": differing,

@@ -36,6 +36,11 @@ def terminal_columns(board: RetrievalBoard) -> tuple[str, ...]:
     return (METHOD, RANK, *dict.fromkeys((board.metric, *TERMINAL)))
 
 
+def paper_columns(board: RetrievalBoard) -> tuple[str, ...]:
+    """The numbers of a table in LaTeX."""
+    return (*METRICS, SECONDS)
+
+
 def lines_of(asked: RetrievalSetBoard, table: RetrievalTable) -> list[RetrievalLine]:
     """A line for each method, and the last for chance."""
     return [*(Line(asked, table, row) for row in table.rows), Line(asked, table, None)]

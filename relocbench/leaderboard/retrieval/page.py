@@ -9,7 +9,7 @@ from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.retrieval.records import METRICS, RetrievalRun, SetRecord
 from relocbench.leaderboard.common.cards import add_command, shown_cards
 from relocbench.leaderboard.common.columns import texts
-from relocbench.leaderboard.common.commands import method_words
+from relocbench.leaderboard.common.commands import method_words, page_command
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.ranks import why_no_ranks
 from relocbench.leaderboard.common.text import json_text
@@ -31,9 +31,7 @@ from relocbench.pages.markdown import escaped, table_text
 
 def retrieval_page(board: RetrievalBoard) -> str:
     """The whole page."""
-    split = f" --split {shlex.quote(board.split)}" if board.split else ""
     rescored = any(method.confirmed for asked in board.sets for method in asked.methods)
-    dataset = " --dataset DATASET" if rescored else ""
     return render(
         __name__,
         "page.md.j2",
@@ -43,8 +41,9 @@ def retrieval_page(board: RetrievalBoard) -> str:
         commands=[
             (asked.title, [evaluate_command(asked.record, m.run) for m in asked.methods]) for asked in board.sets
         ],
-        page_command=f"relocbench leaderboard RESULTS --out DIR{dataset} --retrieval-metric '{board.metric}' "
-        f"--seed {board.seed}{split}",
+        page_command=page_command(
+            "--retrieval-metric", board.metric, board.seed, board.split, "DATASET" if rescored else ""
+        ),
     )
 
 
@@ -64,20 +63,14 @@ def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
 
 def _set(board: RetrievalBoard, asked: RetrievalSetBoard) -> dict[str, object]:
     methods = asked.methods
-    means = [table for table in asked.tables if len(table.tasks) > 1]
-    first = (means or asked.tables)[:1]  # there is none where no method has finished a task
     return {
         "record": asked.record,
         "question": asked.record.question[:SHORT],
         "copies": answers_on_copies(methods, asked.copies),
-        "tasks": [
-            (name, task)
-            for name, task in asked.record.tasks.items()
-            if any(name in table.tasks for table in asked.tables)
-        ],
+        "tasks": [(name, asked.units[name]) for name in asked.used],
         "unused": asked.unused,
-        "sections": [_section(board, asked, table) for table in sorted(asked.tables, key=lambda t: len(t.tasks) == 1)],
-        "missing": [(row.method.label, row.missing) for table in first for row in table.rows if row.missing],
+        "sections": [_section(board, asked, table) for table in asked.means_first],
+        "missing": asked.missing,
         "methods": [
             (m.label, m.run, sorted({t.dimensions for t in m.run.tasks.values() if t.dimensions}), machine_words(m.run))
             for m in methods
@@ -86,7 +79,7 @@ def _set(board: RetrievalBoard, asked: RetrievalSetBoard) -> dict[str, object]:
         "elsewhere": [m.label for m in methods if m.run.made_elsewhere or m.run.target.startswith(PREDICTIONS)],
         "renamed": [(m.label, m.ran_as) for m in methods if m.renamed],
         "parameters": [(m.label, json_text(m.run.parameters)) for m in methods if m.run.parameters],
-        "told": [(m.label, json_text(m.run.info)) for m in methods if m.run.info],
+        "info": [(m.label, json_text(m.run.info)) for m in methods if m.run.info],
     }
 
 

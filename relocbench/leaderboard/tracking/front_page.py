@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 from urllib.parse import quote
 
 from relocbench.leaderboard.common.cards import shown_cards
+from relocbench.leaderboard.common.commands import page_command
 from relocbench.leaderboard.common.headings import METHOD, RANK, SECONDS
 from relocbench.leaderboard.common.ranks import rank_text, share_a_rank
 from relocbench.leaderboard.common.text import number
@@ -35,8 +35,7 @@ READING = "reading.md"
 def front_page(board: Board) -> str:
     """The page that links the others."""
     rescored = [d for d in board.datasets if any(m.rescored for m in d.entry.methods)]
-    datasets = {0: "", 1: " --dataset DATASET"}.get(len(rescored), " --dataset DATASETS")
-    split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    datasets = {0: "", 1: "DATASET"}.get(len(rescored), "DATASETS")
     methods = [method for dataset in board.datasets for method in dataset.entry.methods]
     return render(
         __name__,
@@ -49,8 +48,7 @@ def front_page(board: Board) -> str:
         signed=[mark for mark in MARKS if any(mark.applies(method) for method in methods)],
         dagger=DAGGER if any(_shows_finer(board, table) for d in board.datasets for table in d.totals) else "",
         reading=READING,
-        page_command=f"relocbench leaderboard RESULTS --out DIR{datasets} --metric '{board.metric.name}' "
-        f"--seed {board.seed}{split}",
+        page_command=page_command("--metric", board.metric.name, board.seed, board.split, datasets),
     )
 
 
