@@ -223,9 +223,9 @@ def _merged(
     for copy, of_copy in copies:
         own = task.truth(copy, of_copy, lookup)
         truth = truth or own
-        there = copy.methods()
-        check_file_names((folder.label for folder in there), "the method", copy.root)
-        for folder in there:
+        folders = copy.methods()
+        check_file_names((folder.label for folder in folders), "the method", copy.root)
+        for folder in folders:
             label = distinct_label(folder.label, methods, of_copy.fingerprint)
             methods[label] = task.renamed(task.read(folder, of_copy, task.units(of_copy, split), own), label)
             folder_of[label] = folder

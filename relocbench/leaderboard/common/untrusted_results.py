@@ -64,8 +64,8 @@ def check_same_questions(tables: Iterable[tuple[str, str, object, Path]]) -> Non
     for unit, label, asked, path in tables:
         other, expected = first.setdefault(unit, (label, asked))
         if asked != expected:
-            told = f"answers other questions of '{unit}' than the table of '{other}', or has other facts of them"
-            raise PredictionError(f"{told}; score both again", path)
+            why = f"answers other questions of '{unit}' than the table of '{other}', or has other facts of them"
+            raise PredictionError(f"{why}; score both again", path)
 
 
 def check_made_for(run: Run, record: SetLike, path: Path) -> None:
@@ -83,9 +83,9 @@ def check_file_names(names: Iterable[str], what: str, path: Path) -> None:
     for name in names:
         plain = name.isprintable() and not name.startswith(".") and "/" not in name and "\\" not in name
         if not name or not plain or len(name.encode(errors="replace")) > _LONGEST_NAME:
-            told = ascii(name[:60]).strip("'")
+            shown = ascii(name[:60]).strip("'")
             raise PredictionError(
-                f"{what} '{told}' cannot be part of a file's name; expected at most {_LONGEST_NAME} printable "
+                f"{what} '{shown}' cannot be part of a file's name; expected at most {_LONGEST_NAME} printable "
                 "characters without / that do not begin with a dot",
                 path,
             )

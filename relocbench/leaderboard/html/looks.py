@@ -8,7 +8,6 @@ for simulation of color vision deficiency", 2009), among colours with a contrast
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import asdict, dataclass
 
 LIGHT = ("#2446d8", "#e05206", "#0a9178", "#b25fcf", "#7a2413", "#111827")
 """on white"""
@@ -34,16 +33,6 @@ BASELINE_LIGHT, BASELINE_DARK = "#6b7280", "#9aa3b2"
 _BASELINE_DASHES = ("5px,3px", "1px,3px")
 
 
-@dataclass(frozen=True)
-class Look:
-    """How a method is drawn."""
-
-    light: str
-    dark: str
-    dash: str
-    marker: str
-
-
 def looks(labels: Collection[str], baselines: Collection[str] = ()) -> dict[str, dict[str, str]]:
     """The look of every method by label, as the pages take it.
 
@@ -57,8 +46,8 @@ def looks(labels: Collection[str], baselines: Collection[str] = ()) -> dict[str,
     out = {label: _look(place) for place, label in enumerate(methods)}
     for place, label in enumerate(sorted(set(baselines))):
         dashes, marker = _BASELINE_DASHES[place % 2], ("circle-open", "square-open")[place % 2]
-        out[label] = Look(BASELINE_LIGHT, BASELINE_DARK, dashes, marker)
-    return {label: asdict(out[label]) for label in sorted(out)}
+        out[label] = {"light": BASELINE_LIGHT, "dark": BASELINE_DARK, "dash": dashes, "marker": marker}
+    return {label: out[label] for label in sorted(out)}
 
 
 def further_looks(labels: Collection[str], known: Collection[str]) -> dict[str, dict[str, str]]:
@@ -69,9 +58,9 @@ def further_looks(labels: Collection[str], known: Collection[str]) -> dict[str, 
         known: the labels that :func:`looks` was given.
     """
     further = sorted(set(labels) - set(known))
-    return {label: asdict(_look(len(set(known)) + place)) for place, label in enumerate(further)}
+    return {label: _look(len(set(known)) + place) for place, label in enumerate(further)}
 
 
-def _look(place: int) -> Look:
+def _look(place: int) -> dict[str, str]:
     colour, dash = place % len(LIGHT), place // len(LIGHT) % len(DASHES)
-    return Look(LIGHT[colour], DARK[colour], DASHES[dash], MARKERS[place % len(MARKERS)])
+    return {"light": LIGHT[colour], "dark": DARK[colour], "dash": DASHES[dash], "marker": MARKERS[place % len(MARKERS)]}

@@ -125,8 +125,8 @@ class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask,
                 raise PredictionError(f"changed since it was scored; {AGAIN}", path)
             answers[name] = read_pipeline(path)
             if len(answers[name]) != task.queries:
-                told = f"{len(answers[name])} rows, expected one for each of {task.queries} queries"
-                raise PredictionError(told, path)
+                why = f"{len(answers[name])} rows, expected one for each of {task.queries} queries"
+                raise PredictionError(why, path)
             if truth is not None and truth.rescored(run, name, scores.basins[name], answers[name], path):
                 rescored.add(name)
         return Pipeline(folder.label, run, scores.basins if scores else {}, answers, frozenset(rescored), folder)

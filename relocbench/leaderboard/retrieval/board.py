@@ -132,10 +132,10 @@ class RetrievalBoards(QueryTask[RetrieverResults, SetRecord, TaskRecord, Retriev
 
     def merged(self, record: SetRecord, other: SetRecord, first: Path, path: Path) -> SetRecord:
         different = [name for name in other.tasks if other.tasks[name] != record.tasks.get(name, other.tasks[name])]
-        told = f"task '{different[0]}' has other queries or another gallery" if different else ""
-        if told := told or _rule_differs(record, other):
+        difference = f"task '{different[0]}' has other queries or another gallery" if different else ""
+        if difference := difference or _rule_differs(record, other):
             raise PredictionError(
-                f"{told} than in {first.name}, although both folders are marked as results of the same dataset; "
+                f"{difference} than in {first.name}, although both folders are marked as results of the same dataset; "
                 "evaluate one of them again",
                 path,
             )
@@ -247,8 +247,8 @@ def _rule_differs(record: SetRecord, other: SetRecord) -> str:
 def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: RetrieverScores) -> None:
     """Raise PredictionError unless ``scores.yaml`` was computed from the files beside it."""
     if not scored.run:
-        told = "does not say what it was computed from, as earlier versions did not"
-        raise PredictionError(f"{told}; {_AGAIN}", folder.scores_yaml)
+        why = "does not say what it was computed from, as earlier versions did not"
+        raise PredictionError(f"{why}; {_AGAIN}", folder.scores_yaml)
     if scored.run != sha256_file(folder.run_yaml):
         raise PredictionError(f"is not the record that was scored; {_AGAIN}", folder.run_yaml)
     for task in tasks:

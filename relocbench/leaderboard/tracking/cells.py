@@ -26,14 +26,14 @@ def heading(metric: Metric, table: Table) -> str:
 def name(row: Row) -> str:
     """The label of a row's method, with what its readers must know."""
     label = escaped(row.method.label)
-    told = [f"*{label}*" if row.method.is_baseline else label]
+    words = [f"*{label}*" if row.method.is_baseline else label]
     if row.method.is_identity:
-        told.append("(trivial baseline)")
+        words.append("(trivial baseline)")
     elif row.method.is_clock:
-        told.append("(timestamp-only baseline)")
+        words.append("(timestamp-only baseline)")
     elif row.method.run.uses_times:
-        told.append("(uses times)")
-    return " ".join([*told, *(["(missing)"] if row.missing else []), *signs(row.method)])
+        words.append("(uses times)")
+    return " ".join([*words, *(["(missing)"] if row.missing else []), *signs(row.method)])
 
 
 def cell(metric: Metric, row: Row, table: Table, *, interval: bool = True) -> str:

@@ -217,8 +217,8 @@ def _errors(
     if twice or len(rows) != record.asked:
         raise PredictionError(f"{len(rows)} rows, expected one for each of the {record.asked} pairs; {again}", path)
     if rows.different_places.pairs != record.elsewhere:
-        told = f"{rows.different_places.pairs} pairs of different places, expected {record.elsewhere}"
-        raise PredictionError(f"{told}; {again}", path)
+        why = f"{rows.different_places.pairs} pairs of different places, expected {record.elsewhere}"
+        raise PredictionError(f"{why}; {again}", path)
     absent = [group for group in record.groups if group not in rows.group_names]
     if absent and len(record.groups) > 1:
         raise PredictionError(f"no pair of the group '{absent[0]}', which the dataset's record names; {again}", path)

@@ -41,19 +41,19 @@ def row_of(method: Method, plan: Plan, standing: Standing, metric: Metric, ident
     Args:
         metric: the metric that ranks, in which the method is compared with the identity pose.
     """
-    sets, there = tables_of(method, plan), present(method, plan)
+    sets, known = tables_of(method, plan), present(method, plan)
     values = totals([None if rows is None else rows.summary for rows in sets])
-    pairs = sum(map(len, there))
+    pairs = sum(map(len, known))
     if standing.missing:
         return Row(method, values, {}, None, missing=standing.missing, pairs=pairs)
     if len(sets) > 1:
-        values |= _pooled(there)
-    intervals = {**standing.intervals, **_of_medians(there)}
+        values |= _pooled(known)
+    intervals = {**standing.intervals, **_of_medians(known)}
     above = None
     if identity is not None and identity is not method and all(name in identity.errors for name in plan.units):
         sign = 1.0 if metric.higher_is_better else -1.0
         above = paired_difference(
-            [sign * per_pair(metric, rows) for rows in there],
+            [sign * per_pair(metric, rows) for rows in known],
             [sign * per_pair(metric, rows) for rows in present(identity, plan)],
         )
     return Row(
@@ -61,10 +61,10 @@ def row_of(method: Method, plan: Plan, standing: Standing, metric: Metric, ident
         values,
         intervals,
         standing.rank,
-        sum(rows.with_status("failed") for rows in there),
-        sum(rows.with_status("error") for rows in there),
+        sum(rows.with_status("failed") for rows in known),
+        sum(rows.with_status("error") for rows in known),
         pairs=pairs,
-        answered=sum(rows.with_status("ok") for rows in there),
+        answered=sum(rows.with_status("ok") for rows in known),
         above_identity=above,
         elsewhere=_elsewhere(method, plan) if plan.group == ALL else None,
     )

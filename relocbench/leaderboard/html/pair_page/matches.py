@@ -26,18 +26,18 @@ def shown_matches(info: str, reference: Camera, query: Camera) -> list[list[floa
         info: of the answer, JSON.
         reference, query: the cameras of both images.
     """
-    told = _told(info)
-    if not len(told):
+    matches = _stated(info)
+    if not len(matches):
         return []
-    here, seen = reference.undistort(told[:, :2], small_camera(reference))
-    there, also_seen = query.undistort(told[:, 2:4], small_camera(query))
-    pixels = np.hstack([here, there]).round(1)[seen & also_seen].tolist()
-    agrees = (told[seen & also_seen, 4] > 0.5).astype(int).tolist()
+    of_reference, seen = reference.undistort(matches[:, :2], small_camera(reference))
+    of_query, also_seen = query.undistort(matches[:, 2:4], small_camera(query))
+    pixels = np.hstack([of_reference, of_query]).round(1)[seen & also_seen].tolist()
+    agrees = (matches[seen & also_seen, 4] > 0.5).astype(int).tolist()
     return [[*both, one] for both, one in zip(pixels, agrees, strict=True)]
 
 
-def _told(info: str) -> Array:
-    """(N, 5) what an info tells; (0, 5) where that are no matches."""
+def _stated(info: str) -> Array:
+    """(N, 5) the matches of an info; (0, 5) where it holds none that can be read."""
     none = np.zeros((0, 5))
     if KEY not in info:
         return none

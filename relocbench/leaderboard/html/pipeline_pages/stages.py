@@ -23,8 +23,8 @@ def retrieval_seconds(pipeline: Pipeline, task: str) -> Array | None:
     ran, folder = pipeline.run.retriever_run, pipeline.folder
     if ran is None or folder is None:
         return None
-    here = folder.root.parents[1] / f"{ran.dataset}@{ran.fingerprint[:SHORT]}"
-    results = RetrieverResults(here / pipeline.run.retriever)
+    of_set = folder.root.parents[1] / f"{ran.dataset}@{ran.fingerprint[:SHORT]}"
+    results = RetrieverResults(of_set / pipeline.run.retriever)
     if not results.run_yaml.exists() or not results.complete(task):
         return None
     now = results.run_record()

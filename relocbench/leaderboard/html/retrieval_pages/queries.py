@@ -72,7 +72,7 @@ class RankedQueries:
         images = sorted({key for q in kept for key in self._shown(q)})
         place = {key: index for index, key in enumerate(images)}
 
-        def told(query: int, key: str) -> list[float | int | None]:
+        def placed(query: int, key: str) -> list[float | int | None]:
             """The place of an image among those that are shown, and how far its camera was, in metres."""
             metres = np.nan if self._distances is None else self._distances.of(query, key)
             return [place[key], round(metres, 3) if np.isfinite(metres) else None]
@@ -80,7 +80,7 @@ class RankedQueries:
         def first(lists: KeptLists, query: int) -> list[list[float | int | None]]:
             """What is told of the first images of a method, and whether each is right: 1, 0, or null."""
             both = zip(lists.top[query], lists.right[query], strict=True)
-            return [[*told(query, key), None if flag is None else int(flag)] for key, flag in both]
+            return [[*placed(query, key), None if flag is None else int(flag)] for key, flag in both]
 
         task = self._task
         return {
@@ -88,7 +88,7 @@ class RankedQueries:
             "images": images,
             "pictures": [thumbnail_name(key) if key in pictured else None for key in images],
             "queries": {} if task is None else {q: thumbnail_name(task.queries[q].key) for q in chosen},
-            "right": None if task is None else [[told(q, key) for key in self._right[q]] for q in kept],
+            "right": None if task is None else [[placed(q, key) for key in self._right[q]] for q in kept],
             "methods": {label: {"top": [first(lists, q) for q in kept]} for label, lists in self._lists.items()},
         }
 

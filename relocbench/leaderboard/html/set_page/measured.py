@@ -32,8 +32,8 @@ def probes_of(dataset: DatasetBoard) -> list[ProbeTables]:
         PredictionError: a table of a probe is bad.
     """
     entry = dataset.entry
-    here = {method.results.root.parent for method in entry.methods if method.results is not None}
-    folders = {path.parent for root in here for where in (root, root.parent) for path in _probes_in(where)}
+    results = {method.results.root.parent for method in entry.methods if method.results is not None}
+    folders = {path.parent for root in results for where in (root, root.parent) for path in _probes_in(where)}
     known = {entry.record.fingerprint, *entry.copies}
     probes = [read_probe(folder) for folder in sorted(folders)]
     return [p for p in probes if p.dataset == entry.record.name and p.fingerprint in known]
