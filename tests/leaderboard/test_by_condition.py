@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_leaderboard import Made, MadeResults
+from made_results import Made, MadeResults
 
 from relocbench.evaluation.tables.errors import ErrorTable
 from relocbench.leaderboard.common.ranks import NO_RANK

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_results import WINTER, MadeResults, made
 from small_dataset import ACROSS, WITHIN, make_small_dataset
-from test_leaderboard import WINTER, MadeResults, made
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.inspect.agreement import ImageAgreement, Verdict

@@ -14,8 +14,8 @@ import pytest
 from answered_dataset import add_answers
 from browser_pages import needs_browser, serious_faults
 from command_line import relocbench
+from made_results import WINTER, MadeResults, made
 from small_dataset import ACROSS, WITHIN, make_small_dataset
-from test_leaderboard import WINTER, MadeResults, made
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair

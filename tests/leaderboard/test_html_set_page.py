@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from answered_dataset import add_answers
 from browser_pages import needs_browser, serious_faults
+from made_results import MadeResults, made
 from small_dataset import ACROSS, make_small_dataset
-from test_leaderboard import MadeResults, made
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair

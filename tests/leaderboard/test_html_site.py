@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from browser_pages import needs_browser, serious_faults
-from test_leaderboard import NIGHT, WINTER, MadeResults, made
+from made_results import NIGHT, WINTER, MadeResults, made
 
 from relocbench.evaluation.common.folders import SetLike
 from relocbench.leaderboard import load_results, make_board

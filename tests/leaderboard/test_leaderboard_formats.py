@@ -15,8 +15,8 @@ from command_line import relocbench
 from hypothesis import given
 from hypothesis import strategies as st
 from latex_parser import check_latex
+from made_results import NIGHT, WINTER, MadeResults, made, read_csv
 from refusals import assert_names
-from test_leaderboard import NIGHT, WINTER, MadeResults, made, read_csv
 
 from relocbench.leaderboard.common.columns import Column
 from relocbench.leaderboard.common.latex import LatexTable, document, escaped

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import typer
 from board_pages import board_pages
-from test_leaderboard import NIGHT, SAME, TITLE, WINTER, Made, MadeResults, cells, made, read_csv, row, table
+from made_results import NIGHT, SAME, TITLE, WINTER, Made, MadeResults, cells, made, read_csv, row, table
 from typer.testing import CliRunner
 
 from relocbench.cli.commands.leaderboard import leaderboard

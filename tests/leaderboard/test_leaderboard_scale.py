@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from forgery import reseal
-from test_leaderboard import TITLE, WINTER, MadeResults, made
+from made_results import TITLE, WINTER, MadeResults, made
 
 import relocbench.evaluation.common.folders as folders_module
 import relocbench.evaluation.common.results as results_module

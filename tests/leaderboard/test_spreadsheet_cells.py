@@ -6,8 +6,8 @@ import csv
 from pathlib import Path
 
 import pytest
+from made_results import WINTER, MadeResults, made
 from matplotlib.figure import Figure
-from test_leaderboard import WINTER, MadeResults, made
 
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import load_results, write_leaderboard
