@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import quote
 
 from relocbench.evaluation.common.results import RunRecord
-from relocbench.evaluation.submission.card import Card
 from relocbench.evaluation.submission.kept import KeptCard
 from relocbench.files import write_bytes
 
@@ -34,31 +32,20 @@ class Ran(MayHaveCard, Protocol):
     def run(self) -> RunRecord: ...
 
 
-@dataclass(frozen=True)
-class ShownCard:
-    """What a page shows of a card."""
+def shown_cards(title: str, methods: Iterable[Ran]) -> list[dict[str, object]]:
+    """What a page shows of the cards of the methods of one dataset that have one.
 
-    label: str
-    card: Card
-    link: str
-    """from the leaderboard's folder"""
-    blind: str
-    """the blind export that was answered"""
-    asked_once: bool
-    remarks: tuple[str, ...]
-
-
-def shown_cards(title: str, methods: Iterable[Ran]) -> list[ShownCard]:
-    """The cards of the methods of one dataset that have one."""
+    ``link`` leads there from the leaderboard's folder, and ``blind`` is the blind export that was answered.
+    """
     return [
-        ShownCard(
-            method.label,
-            method.card.card,
-            quote(card_file(title, method.label)),
-            method.run.answered_blind,
-            all(answered.asked_once for answered in method.card.card.datasets.values()),
-            method.run.remarks,
-        )
+        {
+            "label": method.label,
+            "card": method.card.card,
+            "link": quote(card_file(title, method.label)),
+            "blind": method.run.answered_blind,
+            "asked_once": all(answered.asked_once for answered in method.card.card.datasets.values()),
+            "remarks": method.run.remarks,
+        }
         for method in methods
         if method.card is not None
     ]

@@ -100,15 +100,11 @@ class HasIntervals(Protocol):
 
 def bounds_columns(metrics: Iterable[str]) -> list[Column[HasIntervals]]:
     """The two bounds of the intervals of some metrics, as columns of their own."""
-    return [column for metric in metrics for column in (_low(metric), _high(metric))]
+    return [_bound(metric, end) for metric in metrics for end in ("low", "high")]
 
 
-def _low(metric: str) -> Column[HasIntervals]:
-    return Column(f"{metric}_low", lambda line: None if (of := line.interval(metric)) is None else of.low, "share")
-
-
-def _high(metric: str) -> Column[HasIntervals]:
-    return Column(f"{metric}_high", lambda line: None if (of := line.interval(metric)) is None else of.high, "share")
+def _bound(metric: str, end: str) -> Column[HasIntervals]:
+    return Column(f"{metric}_{end}", lambda line: getattr(line.interval(metric), end, None), "share")
 
 
 def rank_column() -> Column[Line[B, T, R]]:

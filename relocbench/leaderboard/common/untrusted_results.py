@@ -10,7 +10,6 @@ import os
 import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Protocol
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.errors import PredictionError
@@ -18,16 +17,6 @@ from relocbench.evaluation.common.folders import SetLike
 
 _LONGEST_NAME = 200
 """in bytes; file names of most systems hold 255, and pictures are named after a dataset and a pair set"""
-
-
-class Run(Protocol):
-    """The record of a run."""
-
-    @property
-    def dataset(self) -> str: ...
-
-    @property
-    def fingerprint(self) -> str: ...
 
 
 def check_folder(results: Path) -> None:
@@ -68,11 +57,11 @@ def check_same_questions(tables: Iterable[tuple[str, str, object, Path]]) -> Non
             raise PredictionError(f"{why}; score both again", path)
 
 
-def check_made_for(run: Run, record: SetLike, path: Path) -> None:
+def check_lies_with(dataset: str, fingerprint: str, record: SetLike, path: Path) -> None:
     """Raise PredictionError, with the path of its record, unless a run was made for the set that it lies with."""
-    if run.fingerprint != record.fingerprint:
+    if fingerprint != record.fingerprint:
         raise PredictionError(
-            f"was made for {run.dataset}@{run.fingerprint[:SHORT]}, but lies among the results of "
+            f"was made for {dataset}@{fingerprint[:SHORT]}, but lies among the results of "
             f"{record.name}@{record.fingerprint[:SHORT]}",
             path,
         )

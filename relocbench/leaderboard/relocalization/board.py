@@ -38,7 +38,7 @@ from relocbench.files import sha256_file
 from relocbench.leaderboard.common.by_query import Board, QueryTask, SetBoard, Table
 from relocbench.leaderboard.common.loading import Plan
 from relocbench.leaderboard.common.model import Row
-from relocbench.leaderboard.common.untrusted_results import check_made_for
+from relocbench.leaderboard.common.untrusted_results import check_lies_with
 
 SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
 
@@ -109,7 +109,7 @@ class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask,
         truth: PipelineTruth | None,
     ) -> Pipeline:
         run = folder.run_record()
-        check_made_for(run, record, folder.run_yaml)
+        check_lies_with(run.dataset, run.fingerprint, record, folder.run_yaml)
         answers: dict[str, Sequence[PipelineAnswer]] = {}
         rescored: set[str] = set()
         scores = folder.scores() if folder.scores_yaml.exists() else None

@@ -33,7 +33,7 @@ from relocbench.files import sha256_file
 from relocbench.leaderboard.common.by_query import Board, QueryTask, SetBoard, Table
 from relocbench.leaderboard.common.loading import Plan
 from relocbench.leaderboard.common.model import Row
-from relocbench.leaderboard.common.untrusted_results import check_made_for
+from relocbench.leaderboard.common.untrusted_results import check_lies_with
 from relocbench.metrics import by_place, single_positive_fault
 from relocbench.metrics.retrieval.measures import RetrievalScores
 
@@ -107,7 +107,7 @@ class RetrievalBoards(QueryTask[RetrieverResults, SetRecord, TaskRecord, Retriev
         self, folder: RetrieverResults, record: SetRecord, tasks: Mapping[str, TaskRecord], truth: RetrievalTruth | None
     ) -> Retriever:
         run = folder.run_record()
-        check_made_for(run, record, folder.run_yaml)
+        check_lies_with(run.dataset, run.fingerprint, record, folder.run_yaml)
         for name in tasks:
             if folder.answers(name).exists() and not folder.predictions(name).exists():
                 raise PredictionError("missing, although its ranks are there", folder.predictions(name))

@@ -58,8 +58,8 @@ def tracking_columns(board: Board) -> dict[str, TrackingColumn]:
             Column(SECONDS_AND_P95, lambda line: None, shown=_seconds, for_programs=False),
             *map(_elsewhere, ELSEWHERE, ("pairs", "answered_share", "confident_share", "confident_high")),
             Column("above_identity", lambda line: None if (of := _above(line)) is None else of.mean, "share"),
-            Column("above_identity_low", lambda line: _bound(line, "low"), "share"),
-            Column("above_identity_high", lambda line: _bound(line, "high"), "share"),
+            Column("above_identity_low", lambda line: _above_bound(line, "low"), "share"),
+            Column("above_identity_high", lambda line: _above_bound(line, "high"), "share"),
             Column("finer_than_truth", lambda line: " ".join(m.name for m in METRICS if m.name in line.table.finer)),
             *(_median(name) for name in ("distance_m", "angle_deg", "sigma_translation_m", "sigma_rotation_deg")),
             _of_run("target", "target"),
@@ -108,9 +108,9 @@ def _above(line: TrackingLine) -> Difference | None:
     return None if line.row is None else line.row.above_identity
 
 
-def _bound(line: TrackingLine, which: str) -> Value:
+def _above_bound(line: TrackingLine, end: str) -> Value:
     above = _above(line)
-    found: Value = None if above is None or above.interval is None else getattr(above.interval, which)
+    found: Value = None if above is None else getattr(above.interval, end, None)
     return found
 
 

@@ -43,6 +43,7 @@ def front_page(board: Board) -> str:
         metric=board.metric,
         matrix=matrix_text(board.datasets, [set_file(dataset) for dataset in board.datasets]),
         correct=CORRECT,
+        reservations=[words for dataset in board.datasets for words in reservations(dataset)],
         datasets=[_dataset(board, dataset) for dataset in board.datasets],
         grouped=any(dataset.groups_of(table) for dataset in board.datasets for table in dataset.totals),
         signed=[mark for mark in MARKS if any(mark.applies(method) for method in methods)],
@@ -65,7 +66,6 @@ def _dataset(board: Board, dataset: DatasetBoard) -> dict[str, object]:
         "name": escaped(short_title(dataset, board.datasets)),
         "page": quote(set_file(dataset)),
         "missing": missing,
-        "reservations": reservations(dataset),
         "cards": shown_cards(entry.title, entry.methods),
         "totals": [
             {

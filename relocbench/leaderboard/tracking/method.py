@@ -36,7 +36,7 @@ from relocbench.evaluation.tracking.verification import (
 from relocbench.files import read_journal
 from relocbench.leaderboard.common.cards import add_command
 from relocbench.leaderboard.common.commands import method_words
-from relocbench.leaderboard.common.untrusted_results import check_made_for
+from relocbench.leaderboard.common.untrusted_results import check_lies_with
 
 SEED = "seed"
 
@@ -135,7 +135,7 @@ def read_method(
     folder: MethodResults, dataset: DatasetRecord, pair_sets: Mapping[str, PairSetRecord], truth: Truth | None
 ) -> Method:
     run = folder.run_record()
-    check_made_for(run, dataset, folder.run_yaml)
+    check_lies_with(run.dataset, run.fingerprint, dataset, folder.run_yaml)
     ran_as, card = run.method, kept_card(folder.root, run)
     run = run.model_copy(update={"method": folder.label})
     errors: dict[str, ErrorTable] = {}
