@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from refusals import refused
 
 from relocbench.errors import ConfigError
@@ -18,9 +17,7 @@ EMPTY = Boards()
 
 def test_a_folder_with_somebodys_files_is_refused_and_unchanged(tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text("mine")
-    with pytest.raises(
-        ConfigError, match=r"holds 'index\.html' and no earlier site; expected a new or an empty folder"
-    ):
+    with refused(ConfigError, tmp_path, None, "index.html"):
         write_site(EMPTY, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
     assert (tmp_path / "index.html").read_text() == "mine"

@@ -85,13 +85,6 @@ def test_ids_are_names_of_files_and_do_not_collide() -> None:
     assert all(name and "/" not in name and "<" not in name and len(name) <= 120 for name in ids)
 
 
-def test_the_same_boards_give_the_same_bytes(boards: Boards, site: Path, tmp_path: Path) -> None:
-    again = write_site(boards, tmp_path / "again").parent
-    files = sorted(path.relative_to(site) for path in site.rglob("*") if path.is_file())
-    assert files == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
-    assert [p for p in files if (site / p).read_bytes() != (again / p).read_bytes()] == []
-
-
 def test_no_page_has_a_foreign_name_as_markup(site: Path) -> None:
     for path in [*site.glob("*.html"), *site.glob("data/**/*.js")]:
         assert HOSTILE not in path.read_text(encoding="utf-8"), path.name

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from command_line import relocbench
+from refusals import refused
 from small_dataset import make_small_dataset
 from small_views import make_small_views
 
@@ -79,7 +80,7 @@ def test_results_of_one_set_with_other_queries_are_refused(results: Path, tmp_pa
     assert re.search("^question: .", text, re.MULTILINE)
     changed = re.sub("^fingerprint: .*", f"fingerprint: {'f' * 64}", text, flags=re.MULTILINE)
     (other / SET_FILE).write_text(re.sub("queries: (\\d+)", "queries: 1\\1", changed, count=1), encoding="utf-8")
-    with pytest.raises(PredictionError, match=r"has other queries or another gallery than in .*evaluate one of them"):
+    with refused(PredictionError, other / SET_FILE):
         load_board(RETRIEVAL, tmp_path)
 
 
@@ -185,9 +186,9 @@ def test_both_halves_are_written_from_one_results_folder(tmp_path: Path) -> None
 
 
 def test_an_unknown_metric_or_split_is_refused(results: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be ranked by 'R@3'"):
+    with refused(ConfigError, "", None, "R@3", "R@5"):
         load_board(RETRIEVAL, results, metric="R@3")
-    with pytest.raises(ConfigError, match="no split 'test'; available: none"):
+    with refused(ConfigError, "", None, "test"):
         load_board(RETRIEVAL, results, split="test")
     assert board_of(results, metric="AP").metric == "AP"
 
@@ -198,11 +199,11 @@ def test_answers_that_changed_since_they_were_scored_are_refused(tmp_path: Path)
     folder = sets_in(tmp_path / "results", SetResults)[0].method("t")
     kept = folder.answers(D2S).read_text()
     folder.answers(D2S).write_text(kept.replace(",ok,1,1,", ",ok,1,2,", 1))
-    with pytest.raises(PredictionError, match=r"drone-satellite\.csv: changed since it was scored"):
+    with refused(PredictionError, "drone-satellite.csv"):
         load_board(RETRIEVAL, tmp_path / "results")
     folder.answers(D2S).write_text(kept)
     folder.scores_yaml.unlink()
-    with pytest.raises(PredictionError, match=r"scores\.yaml: missing: the answers are not scored"):
+    with refused(PredictionError, "scores.yaml"):
         load_board(RETRIEVAL, tmp_path / "results")
 
 
@@ -223,7 +224,7 @@ def test_an_average_precision_that_one_positive_does_not_allow_is_refused(result
     check_plausible(table)
     row = table.rows[0]
     wrong = RetrievalRow(row.method, {**row.values, "R@1": 0.5, "AP": 0.7}, {}, 1)
-    with pytest.raises(PredictionError, match="good on drone-satellite: AP 70"):
+    with refused(PredictionError, "", None, "good", "drone-satellite", "70.0000"):
         check_plausible(type(table)(table.name, table.tasks, table.records, (wrong,)))
 
 
