@@ -52,9 +52,9 @@ class Pipeline:
     basins: Mapping[str, PipelineBasin]
     answers: Mapping[str, Sequence[PipelineAnswer]]
     """by task; tasks without results are absent"""
-    rescored: frozenset[str] = frozenset()
+    rescored: frozenset[str]
     """the tasks whose rows were computed anew from rankings, trackers' answers and truth"""
-    folder: PipelineResults | None = None
+    folder: PipelineResults
     card: None = None
     """nobody submits pipelines"""
 

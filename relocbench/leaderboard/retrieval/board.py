@@ -48,15 +48,15 @@ class Retriever:
     run: RetrievalRun
     answers: Mapping[str, Sequence[QueryAnswer]]
     """by task; tasks without results are absent"""
-    confirmed: Mapping[str, Confirmed] = field(default_factory=dict)
+    confirmed: Mapping[str, Confirmed]
     """how far the ranks follow from the images that were kept, by task; empty where the truth is not available"""
-    ran_as: str = ""
+    ran_as: str
     """the label in the run's record, which the name of the folder replaces"""
-    card: KeptCard | None = None
+    card: KeptCard | None
     """of lists that were submitted"""
-    folder: RetrieverResults | None = None
+    folder: RetrieverResults
     """where its lists are kept"""
-    records: Mapping[str, TaskRecord] = field(default_factory=dict)
+    records: Mapping[str, TaskRecord]
     """of the tasks"""
     _scores: dict[str, RetrievalScores] = field(default_factory=dict, repr=False)
 

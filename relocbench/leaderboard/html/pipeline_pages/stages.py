@@ -20,10 +20,10 @@ def retrieval_seconds(pipeline: Pipeline, task: str) -> Array | None:
         None where nothing took seconds (the oracle), or where the rankings do not lie in the results folder, or are
         others than those that the pipeline started from.
     """
-    ran, folder = pipeline.run.retriever_run, pipeline.folder
-    if ran is None or folder is None:
+    ran = pipeline.run.retriever_run
+    if ran is None:
         return None
-    of_set = folder.root.parents[1] / f"{ran.dataset}@{ran.fingerprint[:SHORT]}"
+    of_set = pipeline.folder.root.parents[1] / f"{ran.dataset}@{ran.fingerprint[:SHORT]}"
     results = RetrieverResults(of_set / pipeline.run.retriever)
     if not results.run_yaml.exists() or not results.complete(task):
         return None

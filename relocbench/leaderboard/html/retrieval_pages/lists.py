@@ -43,8 +43,6 @@ def kept_lists(asked: RetrievalSetBoard, method: Retriever, name: str) -> KeptLi
         PredictionError: with file and line: a line that is not 'query db'.
     """
     answers = method.answers[name]
-    if method.folder is None:
-        return KeptLists([[] for _ in answers], [[] for _ in answers], None)
     task = task_of(asked, name)
     junk: Collection[str] = ()
     if task is not None:
