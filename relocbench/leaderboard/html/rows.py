@@ -40,18 +40,16 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
     if board is not None:
         totals = [(dataset, table) for dataset in board.datasets for table in dataset.totals]
         rows = [tracker_row(board, of, table, row) for of, table in totals for row in table.rows]
-        notes = []
-        for of, table in totals:
-            notes += _notes(of.entry.title, table_title(table), why_no_ranks(board, table), no_gain(of, table))
+        remarks = [(of.entry.title, table_title(t), why_no_ranks(board, t), no_gain(of, t)) for of, t in totals]
+        notes = [note for each in remarks for note in _notes(*each)]
         section = {"title": "Trackers", "metric": board.metric.name, "what": "pairs", "rows": rows, "notes": notes}
         sections.append(section)
     for pages, by_query in pages_by_query(boards):
         first = [(of, table) for of in by_query.sets for table in _first(pages, of.tables)]
         lines = [line for of, table in first for line in pages.display.lines(of, table)]
-        notes = []
-        for of, table in first:
-            why = ranks.why_no_ranks(table.rows, by_query.metric, f"{table.queries} queries")
-            notes += _notes(of.title, table.name, why, pages.note(by_query, table))
+        why = [ranks.why_no_ranks(t.rows, by_query.metric, f"{t.queries} queries") for _, t in first]
+        remarks = [(of.title, t.name, no, pages.note(by_query, t)) for (of, t), no in zip(first, why, strict=True)]
+        notes = [note for each in remarks for note in _notes(*each)]
         rows = query_rows(pages, by_query, lines)
         section = {"title": pages.title, "metric": by_query.metric, "what": "queries", "rows": rows, "notes": notes}
         sections.append(section)
@@ -140,7 +138,6 @@ def _linked(page: str, state: dict[str, str], units: str) -> dict[str, str]:
     return {"page": page, "link": f"{page}#{links.hash_of(state)}&{units}=1"}
 
 
-def _notes(title: str, table: str, *notes: str) -> list[str]:
+def _notes(title: str, table: str, no_ranks: str, gain: str) -> list[str]:
     """What a reader of a table must know besides its numbers, without what is empty."""
-    no_ranks, gain = notes
     return [f"{title}, {table}: {note}" for note in (no_ranks, gain[:1].lower() + gain[1:]) if note]
