@@ -154,7 +154,7 @@ def test_predictions_and_answers_that_changed_since_they_were_scored_are_refused
 ) -> None:
     path = two_sets.folder / "good" / f"{NIGHT}.{suffix}"
     path.write_text(path.read_text().replace(old, new))
-    with refused(PredictionError, path, None, "relocbench evaluate"):
+    with refused(PredictionError, path.with_suffix(".txt"), None, "relocbench evaluate"):
         load_results(two_sets.root)
 
 
