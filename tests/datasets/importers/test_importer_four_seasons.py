@@ -496,5 +496,5 @@ def test_cut_nmea_sentences_are_passed_over(tmp_path: Path) -> None:
 def test_ecef_of_known_places() -> None:
     """At the equator and the poles the ellipsoid's own axes (WGS 84)."""
     places = np.array([[0.0, 0.0, 10.0], [0.0, 90.0, 0.0], [-90.0, 0.0, 0.0]])
-    expected = [[6378147, 0, 0], [0, 6378137, 0], [0, 0, -6356752.314245]]
+    expected = [[6378147.0, 0.0, 0.0], [0.0, 6378137.0, 0.0], [0.0, 0.0, -6356752.314245]]
     np.testing.assert_allclose(ecef_from_geodetic(places), expected, atol=1e-5)
