@@ -45,6 +45,8 @@ import yaml
 from pydantic import ValidationError
 
 from relocbench.arrays import Array, Floats, Image
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.layout import pair_set_name
 from relocbench.datasets.core.pairfile import Pair
@@ -259,7 +261,7 @@ def town(given: argparse.Namespace, names: list[str], plans: list[TraversalPlan]
     writer = DatasetWriter(out, "realistic-change", {"kind": "realistic-change", **settings})
     for plan in plans:
         writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
-    render_all(plans, cameras, writer.layout, given.seed, (), Silent(), Run(default_workers()))
+    render_all(Build(writer, RuleOptions(seed=given.seed), Silent(), Run(default_workers())), plans, cameras, ())
     frames = {plan.name: plan.frames(CAMERA, cameras) for plan in plans}
     first, second = ([drive_name(given.split, name, number) for name in names] for number in (0, 1))
     asked = [*zip(first, first, strict=True), *zip(first, second, strict=True)]
