@@ -96,10 +96,23 @@ SchedulerTlsKey = Annotated[
         metavar="PEM", help="For tls://: its private key, if it is in a file of its own.", rich_help_panel=_RUN
     ),
 ]
+
+
+def existing(ctx: typer.Context, path: Path | None) -> Path | None:
+    """The folder of a dataset. Raises DatasetError for one that is missing before anything large is loaded."""
+    if path is not None and not ctx.resilient_parsing and not path.exists():
+        from relocbench.errors import DatasetError
+
+        raise DatasetError("no such folder; expected a dataset", path)
+    return path
+
+
 DatasetPath = Annotated[Path, typer.Option("--dataset", "-d", metavar="FOLDER", help="The dataset.")]
 Dataset = Annotated[
     Path | None,
-    typer.Option("--dataset", "-d", metavar="FOLDER", help="The dataset; required, here or in --config."),
+    typer.Option(
+        "--dataset", "-d", metavar="FOLDER", callback=existing, help="The dataset; required, here or in --config."
+    ),
 ]
 Results = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Where results are kept [default: results].")

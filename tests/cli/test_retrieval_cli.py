@@ -182,7 +182,7 @@ def test_options_of_retrieval_are_refused_where_poses_are_asked(street: Path, tm
     ("words", "fault"),
     [
         (("evalute",), "No such command 'evalute'. Did you mean 'evaluate', 'validate'? (see `relocbench --help`)"),
-        (("evaluate", "-d", "D", "more"), "Got unexpected extra argument(s) (more) (see `relocbench evaluate --help`)"),
+        (("evaluate", "-d", ".", "more"), "Got unexpected extra argument(s) (more) (see `relocbench evaluate --help`)"),
         (("validate",), "Missing argument 'PATH' (see `relocbench validate --help`)"),
         (("evaluate", "--sed", "1"), "No such option: --sed (Possible options: --scheduler, --seed, --set) (see"),
     ],

@@ -25,6 +25,7 @@ def evaluate_retrieval(
             "--dataset",
             "-d",
             metavar="FOLDER",
+            callback=common.existing,
             help="The dataset, or places by several views in University-1652's layout; required, here or in --config.",
         ),
     ] = None,

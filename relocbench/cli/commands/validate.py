@@ -64,16 +64,17 @@ def _count(faults: int) -> str:
 
 def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) -> tuple[str, Findings]:
     """What ``path`` is, and what is wrong with it. Raises RelocbenchError where it is nothing of ours."""
+    from relocbench.errors import PredictionError, RelocbenchError
+
+    if not path.exists():
+        raise RelocbenchError("no such file or folder; expected a dataset, results or predictions", path)
     from relocbench.datasets.checks.validation import is_dataset_folder, validate_dataset
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.cross_view import is_cross_view
     from relocbench.datasets.cross_view.checking import validate_cross_view
-    from relocbench.errors import PredictionError, RelocbenchError
     from relocbench.evaluation.tracking.validation import validate_prediction_files
     from relocbench.leaderboard.validation import is_results_folder, validate_all_results
 
-    if not path.exists():
-        raise RelocbenchError("no such file or folder; expected a dataset, results or predictions", path)
     against = Dataset(dataset) if dataset is not None else None
     if path.is_file():
         if path.suffix != ".txt":
