@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from relocbench.cli.options import Json, Quiet, split_commas
+from relocbench.cli.options import Json, Quiet, existing, split_commas
 
 if TYPE_CHECKING:
     from relocbench.datasets.inspect.overlay import Picture
@@ -20,6 +20,7 @@ def inspect(
         Path,
         typer.Argument(
             metavar="DATASET",
+            callback=existing,
             help="Folder of the dataset, or a bag of ROS.",
             show_default=False,
         ),
