@@ -34,15 +34,15 @@ class Report(Protocol):
         ...
 
 
-O = TypeVar("O", bound="Strict")  # noqa: E741
-R = TypeVar("R", bound=Report)
+Options = TypeVar("Options", bound="Strict")
+Reported = TypeVar("Reported", bound=Report)
 
 
 def run_evaluation(
     arguments: Mapping[str, Any],
-    options: type[O],
-    evaluate: Callable[[O, Reporter], R],
-    show: Callable[[R, Reporter], None],
+    options: type[Options],
+    evaluate: Callable[[Options, Reporter], Reported],
+    show: Callable[[Reported, Reporter], None],
 ) -> None:
     """Evaluate, and print one JSON object, or tables, what crashed, and where the results are.
 

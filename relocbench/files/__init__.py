@@ -5,7 +5,7 @@ cannot be read is a :class:`~relocbench.errors.RelocbenchError` of one line with
 and lengths are limited, so that no file costs more than its reading.
 """
 
-from relocbench.files.json_text import parse_json, read_journal, strict_json
+from relocbench.files.json_text import json_text, parse_json, read_journal, strict_json
 from relocbench.files.names import (
     MAX_FOLDER_BYTES,
     check_distinct,
@@ -63,6 +63,7 @@ __all__ = [
     "dump_yaml",
     "first_fault",
     "fitting_name",
+    "json_text",
     "lines_of",
     "link_file",
     "load_yaml",

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from relocbench.errors import quoted
 from relocbench.files.plain import read_bytes
+
+_DEEPEST = 20
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -69,3 +72,22 @@ def read_journal(path: Path) -> list[dict[str, Any]]:
 
 def _is_key(key: Any) -> bool:
     return isinstance(key, list) and all(isinstance(part, str | int) for part in key)
+
+
+def json_text(value: object, *, sort_keys: bool = False, ascii_only: bool = False) -> str:
+    """A value from a YAML file as JSON; types that JSON lacks, such as dates, become strings."""
+    return json.dumps(_shown(value, _DEEPEST), sort_keys=sort_keys, ensure_ascii=ascii_only)
+
+
+def _shown(value: Any, deepest: int) -> Any:
+    if value is None or isinstance(value, str | bool | float):
+        return value
+    if isinstance(value, int):
+        return value if value.bit_length() < 256 else hex(value)  # decimal digits of a huge integer take minutes
+    if isinstance(value, Mapping | list | tuple) and deepest == 0:
+        return "..."
+    if isinstance(value, Mapping):
+        return {k if isinstance(k, str) else str(_shown(k, 0)): _shown(v, deepest - 1) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_shown(v, deepest - 1) for v in value]
+    return str(value)

@@ -9,9 +9,9 @@ import pytest
 from made_results import WINTER, MadeResults, made
 from matplotlib.figure import Figure
 
-from relocbench.files import dump_yaml, load_yaml_values, write_text
+from relocbench.files import dump_yaml, json_text, load_yaml_values, write_text
 from relocbench.leaderboard import load_results, write_leaderboard
-from relocbench.leaderboard.common.text import cell, json_text
+from relocbench.leaderboard.common.text import cell
 from relocbench.pages.figures import png_of
 
 FORMULAS = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", " =1", "'=1", '"=1', "＝1", "-", "=HYPERLINK()"]

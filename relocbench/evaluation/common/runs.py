@@ -14,7 +14,7 @@ from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, RunRecord
 from relocbench.execution import default_workers
-from relocbench.files import remove_parts
+from relocbench.files import json_text, remove_parts
 from relocbench.methods import MethodSpec, distribution_version
 
 
@@ -98,6 +98,20 @@ def clear(folder: MethodResults, units: Iterable[str]) -> None:
     if folder.root.is_dir() and not any(folder.root.glob("*.txt")):
         folder.run_yaml.unlink(missing_ok=True)
         remove_parts(folder.root)
+
+
+def labelled_target(label: str, run: RunRecord) -> str:
+    """``LABEL=TARGET``, or the target alone if it is the label."""
+    return label if run.target == label else f"{label}={run.target}"
+
+
+def settings_of(label: str, run: RunRecord) -> list[str]:
+    """The parameters of a method as ``LABEL.key=value``, without a seed that is the run's own."""
+    return [
+        f"{label}.{key}={value if isinstance(value, str) else json_text(value, ascii_only=True)}"
+        for key, value in run.parameters.items()
+        if key != "seed" or value != run.seed
+    ]
 
 
 def machine() -> dict[str, Any]:

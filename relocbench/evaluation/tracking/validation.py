@@ -14,6 +14,7 @@ from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError, available
 from relocbench.evaluation.common.dataset_lookup import check_record
 from relocbench.evaluation.common.results import PREDICTIONS, DatasetRecord, MethodResults, RunRecord, ScoreRecord
+from relocbench.evaluation.common.runs import labelled_target, settings_of
 from relocbench.evaluation.tables.answers import ANSWERS
 from relocbench.evaluation.tables.errors import ERRORS, read_errors
 from relocbench.evaluation.tracking.score import FORMULAS
@@ -214,11 +215,8 @@ def _resume(folder: MethodResults, run: RunRecord | None, expected: _Expected) -
     if run is None or run.target.startswith(PREDICTIONS):
         return ""
     dataset = str(expected.dataset.root) if expected.dataset is not None else run.dataset.upper()
-    words = ["relocbench", "evaluate", "-d", dataset, "-m"]
-    words.append(run.target if run.target == folder.label else f"{folder.label}={run.target}")
-    for key, value in run.parameters.items():
-        if key != "seed":
-            words += ["--set", f"{folder.label}.{key}={value}"]
+    words = ["relocbench", "evaluate", "-d", dataset, "-m", labelled_target(folder.label, run)]
+    words += [word for setting in settings_of(folder.label, run) for word in ("--set", setting)]
     words += ["--seed", str(run.seed or 0), "-o", str(folder.root.parent.parent)]
     return f"; to go on: {shlex.join(words)}"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import shlex
 
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
+from relocbench.evaluation.common.runs import labelled_target, settings_of
 from relocbench.evaluation.tracking.clock import CLOCK
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
-from relocbench.leaderboard.common.text import json_text
 
 
 def page_command(option: str, metric: str, seed: int, split: str | None, datasets: str = "") -> str:
@@ -31,17 +31,3 @@ def method_words(run: RunRecord) -> list[str]:
     words = ["--method", labelled_target(run.method, run)]
     words += [word for setting in settings_of(run.method, run) for word in ("--set", setting)]
     return [*words, "--seed", str(run.seed)] if run.seed else words
-
-
-def labelled_target(label: str, run: RunRecord) -> str:
-    """``LABEL=TARGET``, or the target alone if it is the label."""
-    return label if run.target == label else f"{label}={run.target}"
-
-
-def settings_of(label: str, run: RunRecord) -> list[str]:
-    """The parameters of a method as ``LABEL.key=value``, without a seed that is the run's own."""
-    return [
-        f"{label}.{key}={value if isinstance(value, str) else json_text(value, ascii_only=True)}"
-        for key, value in run.parameters.items()
-        if key != "seed" or value != run.seed
-    ]

@@ -7,12 +7,10 @@ formulas or markup.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from relocbench.evaluation.tables.rows import write_rows
 from relocbench.metrics import Interval
@@ -21,7 +19,6 @@ Value = str | int | float | None
 _DIGITS = {"m": 3, "deg": 3, "s": 3}
 _FORMULA = re.compile(r"[\s'\"\x00-\x20]*[=+\-@＝＋－＠]|[\t\r\n]")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_DEEPEST = 20
 
 
 def number(value: float | None, unit: str) -> str:
@@ -60,22 +57,3 @@ def write_records(path: Path, records: Sequence[Mapping[str, Value]]) -> None:
     """Write records of equal keys as a CSV table of :func:`cell` values; a file without records is empty."""
     header = [list(records[0])] if records else []
     write_rows(path, (map(cell, row) for row in [*header, *(record.values() for record in records)]))
-
-
-def json_text(value: object, *, sort_keys: bool = False, ascii_only: bool = False) -> str:
-    """A value from a YAML file as JSON; types that JSON lacks, such as dates, become strings."""
-    return json.dumps(_plain(value, _DEEPEST), sort_keys=sort_keys, ensure_ascii=ascii_only)
-
-
-def _plain(value: Any, deepest: int) -> Any:
-    if value is None or isinstance(value, str | bool | float):
-        return value
-    if isinstance(value, int):
-        return value if value.bit_length() < 256 else hex(value)  # decimal digits of a huge integer take minutes
-    if isinstance(value, Mapping | list | tuple) and deepest == 0:
-        return "..."
-    if isinstance(value, Mapping):
-        return {k if isinstance(k, str) else str(_plain(k, 0)): _plain(v, deepest - 1) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v, deepest - 1) for v in value]
-    return str(value)

@@ -11,10 +11,9 @@ from markupsafe import Markup, escape
 
 from relocbench.evaluation.common.results import RunRecord
 from relocbench.evaluation.tables.rows import STATUSES
-from relocbench.files import remove_parts
+from relocbench.files import json_text, remove_parts
 from relocbench.leaderboard.boards import Boards
 from relocbench.leaderboard.common.ranks import SHARED
-from relocbench.leaderboard.common.text import json_text
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.assets import asset_files, write_assets
 from relocbench.leaderboard.html.data import write_data

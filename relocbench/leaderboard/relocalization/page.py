@@ -7,13 +7,15 @@ import shlex
 from collections.abc import Sequence
 
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
+from relocbench.evaluation.common.runs import labelled_target, settings_of
 from relocbench.evaluation.relocalization.pipeline import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, PipelineRun
+from relocbench.files import json_text
 from relocbench.leaderboard.common.columns import texts
-from relocbench.leaderboard.common.commands import labelled_target, page_command, settings_of
+from relocbench.leaderboard.common.commands import page_command
 from relocbench.leaderboard.common.headings import RETRIEVER, TRACKER
 from relocbench.leaderboard.common.ranks import why_no_ranks
-from relocbench.leaderboard.common.text import json_text, number
+from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.relocalization.board import (
     Pipeline,
     PipelineBoard,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from relocbench.files import json_text
 from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
 from relocbench.leaderboard.common.headings import ELSEWHERE, METHOD, RESCORED, SECONDS_AND_P95
-from relocbench.leaderboard.common.text import Value, json_text, number
+from relocbench.leaderboard.common.text import Value, number
 from relocbench.leaderboard.tracking.marks import made_elsewhere
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import METRICS, Difference, DifferentPlaces, Metric

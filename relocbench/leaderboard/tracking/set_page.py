@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.tables.matching import ALL
+from relocbench.files import json_text
 from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.headings import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95
-from relocbench.leaderboard.common.text import json_text, number
+from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.tracking.cells import (
     DAGGER,
     cell,

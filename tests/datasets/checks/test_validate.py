@@ -266,7 +266,8 @@ def test_a_run_that_was_killed_is_unfinished_and_its_command_ends_it(
     def killed(*_: object) -> None:
         raise KeyboardInterrupt
 
-    options = EvaluateOptions(dataset=dataset.root, methods=(IDENTITY,), out=tmp_path / "R", workers=0)
+    # A method with parameters, one of which is unset.
+    options = EvaluateOptions(dataset=dataset.root, methods=("orb-pnp",), out=tmp_path / "R", workers=0)
     with monkeypatch.context() as patch:
         patch.setattr(run_module, "_collect", killed)
         with pytest.raises(KeyboardInterrupt):
