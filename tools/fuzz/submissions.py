@@ -37,7 +37,8 @@ def _card(place: Place) -> None:
 
 def _check(place: Place, submission: str) -> Iterable[str]:
     from relocbench.evaluation.retrieval.opening import SetOptions
-    from relocbench.evaluation.submission.check import SubmissionOptions, check_submission
+    from relocbench.evaluation.submission.check import check_submission
+    from relocbench.evaluation.submission.contract import SubmissionOptions
     from relocbench.progress import Silent
 
     options = SubmissionOptions((place.root / "ds",), retrieval=SetOptions(radius_m=0.2))

@@ -11,7 +11,8 @@ import typer
 from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
-    from relocbench.evaluation.submission.check import Checked, SubmissionOptions
+    from relocbench.evaluation.submission.check import Checked
+    from relocbench.evaluation.submission.contract import SubmissionOptions
 
 FAULTY = 1
 """exit status where a submission has faults; 2 is left to commands that could not look at it"""
@@ -146,7 +147,7 @@ def _counts(checked: Checked) -> dict[str, int]:
 def _options(dataset: list[Path], radius: float | None, *, blind_only: bool) -> SubmissionOptions:
     from relocbench.errors import ConfigError
     from relocbench.evaluation.retrieval.opening import SetOptions
-    from relocbench.evaluation.submission.check import SubmissionOptions
+    from relocbench.evaluation.submission.contract import SubmissionOptions
 
     if not dataset:
         raise ConfigError("a submission is checked against what it answers: give --dataset FOLDER")

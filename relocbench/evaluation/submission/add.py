@@ -8,42 +8,26 @@ from __future__ import annotations
 
 import filecmp
 import shutil
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.opening import check_outside
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
-    DatasetResults,
     MethodResults,
-    RunRecord,
-    dataset_results,
-    write_dataset_record,
     write_record,
 )
-from relocbench.evaluation.retrieval.answers import write_answers as write_query_answers
-from relocbench.evaluation.retrieval.answers import write_lists
-from relocbench.evaluation.retrieval.external import answers_to
 from relocbench.evaluation.retrieval.records import (
     SET_FILE,
-    RetrievalRun,
     RetrieverResults,
-    SetResults,
-    set_results,
-    write_set_record,
 )
-from relocbench.evaluation.retrieval.score import score_retriever
 from relocbench.evaluation.submission.card import CARD, Card, card_bytes
-from relocbench.evaluation.submission.check import Checked, RankedDataset, SubmissionOptions, TrackedDataset
+from relocbench.evaluation.submission.check import Checked
+from relocbench.evaluation.submission.contract import AnsweredDataset, SubmissionOptions
 from relocbench.evaluation.submission.folder import checksums
 from relocbench.evaluation.submission.kept import kept_card, rows_of
-from relocbench.evaluation.submission.suspicions import same_answers
-from relocbench.evaluation.tables.answers import write_answers
-from relocbench.evaluation.tracking.score import read_predictions, score_method
 from relocbench.files import locked_output, read_bytes, write_bytes
 from relocbench.progress import Reporter
 
@@ -61,17 +45,6 @@ class Added:
     state: State
     remarks: tuple[str, ...]
     """what is odd about its answers"""
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """A row that is to be made."""
-
-    target: Path
-    make: Callable[[Path], tuple[str, ...]]
-    """makes the row in a folder for the dataset, and returns the remarks"""
-    record: str
-    """name of the file that describes the dataset"""
 
 
 def add_submission(
@@ -96,104 +69,41 @@ def add_submission(
     with locked_output(results, PredictionError):
         staging = results / _STAGING
         _recover(staging, results)
-        plans = [
-            *(_tracked(checked, card, one, results) for one in checked.tracked),
-            *(_ranked(checked, card, one, results) for one in checked.ranked),
-        ]
-        allowed = {plan.target: _check_label(checked, card, plan.target, replace) for plan in plans}
-        _check_other_rows(card, results, [plan.target for plan in plans])
+        homes = [one.home(results) for one in checked.answered]
+        targets = [home / card.label for home in homes]
+        exist = [_check_label(checked, card, target, replace) for target in targets]
+        _check_other_rows(card, results, targets)
         out = []
         try:
-            with reporter.stage("scoring", len(plans)) as advance:
-                for plan in plans:
-                    made = staging / "new" / plan.target.parent.name
-                    remarks = plan.make(made)
-                    out.append(Added(plan.target, _move(plan, made, staging, allowed[plan.target]), remarks))
+            with reporter.stage("scoring", len(homes)) as advance:
+                for one, home, target, exists in zip(checked.answered, homes, targets, exist, strict=True):
+                    made = staging / "new" / home.name
+                    remarks = _make(checked, card, one, home, made)
+                    out.append(Added(target, _move(one.record_file, made, target, staging, exists), remarks))
                     advance(1)
         finally:
             _recover(staging, results)
         return out
 
 
-def _tracked(checked: Checked, card: Card, one: TrackedDataset, results: Path) -> _Plan:
-    dataset = one.asked.dataset
-    withheld = [of.pair_set.name for of in one.pair_sets if not of.pair_set.has_truth]
-    if withheld:
-        message = f"the truth of '{withheld[0]}' is withheld; to score, name the dataset that the export was made of"
-        raise ConfigError(message, dataset.root)
-    root = dataset_results(results, dataset).root
-
-    def make(folder: Path) -> tuple[str, ...]:
-        row = MethodResults(folder / card.label)
-        write_dataset_record(DatasetResults(folder), dataset)
-        for of in one.pair_sets:
-            if (checked.root / one.name / f"{of.pair_set.name}.txt").exists():
-                lines = [PoseLine(*key, of.poses[key]) for key in of.pair_set.by_key if key in of.poses]
-                write_pose_lines(row.predictions(of.pair_set.name), lines)
-                write_answers(row.answers(of.pair_set.name), of.complete_answers())
-        remarks = (*_remarks(checked, one.name), *_same_as_others(one, DatasetResults(root), card.label))
-        run = RunRecord(
-            **_provenance(checked, card, one.name, remarks),
-            dataset=dataset.name,
-            fingerprint=dataset.fingerprint,
-            question=dataset.content_id,
-            answered_on=one.asked.answered_on,
-            answered_blind="" if one.asked.blind is None else str(one.asked.blind.name),
-        )
-        write_bytes(row.root / CARD, card_bytes(checked.root))
-        write_record(row.run_yaml, run)
-        score_method(dataset, dataset.pair_sets(), row)
-        return remarks
-
-    return _Plan(root / card.label, make, "dataset.yaml")
-
-
-def _ranked(checked: Checked, card: Card, one: RankedDataset, results: Path) -> _Plan:
-    opened = one.asked.images
-    if opened.source is None:
-        message = f"the truth of '{opened.name}' is withheld; to score, name the dataset that the export was made of"
-        raise ConfigError(message, checked.root / one.name)
-    set_folder = set_results(results, opened)
-    answered = [of for of in one.tasks if (checked.root / one.name / f"{of.task.name}.txt").exists()]
-
-    def make(folder: Path) -> tuple[str, ...]:
-        made, row = SetResults(folder), RetrieverResults(folder / card.label)
-        if (set_folder.root / SET_FILE).exists():  # other tasks of the same set may have been evaluated
-            write_bytes(folder / SET_FILE, read_bytes(set_folder.root / SET_FILE, "a record", PredictionError))
-        write_set_record(made, opened, [of.task for of in answered])
-        for of in answered:
-            gallery = {image.key: index for index, image in enumerate(of.task.gallery)}
-            lists = {q.key: [gallery[key] for key in of.lists.get(q.key, ())] for q in of.task.queries}
-            kept, answers = answers_to(of.task, lists)
-            write_lists(row.predictions(of.task.name), kept)
-            write_query_answers(row.answers(of.task.name), answers)
-        remarks = _remarks(checked, one.name)
-        run = RetrievalRun(
-            **_provenance(checked, card, one.name, remarks),
-            dataset=opened.name,
-            fingerprint=opened.fingerprint,
-            question=opened.content_id,
-            answered_blind="" if one.asked.blind is None else str(one.asked.blind.name),
-        )
-        write_bytes(row.root / CARD, card_bytes(checked.root))
-        write_record(row.run_yaml, run)
-        score_retriever(made.record, row)
-        return remarks
-
-    return _Plan(set_folder.root / card.label, make, SET_FILE)
-
-
-def _provenance(checked: Checked, card: Card, name: str, remarks: tuple[str, ...]) -> dict[str, Any]:
-    """What both kinds of records say of a row that was submitted."""
-    return {
+def _make(checked: Checked, card: Card, one: AnsweredDataset, home: Path, made: Path) -> tuple[str, ...]:
+    """Make a row in a folder for the dataset. Returns what is odd about its answers."""
+    remarks = (*_remarks(checked, one.folder.name), *one.same_as_others(home, card.label))
+    row = one.write_row(home, made, card.label)
+    fields = {
         "method": card.label,
         "target": f"{SUBMISSION}{card.label}",
         "machine": {"cpu": card.hardware},
         "uses_times": card.uses_times,
         "made_elsewhere": True,
-        "submitted": checksums(checked.root, checked.root / name),
+        "answered_blind": "" if one.blind_export is None else str(one.blind_export),
+        "submitted": checksums(checked.root, one.folder),
         "remarks": remarks,
     }
+    write_bytes(row.root / CARD, card_bytes(checked.root))
+    write_record(row.run_yaml, one.run_record(fields))
+    one.score(row)
+    return remarks
 
 
 def _remarks(checked: Checked, name: str) -> tuple[str, ...]:
@@ -201,23 +111,6 @@ def _remarks(checked: Checked, name: str) -> tuple[str, ...]:
     return tuple(
         suspicion.removeprefix(f"{name}: ") for suspicion in checked.suspicions if suspicion.startswith(f"{name}: ")
     )
-
-
-def _same_as_others(one: TrackedDataset, others: DatasetResults, label: str) -> Iterator[str]:
-    """Other rows of the results folder that gave most of the same answers."""
-    if not others.root.is_dir():
-        return
-    given = sum(len(of.poses) for of in one.pair_sets)
-    for row in others.methods():
-        if row.label != label:
-            theirs = {
-                of.pair_set.name: read_predictions(row.predictions(of.pair_set.name), of.pair_set)
-                for of in one.pair_sets
-                if row.predictions(of.pair_set.name).exists()
-            }
-            same = same_answers(one.pair_sets, theirs)
-            if given and 2 * same > given:
-                yield f"{same} of {given} answers are those of '{row.label}'"
 
 
 def _check_label(checked: Checked, card: Card, target: Path, replace: bool) -> bool:
@@ -231,8 +124,7 @@ def _check_label(checked: Checked, card: Card, target: Path, replace: bool) -> b
     if not run.submitted:
         message = f"the label '{card.label}' is that of a row that was not submitted, and is never replaced"
         raise PredictionError(f"{message}; choose another label", target)
-    names = [*(one.name for one in checked.tracked), *(one.name for one in checked.ranked)]
-    mine = any(run.submitted == checksums(checked.root, checked.root / name) for name in names)
+    mine = any(run.submitted == checksums(checked.root, one.folder) for one in checked.answered)
     if not mine and not replace:
         message = f"the label '{card.label}' is taken by another submission"
         raise PredictionError(f"{message}; choose another label, or replace it with --replace", target)
@@ -256,23 +148,23 @@ def _check_other_rows(card: Card, results: Path, targets: list[Path]) -> None:
             raise PredictionError(message, row.root)
 
 
-def _move(plan: _Plan, made: Path, staging: Path, exists: bool) -> State:
+def _move(record_file: str, made: Path, target: Path, staging: Path, exists: bool) -> State:
     """Put a row that was made into its place."""
-    row = made / plan.target.name
-    if exists and _equal(row, plan.target):
+    row, home = made / target.name, target.parent
+    if exists and _equal(row, target):
         return "there already"
-    if not plan.target.parent.exists():
-        made.rename(plan.target.parent)  # with the record of the dataset, in one step
+    if not home.exists():
+        made.rename(home)  # with the record of the dataset, in one step
         return "added"
-    record = plan.target.parent / plan.record
-    text = read_bytes(made / plan.record, "a record", PredictionError)
+    record = home / record_file
+    text = read_bytes(made / record_file, "a record", PredictionError)
     if not record.exists() or read_bytes(record, "a record", PredictionError) != text:
         write_bytes(record, text)
     if exists:
-        old = staging / "old" / plan.target.parent.name
+        old = staging / "old" / home.name
         old.mkdir(parents=True, exist_ok=True)
-        plan.target.rename(old / plan.target.name)
-    row.rename(plan.target)
+        target.rename(old / target.name)
+    row.rename(target)
     return "replaced" if exists else "added"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +12,9 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, parse_pose
 from relocbench.errors import PredictionError, quoted
+from relocbench.evaluation.submission.contract import UnitAnswers
 from relocbench.evaluation.submission.resolving import ResolvedDataset
+from relocbench.evaluation.submission.suspicions import odd_answers
 from relocbench.evaluation.tables.answers import ANSWERS, Answer
 from relocbench.evaluation.tables.rows import KEY_COLUMNS, TableRow
 from relocbench.evaluation.tables.schema import STATUS
@@ -27,7 +29,7 @@ _OPTIONAL = ANSWERS.columns[len(KEY_COLUMNS) :]
 
 
 @dataclass
-class PairSetAnswers:
+class PairSetAnswers(UnitAnswers):
     """What was submitted for a pair set. Keys are those of the dataset, also where the answers name blind ones."""
 
     pair_set: PairSet
@@ -35,14 +37,21 @@ class PairSetAnswers:
     """(4, 4) ``T_query_ref`` of answered pairs"""
     answers: dict[PairKey, Answer] = field(default_factory=dict)
     """rows of the table; empty where there is none"""
-    unknown: int = 0
-    duplicate: int = 0
-    invalid: int = 0
-    """unreadable lines, or invalid poses"""
 
     @property
-    def missing(self) -> int:
-        return len(self.pair_set.evaluated) - len(self.poses)
+    def name(self) -> str:
+        return self.pair_set.name
+
+    @property
+    def asked(self) -> int:
+        return len(self.pair_set.evaluated)
+
+    @property
+    def answered(self) -> int:
+        return len(self.poses)
+
+    def oddities(self) -> Iterator[str]:
+        return odd_answers(self.pair_set, self.poses, self.answers)
 
     def complete_answers(self) -> list[Answer]:
         """A row for each evaluated pair, in the pair set's order."""
@@ -55,7 +64,7 @@ class PairSetAnswers:
 
 def read_answered(path: Path, pair_set: PairSet, resolved: ResolvedDataset, findings: Findings) -> PairSetAnswers:
     """Read ``PAIRSET.txt`` and, where there is one, ``PAIRSET.csv``."""
-    out = PairSetAnswers(pair_set)
+    out = PairSetAnswers(pair_set, given=True)
     keys = resolved.keys(pair_set)
     if _of_possible_size(path, _LINE_BYTES, len(keys), findings):
         _read_poses(path, resolved, keys, out, findings)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from relocbench.datasets.checks.faults import Findings
 from relocbench.errors import PredictionError, quoted
+from relocbench.evaluation.submission.contract import UnitAnswers
 from relocbench.evaluation.submission.resolving import ResolvedRetrievalSet
 from relocbench.files import lines_of, read_text
 from relocbench.retrieval import RetrievalTask
@@ -18,24 +20,36 @@ MOST_IMAGES = 10_000
 
 
 @dataclass
-class TaskLists:
+class TaskLists(UnitAnswers):
     """What was submitted for a retrieval task."""
 
     task: RetrievalTask
     lists: dict[str, list[str]] = field(default_factory=dict)
     """retrieved images of each answered query, best first, by their names in the set"""
-    unknown: int = 0
-    duplicate: int = 0
-    invalid: int = 0
 
     @property
-    def missing(self) -> int:
-        return len(self.task.queries) - len(self.lists)
+    def name(self) -> str:
+        return self.task.name
+
+    @property
+    def asked(self) -> int:
+        return len(self.task.queries)
+
+    @property
+    def answered(self) -> int:
+        return len(self.lists)
+
+    def oddities(self) -> Iterator[str]:
+        lists = list(self.lists.values())
+        if lists:
+            yield "no answer has seconds"
+        if len(lists) > 1 and all(one == lists[0] for one in lists):
+            yield "all queries have one list"
 
 
 def read_ranked(path: Path, task: RetrievalTask, resolved: ResolvedRetrievalSet, findings: Findings) -> TaskLists:
     """Read ``TASK.txt``, a line ``query db`` for each retrieved image; keys of a blind export become names again."""
-    out = TaskLists(task)
+    out = TaskLists(task, given=True)
     queries, gallery = resolved.queries(task), resolved.gallery(task)
     names = {image.key for image in (*task.queries, *task.gallery)} if resolved.blind is not None else set()
     most = _SPARE_BYTES + _LINE_BYTES * len(queries) * min(len(gallery), MOST_IMAGES)
@@ -68,12 +82,3 @@ def read_ranked(path: Path, task: RetrievalTask, resolved: ResolvedRetrievalSet,
                 seen.add((query, image))
                 out.lists.setdefault(queries[query], []).append(gallery[image])
     return out
-
-
-def odd_lists(of: TaskLists) -> list[str]:
-    """What is odd about lists, one sentence each."""
-    lists = list(of.lists.values())
-    messages = ["no answer has seconds"] if lists else []
-    if len(lists) > 1 and all(one == lists[0] for one in lists):
-        messages.append("all queries have one list")
-    return messages

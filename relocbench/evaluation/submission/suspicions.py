@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.evaluation.submission.poses import PairSetAnswers
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.evaluation.tables.answers import Answer
 from relocbench.metrics import pose_errors
 
 _SAME = 1e-6
@@ -21,22 +23,29 @@ _SHORTEST_S = 1e-5
 """in which nothing looks at an image"""
 
 
-def suspicions(of: PairSetAnswers) -> Iterator[str]:
-    """What is odd about the answers to a pair set, one sentence each."""
-    given = [a for a in of.answers.values() if a.status == "ok"]
-    if of.poses and not any(a.seconds is not None for a in given):
+def odd_answers(
+    pair_set: PairSet, poses_of: Mapping[PairKey, Array], answers: Mapping[PairKey, Answer]
+) -> Iterator[str]:
+    """What is odd about the answers to a pair set, one sentence each.
+
+    Args:
+        poses_of: (4, 4) ``T_query_ref`` of answered pairs.
+        answers: rows of the table beside them; empty where there is none.
+    """
+    given = [a for a in answers.values() if a.status == "ok"]
+    if poses_of and not any(a.seconds is not None for a in given):
         yield "no answer has seconds"
     seconds = [a.seconds for a in given if a.seconds is not None]
     if len(seconds) >= _FEW and max(seconds) < _SHORTEST_S:
         yield f"no answer took longer than {max(seconds):.3g} s"
     confidences = [a.confidence for a in given if a.confidence is not None]
-    if of.poses and not confidences:
+    if poses_of and not confidences:
         yield "no answer has a confidence"
     elif len(confidences) >= _FEW and len(set(confidences)) == 1:
         yield f"all confidences are {confidences[0]:g}"
-    if len(of.poses) < _FEW:
+    if len(poses_of) < _FEW:
         return
-    poses = np.array(list(of.poses.values()))
+    poses = np.array(list(poses_of.values()))
     if _same(poses, np.eye(4)).all():
         yield "all answers are the identity, which is also the prior: the keyframe's own pose"
     elif _same(poses, poses[0]).all():
@@ -44,22 +53,22 @@ def suspicions(of: PairSetAnswers) -> Iterator[str]:
     far = int((np.linalg.norm(poses[:, :3, 3], axis=1) > _FAR_M).sum())
     if far:
         yield f"{far} answers are farther than {_FAR_M:g} m from the keyframe"
-    yield from _near_truth(of)
+    yield from _near_truth(pair_set, poses_of)
 
 
-def _near_truth(of: PairSetAnswers) -> Iterator[str]:
+def _near_truth(pair_set: PairSet, poses_of: Mapping[PairKey, Array]) -> Iterator[str]:
     """Answers that are the truth, or nearer to it than it is known or than methods come."""
-    asked = [p for p in of.pair_set.pairs if p.key in of.poses and p.T_query_ref is not None]
+    asked = [p for p in pair_set.pairs if p.key in poses_of and p.T_query_ref is not None]
     if len(asked) < _FEW:
         return
     truth = np.array([p.T_query_ref for p in asked])
-    poses = np.array([of.poses[p.key] for p in asked])
+    poses = np.array([poses_of[p.key] for p in asked])
     copied = int(_same(poses, truth).sum())
     if copied and not _same(truth, np.eye(4)).all():
         yield f"{copied} of {len(asked)} answers are the truth to {_SAME:g}"
     errors = pose_errors(poses, truth)
     farthest_m, farthest_deg = float(errors.translation_error_m.max()), float(errors.rotation_error_deg.max())
-    if len(asked) == len(of.pair_set.pairs) and farthest_m < _CLOSE_M and farthest_deg < _CLOSE_DEG:
+    if len(asked) == len(pair_set.pairs) and farthest_m < _CLOSE_M and farthest_deg < _CLOSE_DEG:
         message = f"all {len(asked)} answers are within {1000 * farthest_m:.3g} mm and {farthest_deg:.3g}° of the truth"
         yield f"{message}, as copies of it with noise are"
     sigmas = [p.sigma_translation_m for p in asked if p.sigma_translation_m]
@@ -76,10 +85,6 @@ def _same(poses: Array, others: Array) -> Array:
     return np.asarray(np.abs(poses - others).max(axis=(1, 2)) <= _SAME)
 
 
-def same_answers(ours: Sequence[PairSetAnswers], theirs: dict[str, dict[tuple[int, int], Array]]) -> int:
-    """How many answers are those of another row, by pair set and pair, digit by digit."""
-    found = 0
-    for of in ours:
-        other = theirs.get(of.pair_set.name, {})
-        found += sum(key in other and bool(_same(pose[None], other[key])[0]) for key, pose in of.poses.items())
-    return found
+def same_answers(ours: Mapping[PairKey, Array], theirs: Mapping[PairKey, Array]) -> int:
+    """How many answers to a pair set are those of another row, digit by digit."""
+    return sum(key in theirs and bool(_same(pose[None], theirs[key])[0]) for key, pose in ours.items())

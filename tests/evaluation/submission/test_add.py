@@ -20,7 +20,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.submission import add
-from relocbench.evaluation.submission.check import SubmissionOptions, check_submission
+from relocbench.evaluation.submission.check import check_submission
+from relocbench.evaluation.submission.contract import SubmissionOptions
 from relocbench.evaluation.tracking.blind_export import export_blind
 from relocbench.geometry import make_transform
 from relocbench.leaderboard.tracking.load import load_results

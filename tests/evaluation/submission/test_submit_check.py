@@ -16,7 +16,9 @@ from submissions import answer, change_card, guess, submit
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError
-from relocbench.evaluation.submission.check import Checked, SubmissionOptions, check_submission
+from relocbench.evaluation.submission.check import Checked, check_submission
+from relocbench.evaluation.submission.contract import SubmissionOptions
+from relocbench.evaluation.submission.tracked import TrackedDataset
 from relocbench.evaluation.tracking.blind_export import export_blind
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.progress import Silent
@@ -41,6 +43,13 @@ def faults(checked: Checked) -> list[str]:
     return [str(f).removeprefix(f"{checked.root}/") for f in checked.found.by_place().faults]
 
 
+def tracked(checked: Checked) -> TrackedDataset:
+    """The one dataset that was answered."""
+    (one,) = checked.answered
+    assert isinstance(one, TrackedDataset)
+    return one
+
+
 def test_a_sound_submission_has_no_fault_and_is_counted(town: Dataset, tmp_path: Path) -> None:
     checked = check(submit(tmp_path / "s", town), town)
     assert faults(checked) == []
@@ -56,7 +65,7 @@ def test_blind_keys_become_times(town: Dataset, blind: Dataset, tmp_path: Path) 
     assert faults(alone) == []
     for checked in (check(root, town), check(root, town, blind)):
         assert faults(checked) == []
-        for of in checked.tracked[0].pair_sets:
+        for of in tracked(checked).units:
             assert set(of.poses) == set(of.pair_set.by_key)
     assert faults(check(submit(tmp_path / "real", town), town, blind_only=True))[0].endswith("a blind export of it")
 
@@ -187,7 +196,7 @@ def test_the_record_of_a_run_must_be_of_the_same_dataset(town: Dataset, tmp_path
     root = submit(tmp_path / "s", town)
     record = root / town.name / "run.yaml"
     record.write_text(f"method: m\ntarget: m\ndataset: {town.name}\nfingerprint: abc\n")
-    assert "names the fingerprint abc, card.yaml names" in faults(check(root, town))[0]
+    assert f"is of {town.name}@abc, expected" in faults(check(root, town))[0]
     record.write_text("method: [\n")
     assert "not valid YAML" in faults(check(root, town))[0]
 
@@ -200,7 +209,7 @@ def test_a_copy_of_the_dataset_is_known_by_its_question(town: Dataset, tmp_path:
     )
     checked = check(root, town)
     assert faults(checked) == []
-    assert checked.tracked[0].asked.answered_on == "c" * 64
+    assert tracked(checked).resolved.answered_on == "c" * 64
 
 
 @pytest.mark.parametrize(
