@@ -22,9 +22,8 @@ from pathlib import Path
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
-from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable, PairErrors
-from relocbench.evaluation.tables.matching import ALL, MatchingRow
-from relocbench.evaluation.tables.rows import write_rows
+from relocbench.evaluation.tables.records import ALL, NUMBERS, ErrorTable, MatchingRow, PairErrors
+from relocbench.evaluation.tables.schema import write_rows
 from relocbench.leaderboard.common.text import cell
 from relocbench.leaderboard.tracking.doubt import TruthCheck
 from relocbench.leaderboard.tracking.long_form import leaderboard_rows

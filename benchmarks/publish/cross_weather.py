@@ -53,8 +53,7 @@ from baselines.gn_net.method import ALONG, TURNS_DEG
 from baselines.gn_net.tracker import ONE_START
 from relocbench.arrays import Array
 from relocbench.evaluation.common.results import all_results
-from relocbench.evaluation.tables.errors import read_errors
-from relocbench.evaluation.tables.matching import ALL
+from relocbench.evaluation.tables.records import ALL, read_errors
 from relocbench.metrics import (
     CONFIDENT,
     Difference,

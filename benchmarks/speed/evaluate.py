@@ -21,7 +21,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, write_pairs
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers import importer
-from relocbench.evaluation.tables.answers import read_answers
+from relocbench.evaluation.tables.records import read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution import Run, default_workers
 from relocbench.progress import Silent

@@ -39,8 +39,7 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
     write_record,
 )
-from relocbench.evaluation.tables.answers import Answer, write_answers
-from relocbench.evaluation.tables.errors import PairErrors, write_errors
+from relocbench.evaluation.tables.records import Answer, PairErrors, write_answers, write_errors
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,

@@ -26,7 +26,7 @@ SHORT_HEADINGS = {
 
 def short_heading(metric: str, unit: str = "share") -> str:
     """The heading of a metric on the terminal, as ``recall 1m 5deg, %``."""
-    from relocbench.leaderboard.common.headings import heading
+    from relocbench.leaderboard.common.text import heading
 
     if metric in SHORT_HEADINGS:
         return SHORT_HEADINGS[metric]
@@ -55,9 +55,8 @@ def _alike(columns: Sequence[Column]) -> list[list[int]]:
 
 def _print_part(results: ByCondition, columns: Sequence[int], name: str) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import METHOD, RANK
-    from relocbench.leaderboard.common.ranks import NO_RANK
-    from relocbench.leaderboard.common.text import number
+    from relocbench.leaderboard.common.model import NO_RANK
+    from relocbench.leaderboard.common.text import METHOD, RANK, number
     from relocbench.leaderboard.tracking.by_condition import UNKNOWN
 
     first = results.columns[columns[0]]
@@ -99,9 +98,9 @@ def print_board(board: Board) -> None:
 
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import METHOD, RANK
-    from relocbench.leaderboard.tracking.cells import total_words, why_no_ranks
+    from relocbench.leaderboard.common.text import METHOD, RANK
     from relocbench.leaderboard.tracking.columns import lines_of, tracking_columns
+    from relocbench.leaderboard.tracking.marks import total_words, why_no_ranks
     from relocbench.metrics import shown_in
 
     shown = shown_in("terminal", board.metric)
@@ -119,7 +118,7 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
 def print_by_query(display: Display[Any, Any], board: TaskBoard[Any, Any, Any, Any]) -> None:
     """A short table for each table of a board of retrievers or of pipelines."""
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.ranks import why_no_ranks
+    from relocbench.leaderboard.common.model import why_no_ranks
 
     columns = display.columns(board)
     heads = [short_heading(key, columns[key].unit) for key in display.terminal(board)]

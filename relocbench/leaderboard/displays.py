@@ -11,9 +11,8 @@ from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.by_query import Board, SetBoard, Table
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.columns import Column, records
-from relocbench.leaderboard.common.headings import METHOD, RANK, RETRIEVER, TOP, TRACKER
 from relocbench.leaderboard.common.latex import LatexTable, document
-from relocbench.leaderboard.common.text import Value, write_records
+from relocbench.leaderboard.common.text import METHOD, RANK, RETRIEVER, TOP, TRACKER, Value, write_records
 from relocbench.leaderboard.relocalization import columns as of_pipelines
 from relocbench.leaderboard.relocalization.board import PipelineBoard
 from relocbench.leaderboard.relocalization.page import relocalization_page

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from made_results import Made, MadeResults
 
-from relocbench.evaluation.tables.errors import ErrorTable
-from relocbench.leaderboard.common.ranks import NO_RANK
+from relocbench.evaluation.tables.records import ErrorTable
+from relocbench.leaderboard.common.model import NO_RANK
 from relocbench.leaderboard.tracking.by_condition import ByCondition, by_condition
-from relocbench.leaderboard.tracking.thresholds import FinerThresholds, finer_thresholds
+from relocbench.leaderboard.tracking.reservations import FinerThresholds, finer_thresholds
 
 SNOW, NIGHT, OWN = "sun__snow__front", "sun__night__front", "sun__sun__front"
 BAD = np.inf

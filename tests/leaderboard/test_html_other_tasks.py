@@ -26,10 +26,8 @@ from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.chosen import worst_and_drawn
 from relocbench.leaderboard.html.pipeline_pages.payloads import PipelinePages
-from relocbench.leaderboard.html.pipeline_pages.stages import retrieval_seconds
-from relocbench.leaderboard.html.retrieval_pages.distances import distances_of
-from relocbench.leaderboard.html.retrieval_pages.lists import kept_lists
-from relocbench.leaderboard.html.retrieval_pages.queries import RankedQueries
+from relocbench.leaderboard.html.pipeline_pages.queries import retrieval_seconds
+from relocbench.leaderboard.html.retrieval_pages.queries import RankedQueries, distances_of, kept_lists
 from relocbench.leaderboard.html.site import write_site
 from relocbench.leaderboard.html.thumbnails import small, thumbnail_name
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION, Pipeline, PipelineBoard

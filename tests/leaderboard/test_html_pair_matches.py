@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from relocbench.geometry import Camera
-from relocbench.leaderboard.html.pair_page.matches import MOST, shown_matches
-from relocbench.leaderboard.html.pair_page.pictures import small_camera
+from relocbench.leaderboard.html.pair_page.pictures import MOST, shown_matches, small_camera
 
 LARGE = Camera("pinhole", 960, 720, 700.0, 700.0, 479.5, 359.5)
 BENT = Camera("radtan", 160, 120, 130.0, 130.0, 79.5, 59.5, (-0.2, 0.03, 0.001, -0.001))

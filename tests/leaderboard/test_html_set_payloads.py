@@ -19,17 +19,14 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors, sweep
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import PairSetRecord, dataset_results, write_dataset_record
-from relocbench.evaluation.probe.read import read_probe
-from relocbench.evaluation.probe.records import RADII, SHARES
-from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
-from relocbench.evaluation.tables.rows import write_rows
+from relocbench.evaluation.probe.records import RADII, SHARES, read_probe
+from relocbench.evaluation.tables.records import OFFSETS_PX, MatchingRow
+from relocbench.evaluation.tables.schema import write_rows
 from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import invert, make_transform, so3_exp
 from relocbench.leaderboard.html.looks import further_looks, looks
-from relocbench.leaderboard.html.set_page.maps import Maps
-from relocbench.leaderboard.html.set_page.measured import matching_payload
-from relocbench.leaderboard.html.set_page.months import months_apart
-from relocbench.leaderboard.html.set_page.plan import plan_of
+from relocbench.leaderboard.html.set_page.maps import Maps, plan_of
+from relocbench.leaderboard.html.set_page.measured import matching_payload, months_apart
 from relocbench.leaderboard.html.set_page.sweeps import axis_of, sweep_of
 from relocbench.leaderboard.tracking.model import DatasetBoard
 

@@ -17,7 +17,7 @@ from made_results import NIGHT, WINTER, MadeResults, made
 from relocbench.evaluation.common.folders import SetLike
 from relocbench.leaderboard import load_results, make_board
 from relocbench.leaderboard.boards import Boards
-from relocbench.leaderboard.html import colours, links
+from relocbench.leaderboard.html import links, matrix
 from relocbench.leaderboard.html.data import floats, script_json
 from relocbench.leaderboard.html.looks import looks
 from relocbench.leaderboard.html.rows import sections
@@ -65,10 +65,10 @@ def test_floats_are_little_endian_float32() -> None:
 
 
 def test_scripts_have_the_colours_of_cells() -> None:
-    script = (Path(colours.__file__).parent / "assets" / "core.js").read_text(encoding="utf-8")
+    script = (Path(matrix.__file__).parent / "assets" / "core.js").read_text(encoding="utf-8")
     scale = re.search(r"QUALITY = (.*);", script)
     assert scale is not None
-    hexes = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in (colours.BAD, colours.MIDDLE, colours.GOOD)]
+    hexes = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in (matrix.BAD, matrix.MIDDLE, matrix.GOOD)]
     assert json.loads(scale[1]) == [[0, hexes[0]], [0.5, hexes[1]], [1, hexes[2]]]
 
 

@@ -21,8 +21,8 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import RunRecord
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import write_leaderboard
-from relocbench.leaderboard.tracking.cells import level_with_identity
 from relocbench.leaderboard.tracking.front_page import front_page
+from relocbench.leaderboard.tracking.marks import level_with_identity
 from relocbench.leaderboard.tracking.method import evaluate_command
 from relocbench.metrics import Difference, Interval
 

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from relocbench.leaderboard.common.model import Row
-from relocbench.leaderboard.common.ranks import NO_RANK, rank_text, why_no_ranks
+from relocbench.leaderboard.common.model import NO_RANK, Row, rank_text, why_no_ranks
 from relocbench.metrics import Interval
 
 KNOWN = {"R@1": Interval(0.1, 0.3, 0.95)}

@@ -9,7 +9,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.evaluation.common.results import RunRecord, dataset_results
-from relocbench.evaluation.tables.answers import Answer, write_answers
+from relocbench.evaluation.tables.records import Answer, write_answers
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.files import dump_yaml, write_text
 

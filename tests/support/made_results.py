@@ -14,8 +14,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.evaluation.common.results import DatasetRecord, MethodResults, PairSetRecord, RunRecord, ScoreRecord
-from relocbench.evaluation.tables.answers import Answer, write_answers
-from relocbench.evaluation.tables.errors import PairErrors, write_errors
+from relocbench.evaluation.tables.records import Answer, PairErrors, write_answers, write_errors
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,

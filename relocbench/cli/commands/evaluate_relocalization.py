@@ -93,8 +93,7 @@ def _print_report(report: RelocalizationReport, progress: Reporter) -> None:
     from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
     from relocbench.evaluation.relocalization.score import FAILURES, RANKING
-    from relocbench.leaderboard.common.headings import RETRIEVER, TOP, TRACKER
-    from relocbench.leaderboard.common.text import number
+    from relocbench.leaderboard.common.text import RETRIEVER, TOP, TRACKER, number
 
     for name, record in report.tasks.record.tasks.items():
         title = (

@@ -131,7 +131,7 @@ def evaluate_retrieval(
 def _print_report(report: RetrievalReport, progress: Reporter) -> None:
     from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.headings import COUNTS, METHOD, SECONDS, heading
+    from relocbench.leaderboard.common.text import COUNTS, METHOD, SECONDS, heading
     from relocbench.leaderboard.retrieval.columns import TERMINAL
 
     for task in report.asked.chosen:

@@ -54,7 +54,7 @@ def methods(
 
 def _print_list(found: Mapping[MethodKind, Mapping[str, EntryPoint]]) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.evaluation.tracking.clock import CLOCK
+    from relocbench.evaluation.tracking.trivial import CLOCK
     from relocbench.methods import TRACKERS
     from relocbench.methods.fetching import Weights
 

@@ -1,13 +1,18 @@
-"""The tables of a probe: shares at each offset, radii at which half of them is left, and starts as in practice."""
+"""The tables of a probe as they are written and read: shares at each offset, radii at which half is left, starts."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
-from relocbench.evaluation.tables.rows import TableRow
-from relocbench.evaluation.tables.schema import COUNT, TEXT, Kind, Record, Schema
+from pydantic import BaseModel, ConfigDict
+
+from relocbench.datasets.core.schema import Fingerprint, FolderName
+from relocbench.errors import PredictionError
+from relocbench.evaluation.tables.schema import COUNT, TEXT, Kind, Record, Schema, TableRow
+from relocbench.files import load_yaml
 
 
 def _share(row: TableRow, name: str) -> float:
@@ -115,3 +120,56 @@ class StartShares(Record):
 
 
 SHARES, RADII, STARTS = Schema(SharePoint), Schema(Radii), Schema(StartShares)
+
+
+PROBE = "probe.yaml"
+"""the record of a probe, by which its folder is known"""
+
+
+@dataclass(frozen=True)
+class ProbeLine:
+    """The curve of one method: the share of starts that ended near the truth, by how far off they began."""
+
+    points: tuple[SharePoint, ...]
+    """at least one"""
+    radii: Radii | None
+    """known for the main criterion"""
+
+
+@dataclass(frozen=True)
+class ProbeTables:
+    """What the folder of a probe holds."""
+
+    folder: Path
+    dataset: str
+    fingerprint: str
+    lines: tuple[ProbeLine, ...]
+    starts: tuple[StartShares, ...] = ()
+    """known where whole poses were started at the keyframe's pose"""
+
+
+class _Record(BaseModel):
+    """What is needed of ``probe.yaml``."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    dataset: FolderName
+    fingerprint: Fingerprint
+
+
+def read_probe(folder: Path) -> ProbeTables:
+    """Read the folder that ``relocbench probe`` wrote.
+
+    Raises:
+        PredictionError: with file and line: a table or record is missing or bad.
+    """
+    record = load_yaml(folder / PROBE, _Record, "the record of a probe", PredictionError)
+    curves: dict[tuple[str, ...], list[SharePoint]] = {}
+    for point in SHARES.read(folder / "probe.csv"):
+        curves.setdefault(point.curve, []).append(point)
+    radii = {row.curve: row for row in RADII.read(folder / "radii.csv")}
+    lines = tuple(ProbeLine(tuple(points), radii.get(curve)) for curve, points in curves.items())
+    starts = folder / "starts.csv"
+    return ProbeTables(
+        folder, record.dataset, record.fingerprint, lines, tuple(STARTS.read(starts)) if starts.exists() else ()
+    )

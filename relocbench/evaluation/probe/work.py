@@ -19,12 +19,14 @@ from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.isolation.capabilities import Capabilities
 from relocbench.evaluation.isolation.handles import TrackerHandle
 from relocbench.evaluation.isolation.worker import (
+    LossHandler,
     Unit,
     answered_keys,
     append_entry,
     journal_entries,
     open_journal,
     query_of,
+    run_until_answered,
     show_keyframe,
     tracker_of,
     traversal_of,
@@ -32,7 +34,6 @@ from relocbench.evaluation.isolation.worker import (
     visibility_of,
     write_entry,
 )
-from relocbench.evaluation.isolation.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
 from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
 from relocbench.evaluation.probe.starts import probe_starts

@@ -10,7 +10,6 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 
-from relocbench.evaluation.tables.rows import TableRow, float_text
 from relocbench.evaluation.tables.schema import (
     COUNT,
     ERROR,
@@ -21,6 +20,8 @@ from relocbench.evaluation.tables.schema import (
     Kind,
     Record,
     Schema,
+    TableRow,
+    float_text,
     one_of,
     or_blank,
 )

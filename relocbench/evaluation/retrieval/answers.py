@@ -11,8 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.tables.rows import TableRow
-from relocbench.evaluation.tables.schema import COUNT, SECONDS, STATUS, TEXT, Kind, Record, Schema
+from relocbench.evaluation.tables.schema import COUNT, SECONDS, STATUS, TEXT, Kind, Record, Schema, TableRow
 from relocbench.files import atomic_write, lines_of, read_text, whole_number
 from relocbench.metrics import NEVER, Ranking
 

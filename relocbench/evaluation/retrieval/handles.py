@@ -7,8 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from relocbench.evaluation.isolation.worker import CONSTRUCTOR
-from relocbench.evaluation.isolation.worker_losses import HOPELESS, TRIES, given_up_message, is_final, loss_message
+from relocbench.evaluation.isolation.worker import (
+    CONSTRUCTOR,
+    HOPELESS,
+    TRIES,
+    given_up_message,
+    is_final,
+    loss_message,
+)
 from relocbench.evaluation.retrieval.isolation import IsolatedRetriever
 from relocbench.evaluation.retrieval.local import CallResult, LocalRetriever, create_retriever
 from relocbench.execution import MANY_TIMES, Limits, Loss, Run, run_limited, step

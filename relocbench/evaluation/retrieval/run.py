@@ -30,7 +30,7 @@ from relocbench.evaluation.retrieval.records import (
     TaskRun,
     write_set_record,
 )
-from relocbench.evaluation.tables.rows import STATUSES
+from relocbench.evaluation.tables.schema import STATUSES
 from relocbench.execution import Run, default_workers
 from relocbench.files import locked_folder
 from relocbench.methods import MethodSpec

@@ -1,15 +1,18 @@
-"""The task of retrievers in a submission: lists of images of a retrieval set, or of a blind export of it."""
+"""The task of retrievers in a submission: lists of images of a retrieval set, or of a blind export of it.
+
+Every fault of a file is found, with its line.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.pairs.street_places import StreetPlaces
-from relocbench.errors import PredictionError
+from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.common.blind_names import BlindName
 from relocbench.evaluation.common.results import MethodResults, RunRecord
 from relocbench.evaluation.retrieval.answers import write_answers, write_lists
@@ -29,15 +32,86 @@ from relocbench.evaluation.submission.contract import (
     AnsweredDataset,
     SubmissionOptions,
     SubmissionTask,
+    UnitAnswers,
     check_blind_only,
     files_of_units,
     run_beside,
     withheld,
 )
-from relocbench.evaluation.submission.rankings import TaskLists, read_ranked
 from relocbench.evaluation.submission.resolving import ResolvedRetrievalSet, resolve_lists
-from relocbench.files import read_bytes, write_bytes
+from relocbench.files import lines_of, read_bytes, read_text, write_bytes
 from relocbench.progress import Reporter
+from relocbench.retrieval import RetrievalTask
+
+_LINE_BYTES, _SPARE_BYTES = 512, 2**16
+_REAL = ": this is a real name, and the card names a blind export, whose keys are expected"
+MOST_IMAGES = 10_000
+"""of one query's list"""
+
+
+@dataclass
+class TaskLists(UnitAnswers):
+    """What was submitted for a retrieval task."""
+
+    task: RetrievalTask
+    lists: dict[str, list[str]] = field(default_factory=dict)
+    """retrieved images of each answered query, best first, by their names in the set"""
+
+    @property
+    def name(self) -> str:
+        return self.task.name
+
+    @property
+    def asked(self) -> int:
+        return len(self.task.queries)
+
+    @property
+    def answered(self) -> int:
+        return len(self.lists)
+
+    def oddities(self) -> Iterator[str]:
+        lists = list(self.lists.values())
+        if lists:
+            yield "no answer has seconds"
+        if len(lists) > 1 and all(one == lists[0] for one in lists):
+            yield "all queries have one list"
+
+
+def read_ranked(path: Path, task: RetrievalTask, resolved: ResolvedRetrievalSet, findings: Findings) -> TaskLists:
+    """Read ``TASK.txt``, a line ``query db`` for each retrieved image; keys of a blind export become names again."""
+    out = TaskLists(task, given=True)
+    queries, gallery = resolved.queries(task), resolved.gallery(task)
+    names = {image.key for image in (*task.queries, *task.gallery)} if resolved.blind is not None else set()
+    most = _SPARE_BYTES + _LINE_BYTES * len(queries) * min(len(gallery), MOST_IMAGES)
+    with findings.catching():
+        text = read_text(path, "retrieved images, a line 'query db' each", PredictionError, most)
+        seen: set[tuple[str, str]] = set()
+        for number, line in enumerate(lines_of(text), start=1):
+            words = line.split()
+            if not words or line.startswith("#"):
+                continue
+            if len(words) != 2:
+                out.invalid += 1
+                findings.fault(f"expected 'query db', found {len(words)} words", path, number)
+                continue
+            query, image = words
+            if query not in queries:
+                out.unknown += 1
+                message = f"unknown query {quoted(query)}; queries are such as '{next(iter(queries))}'"
+                findings.fault(message + (_REAL if query in names else ""), path, number)
+            elif image not in gallery:
+                out.unknown += 1
+                message = (
+                    f"image {quoted(image)} is not in the gallery, whose images are such as '{next(iter(gallery))}'"
+                )
+                findings.fault(message + (_REAL if image in names else ""), path, number)
+            elif (query, image) in seen:
+                out.duplicate += 1
+                findings.fault(f"image {quoted(image)} occurs again for the query {quoted(query)}", path, number)
+            else:
+                seen.add((query, image))
+                out.lists.setdefault(queries[query], []).append(gallery[image])
+    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,14 +25,12 @@ from relocbench.evaluation.common.results import (
     write_dataset_record,
 )
 from relocbench.evaluation.isolation.capabilities import capabilities_of
-from relocbench.evaluation.tables.answers import read_answers
-from relocbench.evaluation.tables.matching import read_matching
-from relocbench.evaluation.tracking.clock import CLOCK, run_clock
+from relocbench.evaluation.tables.records import read_answers, read_matching
 from relocbench.evaluation.tracking.external import import_predictions
-from relocbench.evaluation.tracking.identity import is_identity, run_identity
 from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import run_method
 from relocbench.evaluation.tracking.score import score_method
+from relocbench.evaluation.tracking.trivial import CLOCK, is_identity, run_clock, run_identity
 from relocbench.execution import kept_workers
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter

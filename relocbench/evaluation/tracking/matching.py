@@ -26,6 +26,7 @@ from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.common.runs import refuse_mixture
 from relocbench.evaluation.isolation.handles import TrackerHandle
 from relocbench.evaluation.isolation.worker import (
+    LossHandler,
     Unit,
     answered_keys,
     append_entry,
@@ -33,6 +34,7 @@ from relocbench.evaluation.isolation.worker import (
     open_journal,
     query_of,
     remove_journal,
+    run_until_answered,
     show_keyframe,
     time_factor,
     tracker_of,
@@ -41,8 +43,7 @@ from relocbench.evaluation.isolation.worker import (
     visibility_of,
     write_entry,
 )
-from relocbench.evaluation.isolation.worker_losses import LossHandler, run_until_answered
-from relocbench.evaluation.tables.matching import (
+from relocbench.evaluation.tables.records import (
     OFFSETS_PX,
     MatchingRow,
     check_complete,

@@ -21,6 +21,7 @@ from relocbench.evaluation.isolation.answers import CheckedAnswer, error_answer
 from relocbench.evaluation.isolation.capabilities import construction_fault
 from relocbench.evaluation.isolation.handles import TrackerHandle
 from relocbench.evaluation.isolation.worker import (
+    LossHandler,
     Unit,
     Visibility,
     answered_keys,
@@ -30,6 +31,7 @@ from relocbench.evaluation.isolation.worker import (
     open_journal,
     query_of,
     remove_journal,
+    run_until_answered,
     show_keyframe,
     time_factor,
     tracker_of,
@@ -37,8 +39,7 @@ from relocbench.evaluation.isolation.worker import (
     visibility_of,
     write_entry,
 )
-from relocbench.evaluation.isolation.worker_losses import LossHandler, run_until_answered
-from relocbench.evaluation.tables.answers import Answer, read_answers, write_answers
+from relocbench.evaluation.tables.records import Answer, read_answers, write_answers
 from relocbench.execution import MANY_TIMES, Run, kept_workers, step
 from relocbench.files import locked_folder, read_rows, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec

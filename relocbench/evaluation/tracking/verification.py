@@ -16,8 +16,9 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
-from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable
-from relocbench.evaluation.tables.matching import (
+from relocbench.evaluation.tables.records import (
+    NUMBERS,
+    ErrorTable,
     MatchingRow,
     check_complete,
     read_matching,

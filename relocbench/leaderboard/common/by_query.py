@@ -14,9 +14,9 @@ from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import AnswerFolder, SetLike, folders_with
 from relocbench.evaluation.tables.schema import Schema
-from relocbench.leaderboard.common.headings import SECONDS
 from relocbench.leaderboard.common.loading import BoardTask, Loaded, Plan, Standing, compared, load_sets
 from relocbench.leaderboard.common.model import Method, Row
+from relocbench.leaderboard.common.text import SECONDS
 from relocbench.progress import Reporter
 
 

@@ -1,13 +1,14 @@
-"""Cards of predictions that were made elsewhere, beside the pages that show their rows."""
+"""Predictions that were made elsewhere: their cards beside the pages that show their rows, and copies they answered."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import quote
 
+from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.results import RunRecord
 from relocbench.evaluation.submission.kept import KeptCard
 from relocbench.files import write_bytes
@@ -71,3 +72,18 @@ def write_cards(out: Path, title: str, methods: Sequence[MayHaveCard]) -> list[P
 def add_command(label: str, *, results: str = "RESULTS", dataset: str = "DATASET") -> str:
     """The command that brings a submission in again."""
     return shlex.join(["relocbench", "leaderboard", "add", label, "--results", results, "--dataset", dataset])
+
+
+def distinct_label(label: str, known: Container[str], fingerprint: str) -> str:
+    """The label, or where another copy has the same one, the label with the fingerprint of its copy."""
+    return f"{label}@{fingerprint[:SHORT]}" if label in known else label
+
+
+def answers_on_copies(methods: Sequence[Ran], copies: Sequence[str]) -> list[tuple[list[str], str]]:
+    """The labels of methods that answered on another copy, and the short fingerprint of that copy.
+
+    Args:
+        copies: fingerprints of the copies other than the first.
+    """
+    out = [([m.label for m in methods if m.run.fingerprint == copy], copy[:SHORT]) for copy in copies]
+    return out + [([m.label], m.run.answered_on[:SHORT]) for m in methods if m.run.answered_on]

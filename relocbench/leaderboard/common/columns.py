@@ -10,10 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-from relocbench.leaderboard.common.headings import COUNTS, RANK, heading
-from relocbench.leaderboard.common.model import Row
-from relocbench.leaderboard.common.ranks import rank_text
-from relocbench.leaderboard.common.text import Value, with_bounds
+from relocbench.leaderboard.common.model import Row, rank_text
+from relocbench.leaderboard.common.text import COUNTS, RANK, Value, heading, with_bounds
 from relocbench.metrics import Interval
 
 B = TypeVar("B")

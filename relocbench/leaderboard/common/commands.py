@@ -6,8 +6,8 @@ import shlex
 
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
 from relocbench.evaluation.common.runs import labelled_target, settings_of
-from relocbench.evaluation.tracking.clock import CLOCK
-from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
+from relocbench.evaluation.tracking.trivial import CLOCK
+from relocbench.evaluation.tracking.trivial import TARGET as CLOCK_TARGET
 
 
 def page_command(option: str, metric: str, seed: int, split: str | None, datasets: str = "") -> str:

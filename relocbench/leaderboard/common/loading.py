@@ -19,8 +19,8 @@ from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import ConfigError, PredictionError, available
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import AnswerFolder, SetFolder, SetLike, folders_with, sets_in
-from relocbench.evaluation.tables.matching import ALL
-from relocbench.leaderboard.common.copies import distinct_label
+from relocbench.evaluation.tables.records import ALL
+from relocbench.leaderboard.common.cards import distinct_label
 from relocbench.leaderboard.common.model import Method, Row
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_questions
 from relocbench.metrics import Interval, generator, mean_interval, rank_with_ties

@@ -1,12 +1,15 @@
-"""What boards of all tasks have in common: a method with its results, and its row in a table."""
+"""What boards of all tasks have in common: a method with its results, its row in a table, and its rank as it is shown.
+
+A rank that all methods of a table share is not shown, since it says nothing of any.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-from relocbench.metrics import Interval
+from relocbench.metrics import MIN_EFFECTIVE, Interval
 
 
 class Method(Protocol):
@@ -40,3 +43,37 @@ class Row(Generic[M_co]):
     """number of answers on which it raised, crashed or broke the contract"""
     missing: tuple[str, ...] = ()
     """the pair sets or tasks that are missing"""
+
+
+NO_RANK = "–"
+"""in place of the rank that all methods of a table share"""
+SHARED = "Methods share a rank where the pairs show no significant difference between them"
+
+
+def share_a_rank(rows: Iterable[Row[Any]]) -> bool:
+    """Whether all ranked rows share the first rank."""
+    return all(row.rank in (1, None) for row in rows)
+
+
+def rank_text(row: Row[Any], rows: Iterable[Row[Any]]) -> str:
+    """The rank as text: empty for a row that is not ranked, a dash where all rows share a rank."""
+    if row.rank is None:
+        return ""
+    return NO_RANK if share_a_rank(rows) else str(row.rank)
+
+
+def why_no_ranks(rows: Sequence[Row[Any]], metric: str, of: str) -> str:
+    """Why a table shows no ranks, in a sentence without its full stop; empty where it has some, and without methods.
+
+    Args:
+        metric: the one that ranks.
+        of: what the rows are over, with their number, such as ``24 pairs``.
+    """
+    ranked = [row for row in rows if row.rank is not None]
+    if not ranked or not share_a_rank(rows):
+        return ""
+    if not all(row.intervals.get(metric) for row in ranked):  # a difference from what has no interval is not tested
+        return f"No ranks: too few of the {of} are independent (effective sample size below {MIN_EFFECTIVE:g})"
+    if len(ranked) == 1:
+        return "No ranks: there is one method alone"
+    return "No ranks: no significant difference between the methods"

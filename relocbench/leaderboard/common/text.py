@@ -1,4 +1,9 @@
-"""Formatting numbers and the cells of tables.
+"""Headings, numbers and the cells of tables.
+
+A number has one name wherever it is printed: that of the column in CSV, which says the unit
+(``median_translation_error_m``). In CSV shares are 0 to 1; on pages and on the terminal they are in percent, and their
+heading says so: ``coverage, %``. Two numbers in one cell have both names: ``median_seconds / p95_seconds``. Pages call
+the columns ``failed`` and ``broke`` of CSV by what they count: ``declined / crashed``.
 
 Names, messages and parameters come from whoever made the results. In tables for spreadsheets they pass through
 :func:`cell`, on pages through the filters of :mod:`relocbench.pages`, so that they are shown as text and cannot act as
@@ -12,8 +17,24 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from relocbench.evaluation.tables.rows import write_rows
+from relocbench.evaluation.tables.schema import write_rows
 from relocbench.metrics import Interval
+
+METHOD, RANK = "method", "rank"
+SECONDS = "median_seconds"
+SECONDS_AND_P95 = "median_seconds / p95_seconds"
+COUNTS = "declined / crashed"
+RESCORED = "rescored"
+RETRIEVER, TRACKER, TOP = "retriever", "tracker", "top"
+BASIN = "basin_m / basin_deg"
+ELSEWHERE = ("elsewhere", "elsewhere_answered", "elsewhere_confident", "elsewhere_confident_high")
+"""the columns about pairs of different places"""
+
+
+def heading(name: str, unit: str = "share") -> str:
+    """The heading of a column of CSV where shares are shown in percent."""
+    return f"{name}, %" if unit == "share" else name
+
 
 Value = str | int | float | None
 _DIGITS = {"m": 3, "deg": 3, "s": 3}

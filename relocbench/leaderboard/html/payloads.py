@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from relocbench.leaderboard.common.headings import COUNTS, SECONDS
-from relocbench.leaderboard.common.ranks import rank_text
+from relocbench.leaderboard.common.model import rank_text
+from relocbench.leaderboard.common.text import COUNTS, SECONDS
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.tracking.by_condition import UNKNOWN, by_condition
-from relocbench.leaderboard.tracking.cells import level_with_identity, plain_heading, why_no_ranks
-from relocbench.leaderboard.tracking.marks import MARKS
+from relocbench.leaderboard.tracking.marks import MARKS, level_with_identity, plain_heading, why_no_ranks
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import MEDIANS, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
 from relocbench.metrics import CORRECT, Interval, metric_named, shown_in

@@ -7,8 +7,8 @@ from typing import Any
 
 from relocbench.leaderboard.common.by_query import Table
 from relocbench.leaderboard.common.columns import B, Column, Line, R, T
-from relocbench.leaderboard.common.headings import BASIN, METHOD, RANK, RESCORED, RETRIEVER, TOP, TRACKER
-from relocbench.leaderboard.common.ranks import why_no_ranks
+from relocbench.leaderboard.common.model import why_no_ranks
+from relocbench.leaderboard.common.text import BASIN, METHOD, RANK, RESCORED, RETRIEVER, TOP, TRACKER
 
 ANSWER_COLUMNS = (
     {"key": "seconds", "title": "seconds", "kind": "s", "higher": False},

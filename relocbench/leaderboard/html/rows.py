@@ -6,11 +6,10 @@ from collections.abc import Iterable
 from typing import Any
 
 from relocbench.leaderboard.boards import Boards
-from relocbench.leaderboard.common import ranks
+from relocbench.leaderboard.common import model
 from relocbench.leaderboard.common.by_query import Board as QueryBoard
 from relocbench.leaderboard.common.columns import Line
-from relocbench.leaderboard.common.model import Row
-from relocbench.leaderboard.common.ranks import rank_text
+from relocbench.leaderboard.common.model import Row, rank_text
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.payloads import marks_of, no_gain, table_title
@@ -18,7 +17,7 @@ from relocbench.leaderboard.html.pipeline_pages.payloads import PipelinePages
 from relocbench.leaderboard.html.query_pages import QueryPages
 from relocbench.leaderboard.html.retrieval_pages.payloads import RetrievalPages
 from relocbench.leaderboard.retrieval.columns import CHANCE
-from relocbench.leaderboard.tracking.cells import why_no_ranks
+from relocbench.leaderboard.tracking.marks import why_no_ranks
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
 from relocbench.leaderboard.tracking.model import Row as TrackerRow
 from relocbench.metrics import Interval
@@ -47,7 +46,7 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
     for pages, by_query in pages_by_query(boards):
         first = [(of, table) for of in by_query.sets for table in _first(pages, of.tables)]
         lines = [line for of, table in first for line in pages.display.lines(of, table)]
-        why = [ranks.why_no_ranks(t.rows, by_query.metric, f"{t.queries} queries") for _, t in first]
+        why = [model.why_no_ranks(t.rows, by_query.metric, f"{t.queries} queries") for _, t in first]
         remarks = [(of.title, t.name, no, pages.note(by_query, t)) for (of, t), no in zip(first, why, strict=True)]
         notes = [note for each in remarks for note in _notes(*each)]
         rows = query_rows(pages, by_query, lines)

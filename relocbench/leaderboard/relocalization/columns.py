@@ -6,8 +6,7 @@ from relocbench.evaluation.relocalization.basin import SAID
 from relocbench.evaluation.relocalization.records import KEYFRAME, PipelineBasin
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, POSE_METRICS, RANKING, basin_recall
 from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
-from relocbench.leaderboard.common.headings import BASIN, COUNTS, RANK, RESCORED, RETRIEVER, SECONDS, TOP, TRACKER
-from relocbench.leaderboard.common.text import Value
+from relocbench.leaderboard.common.text import BASIN, COUNTS, RANK, RESCORED, RETRIEVER, SECONDS, TOP, TRACKER, Value
 from relocbench.leaderboard.relocalization.board import (
     RELOCALIZATION,
     SHARES,

@@ -13,9 +13,8 @@ from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, Pipel
 from relocbench.files import json_text
 from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import page_command
-from relocbench.leaderboard.common.headings import RETRIEVER, TRACKER
-from relocbench.leaderboard.common.ranks import why_no_ranks
-from relocbench.leaderboard.common.text import number
+from relocbench.leaderboard.common.model import why_no_ranks
+from relocbench.leaderboard.common.text import RETRIEVER, TRACKER, number
 from relocbench.leaderboard.relocalization.board import (
     Pipeline,
     PipelineBoard,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from relocbench.evaluation.retrieval.records import METRICS
 from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
-from relocbench.leaderboard.common.headings import COUNTS, METHOD, RANK, RESCORED, SECONDS
-from relocbench.leaderboard.common.text import Value
+from relocbench.leaderboard.common.text import COUNTS, METHOD, RANK, RESCORED, SECONDS, Value
 from relocbench.leaderboard.retrieval.board import (
     RETRIEVAL,
     RetrievalBoard,

@@ -8,11 +8,10 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.retrieval.records import METRICS, RetrievalRun, SetRecord
 from relocbench.files import json_text
-from relocbench.leaderboard.common.cards import add_command, shown_cards
+from relocbench.leaderboard.common.cards import add_command, answers_on_copies, shown_cards
 from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import method_words, page_command
-from relocbench.leaderboard.common.copies import answers_on_copies
-from relocbench.leaderboard.common.ranks import why_no_ranks
+from relocbench.leaderboard.common.model import why_no_ranks
 from relocbench.leaderboard.retrieval.board import (
     RetrievalBoard,
     RetrievalRow,

@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relocbench.arrays import Mask
-from relocbench.leaderboard.common.ranks import rank_text
-from relocbench.leaderboard.tracking.cells import DAGGER
+from relocbench.leaderboard.common.model import rank_text
 from relocbench.leaderboard.tracking.doubt import doubts_of
-from relocbench.leaderboard.tracking.marks import is_ranked
+from relocbench.leaderboard.tracking.marks import DAGGER, is_ranked
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import DatasetBoard
-from relocbench.leaderboard.tracking.thresholds import finer_thresholds
+from relocbench.leaderboard.tracking.reservations import finer_thresholds
 from relocbench.metrics import CORRECT, within
 from relocbench.metrics.pose.registry import finer_than_truth
 

@@ -6,8 +6,7 @@ from typing import Any
 
 from relocbench.files import json_text
 from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
-from relocbench.leaderboard.common.headings import ELSEWHERE, METHOD, RESCORED, SECONDS_AND_P95
-from relocbench.leaderboard.common.text import Value, number
+from relocbench.leaderboard.common.text import ELSEWHERE, METHOD, RESCORED, SECONDS_AND_P95, Value, number
 from relocbench.leaderboard.tracking.marks import made_elsewhere
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import METRICS, Difference, DifferentPlaces, Metric

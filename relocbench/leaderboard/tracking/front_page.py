@@ -6,11 +6,11 @@ from urllib.parse import quote
 
 from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.commands import page_command
-from relocbench.leaderboard.common.headings import METHOD, RANK, SECONDS
-from relocbench.leaderboard.common.ranks import rank_text, share_a_rank
-from relocbench.leaderboard.common.text import number
-from relocbench.leaderboard.tracking.cells import (
+from relocbench.leaderboard.common.model import rank_text, share_a_rank
+from relocbench.leaderboard.common.text import METHOD, RANK, SECONDS, number
+from relocbench.leaderboard.tracking.marks import (
     DAGGER,
+    MARKS,
     cell,
     group_heading,
     heading,
@@ -20,7 +20,6 @@ from relocbench.leaderboard.tracking.cells import (
     total_name,
     why_no_ranks,
 )
-from relocbench.leaderboard.tracking.marks import MARKS
 from relocbench.leaderboard.tracking.matrix_text import matrix_text
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table, short_title
 from relocbench.leaderboard.tracking.reservations import reservations

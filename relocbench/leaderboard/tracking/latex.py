@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from relocbench.leaderboard.common.headings import METHOD, RANK, SECONDS
 from relocbench.leaderboard.common.latex import LatexTable, document
-from relocbench.leaderboard.tracking.cells import total_words
+from relocbench.leaderboard.common.text import METHOD, RANK, SECONDS
 from relocbench.leaderboard.tracking.columns import TrackingLine, lines_of, tracking_columns
+from relocbench.leaderboard.tracking.marks import total_words
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
 from relocbench.metrics import shown_in
 

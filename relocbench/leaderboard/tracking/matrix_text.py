@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from urllib.parse import quote
 
-from relocbench.leaderboard.common.headings import METHOD, RANK
-from relocbench.leaderboard.common.text import number
+from relocbench.leaderboard.common.text import METHOD, RANK, number
 from relocbench.leaderboard.tracking.by_condition import ByCondition, Column, ConditionRecall, Line, by_condition
-from relocbench.leaderboard.tracking.cells import DAGGER
-from relocbench.leaderboard.tracking.marks import signs
+from relocbench.leaderboard.tracking.marks import DAGGER, signs
 from relocbench.leaderboard.tracking.model import DatasetBoard, short_title
 from relocbench.pages.markdown import escaped, table_text
 

@@ -22,10 +22,9 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
 )
 from relocbench.evaluation.submission.kept import KeptCard, kept_card
-from relocbench.evaluation.tables.errors import ErrorTable, read_errors
-from relocbench.evaluation.tables.matching import ALL, MatchingRow
-from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
-from relocbench.evaluation.tracking.identity import IDENTITY_TARGETS
+from relocbench.evaluation.tables.records import ALL, ErrorTable, MatchingRow, read_errors
+from relocbench.evaluation.tracking.trivial import IDENTITY_TARGETS
+from relocbench.evaluation.tracking.trivial import TARGET as CLOCK_TARGET
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
     faults_of_record,

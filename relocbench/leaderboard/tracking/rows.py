@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.evaluation.tables.errors import ErrorTable
-from relocbench.evaluation.tables.matching import ALL
+from relocbench.evaluation.tables.records import ALL, ErrorTable
 from relocbench.leaderboard.common.loading import Plan, Standing
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import MEDIANS, Row

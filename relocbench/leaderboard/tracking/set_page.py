@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.evaluation.tables.matching import ALL
+from relocbench.evaluation.tables.records import ALL
 from relocbench.files import json_text
-from relocbench.leaderboard.common.cards import shown_cards
-from relocbench.leaderboard.common.copies import answers_on_copies
-from relocbench.leaderboard.common.headings import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95
-from relocbench.leaderboard.common.text import number
-from relocbench.leaderboard.tracking.cells import (
+from relocbench.leaderboard.common.cards import answers_on_copies, shown_cards
+from relocbench.leaderboard.common.text import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95, number
+from relocbench.leaderboard.tracking.columns import lines_of, tracking_columns
+from relocbench.leaderboard.tracking.marks import (
     DAGGER,
+    MARKS,
     cell,
     group_heading,
     heading,
     level_with_identity,
+    made_elsewhere,
     marked,
     name,
     plain_heading,
@@ -24,8 +25,6 @@ from relocbench.leaderboard.tracking.cells import (
     total_name,
     why_no_ranks,
 )
-from relocbench.leaderboard.tracking.columns import lines_of, tracking_columns
-from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere
 from relocbench.leaderboard.tracking.matching import matching_lines, matching_numbers
 from relocbench.leaderboard.tracking.matrix_text import matrix_text
 from relocbench.leaderboard.tracking.method import Method, evaluate_command

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from relocbench.errors import ConfigError
-from relocbench.evaluation.tables.errors import ErrorTable
-from relocbench.evaluation.tables.matching import ALL
+from relocbench.evaluation.tables.records import ALL, ErrorTable
 from relocbench.leaderboard.common.loading import Plan, compared
 from relocbench.leaderboard.tracking.load import Trackers
 from relocbench.leaderboard.tracking.model import (

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
-from relocbench.evaluation.tables.rows import write_rows
+from relocbench.evaluation.tables.schema import write_rows
 from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.text import write_records

@@ -15,17 +15,20 @@ from typing import Any, Literal
 import pytest
 
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.isolation import worker_losses
+from relocbench.evaluation.isolation import worker
 from relocbench.evaluation.isolation.worker import (
     CONSTRUCTOR,
+    HOPELESS,
     PREPARE,
+    TRIES,
+    LossHandler,
     Unit,
     Visibility,
     answered_keys,
     append_entry,
     journal_entries,
+    run_until_answered,
 )
-from relocbench.evaluation.isolation.worker_losses import HOPELESS, TRIES, LossHandler, run_until_answered
 from relocbench.execution import IN_A_ROW, Loss, Run, Step
 from relocbench.methods import parse_method
 
@@ -102,7 +105,7 @@ def played_workers(monkeypatch: pytest.MonkeyPatch) -> None:
                 done = on_loss(unit, lost.loss)
             yield index, done
 
-    monkeypatch.setattr(worker_losses, "run_limited", run_here)
+    monkeypatch.setattr(worker, "run_limited", run_here)
 
 
 @pytest.mark.parametrize(("kind", "tries"), [("death", TRIES), ("memory", TRIES), ("time", 1)])

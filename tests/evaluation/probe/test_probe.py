@@ -27,7 +27,7 @@ from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure
 from relocbench.evaluation.probe.poses import CONVERGED, OFFSETS, draw_priors, probe_poses
-from relocbench.evaluation.probe.read import read_probe
+from relocbench.evaluation.probe.records import read_probe
 from relocbench.evaluation.probe.starts import draw_starts, probe_starts, start_line
 from relocbench.evaluation.probe.table import ACROSS as ACROSS_CONDITIONS
 from relocbench.evaluation.probe.tally import What

@@ -11,7 +11,7 @@ from refusals import refused
 
 from relocbench.errors import PredictionError
 from relocbench.evaluation.retrieval import answers as retrieved
-from relocbench.evaluation.tables.answers import ANSWERS, Answer, read_answers, write_answers
+from relocbench.evaluation.tables.records import ANSWERS, Answer, read_answers, write_answers
 from relocbench.evaluation.tables.schema import Schema
 from relocbench.files import tables
 

@@ -20,7 +20,7 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.matching import (
+from relocbench.evaluation.tables.records import (
     OFFSETS_PX,
     MatchingRow,
     read_matching,

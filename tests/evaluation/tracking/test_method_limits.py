@@ -25,11 +25,11 @@ from small_views import make_small_views
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import ConfigError
-from relocbench.evaluation.isolation import worker_losses
+from relocbench.evaluation.isolation import worker
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
 from relocbench.evaluation.retrieval.describe import anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
-from relocbench.evaluation.tables.answers import Answer, read_answers
+from relocbench.evaluation.tables.records import Answer, read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.execution import MANY_TIMES, Run, parse_size, run_limited, worker_process
 from relocbench.progress import Silent
@@ -144,7 +144,7 @@ def test_a_constructor_that_does_not_return_gives_the_method_up_and_later_method
 def test_a_method_that_answers_no_batch_is_given_up(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few_times: None, limit_s: int
 ) -> None:
-    monkeypatch.setattr(worker_losses, "IN_A_ROW", 3)
+    monkeypatch.setattr(worker, "IN_A_ROW", 3)
     settings = ("bad.deed=hang", f"bad.mark={tmp_path / 'mark'}")
     methods = (f"bad={HERE}:AlwaysInBatches", "identity")
     report = evaluate(dataset, tmp_path / "out", *methods, settings=settings, time_limit=limit_s)

@@ -24,8 +24,7 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.answers import Answer, read_answers, write_answers
-from relocbench.evaluation.tables.errors import PairErrors, read_errors
+from relocbench.evaluation.tables.records import Answer, PairErrors, read_answers, read_errors, write_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.exports import export_poses
 from relocbench.evaluation.tracking.validation import validate_results

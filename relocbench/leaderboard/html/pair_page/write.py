@@ -20,14 +20,13 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, read_pose_lines
 from relocbench.datasets.core.upright import R_frame_camera
 from relocbench.errors import PredictionError
-from relocbench.evaluation.tables.answers import read_answers
+from relocbench.evaluation.tables.records import read_answers
 from relocbench.execution import run_units
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.chosen import kept_rows, worst_and_drawn
 from relocbench.leaderboard.html.data import floats, write_data
-from relocbench.leaderboard.html.pair_page.matches import shown_matches
-from relocbench.leaderboard.html.pair_page.pictures import depth_payload, image_payload
+from relocbench.leaderboard.html.pair_page.pictures import depth_payload, image_payload, shown_matches
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.metrics import CORRECT

@@ -13,8 +13,7 @@ from relocbench.evaluation.relocalization.records import ORACLE, PipelineSet, Pi
 from relocbench.evaluation.relocalization.rescoring import PipelineTruth
 from relocbench.evaluation.relocalization.score import FAILURES
 from relocbench.leaderboard.common.columns import Line
-from relocbench.leaderboard.common.headings import BASIN, COUNTS
-from relocbench.leaderboard.common.text import number
+from relocbench.leaderboard.common.text import BASIN, COUNTS, number
 from relocbench.leaderboard.displays import RELOCALIZATION
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.pipeline_pages.queries import LocatedQueries, is_keyframe_pose

@@ -1,22 +1,34 @@
-"""The queries of a task of retrievers: their ranks, the first images of every method, and which of these are right."""
+"""The queries of a task of retrievers: their ranks, the first images of every method, and which of these are right.
+
+Where a dataset of drives is available, it is also shown how far the camera of a retrieved keyframe was from the query.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from relocbench.arrays import Array
-from relocbench.evaluation.tables.rows import STATUSES
+from relocbench.arrays import Array, Floats
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.cross_view import CrossViewSet
+from relocbench.datasets.pairs.street_places import StreetPlaces
+from relocbench.errors import PredictionError
+from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle
+from relocbench.evaluation.retrieval.answers import QueryAnswer
+from relocbench.evaluation.retrieval.rescoring import RetrievalTruth
+from relocbench.evaluation.tables.schema import STATUSES
+from relocbench.files import lines_of, read_text
 from relocbench.leaderboard.html.data import bytes_of, floats
-from relocbench.leaderboard.html.retrieval_pages.distances import distances_of
-from relocbench.leaderboard.html.retrieval_pages.lists import SHOWN, KeptLists, kept_lists, task_of
 from relocbench.leaderboard.html.thumbnails import thumbnail_name
 from relocbench.leaderboard.retrieval.board import RetrievalSetBoard, Retriever
+from relocbench.leaderboard.tracking.marks import made_elsewhere
 from relocbench.metrics import chance_recall
-from relocbench.retrieval import ImageView
+from relocbench.retrieval import ImageView, RetrievalTask
 
 RANDOM = "random"
 """the target of the retriever that ranks at random"""
@@ -138,3 +150,132 @@ class RankedQueries:
 def _first_ranks(method: Retriever, task: str) -> list[float]:
     """(Q,) the rank of the first right image of each query; infinite where there is none."""
     return [answer.ranks[0] if answer.ranks else np.inf for answer in method.answers[task]]
+
+
+SHOWN = 5
+"""images of a query that a page shows, of each method and of the right ones"""
+
+
+@dataclass(frozen=True)
+class KeptLists:
+    """The beginnings of a method's lists on a task."""
+
+    top: list[list[str]]
+    """the keys of the first images of each query, best first, without junk"""
+    right: list[list[bool | None]]
+    """whether each of these is right; None where nothing tells"""
+    depth: int | None
+    """up to which rank the method's rankings go; None: they hold the whole gallery"""
+
+
+def task_of(asked: RetrievalSetBoard, name: str) -> RetrievalTask | None:
+    """A task with its images; None where the dataset, or this task of it, is not available."""
+    return None if asked.truth is None else asked.truth.tasks.get(name)
+
+
+def kept_lists(asked: RetrievalSetBoard, method: Retriever, name: str) -> KeptLists:
+    """The beginnings of the lists of a task that a method has answered.
+
+    Which images are right follows from the dataset. Without it, the ranks of right images say it, as long
+    as no junk, which they do not count, is in the gallery.
+
+    Raises:
+        PredictionError: with file and line: a line that is not 'query db'.
+    """
+    answers = method.answers[name]
+    task = task_of(asked, name)
+    junk: Collection[str] = ()
+    if task is not None:
+        junk = {image.key for image, out in zip(task.gallery, task.relevance.junk, strict=True) if out}
+    path = method.folder.predictions(name)
+    top: dict[str, list[str]] = {answer.query: [] for answer in answers}
+    length = dict.fromkeys(top, 0)
+    text = read_text(path, "retrieved images, a line 'query db' each", PredictionError)
+    for number, line in enumerate(lines_of(text), start=1):
+        words = line.split()
+        if not words or line.startswith("#"):
+            continue
+        if len(words) != 2 or words[0] not in top:
+            raise PredictionError("expected 'query db' with a query of the table beside it", path, number)
+        length[words[0]] += 1
+        if len(top[words[0]]) < SHOWN and words[1] not in junk:
+            top[words[0]].append(words[1])
+    if task is not None:
+        positives = [{task.gallery[k].key for k in task.relevance.of(q)} for q in range(len(task.queries))]
+        right: list[list[bool | None]] = [
+            [key in of for key in keys] for of, keys in zip(positives, top.values(), strict=True)
+        ]
+    else:
+        without_junk = not asked.record.tasks[name].junk
+        right = [_by_ranks(answer, len(top[answer.query]), without_junk) for answer in answers]
+    depth = max(length.values(), default=0) if made_elsewhere(method.run) else None
+    return KeptLists(list(top.values()), right, depth)
+
+
+def _by_ranks(answer: QueryAnswer, count: int, known: bool) -> list[bool | None]:
+    return [rank in answer.ranks if known else None for rank in range(1, count + 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """Distances between the cameras of a task."""
+
+    task: RetrievalTask
+    metres: Floats
+    """(Q, G) between each query and each keyframe; NaN where it is not known"""
+
+    def of(self, query: int, key: str) -> float:
+        """Metres between a query and a keyframe, by its key; NaN where it is not known."""
+        place = self._place.get(key)
+        return float("nan") if place is None else float(self.metres[query, place])
+
+    @cached_property
+    def _place(self) -> dict[str, int]:
+        return {image.key: index for index, image in enumerate(self.task.gallery)}
+
+    @property
+    def nearest(self) -> Array:
+        """(Q,) metres to the nearest keyframe; infinite where none is known."""
+        known = np.where(np.isfinite(self.metres), self.metres, np.inf)
+        return np.asarray(known.min(axis=1, initial=np.inf), dtype=np.float64)
+
+
+def distances_of(truth: RetrievalTruth | None, name: str) -> Distances | None:
+    """The distances of a task along drives; None for views of places, whose positions nobody records.
+
+    They are None too where the dataset, or this task of it, is not available.
+
+    With a radius they are those of the positions by which images are right. Pairs alone need no common world, and
+    their distances are those of the pairs' true poses, transferred along the drive of the keyframes.
+    """
+    if truth is None or name not in truth.tasks or isinstance(truth.places, CrossViewSet):
+        return None
+    places = truth.places
+    task, pair_set = truth.tasks[name], places.dataset.pair_set(name)
+    if places.rule == "radius":
+        query, gallery = (
+            _centres(places, traversal, pair_set.camera, images)
+            for traversal, images in ((pair_set.query, task.queries), (pair_set.reference, task.gallery))
+        )
+        return Distances(task, np.stack([_lengths(gallery - centre) for centre in query]))
+    if not pair_set.has_truth:
+        return None
+    known = MapTruth(places.dataset, pair_set, *([time_of(view) for view in of] for of in (task.queries, task.gallery)))
+    rows = (distance_and_angle(known.relative(q))[0].astype(np.float32) for q in range(len(task.queries)))
+    return Distances(task, np.stack(list(rows)))
+
+
+def _lengths(vectors: Array) -> Floats:
+    """(N, 3) -> (N,)"""
+    return np.asarray(np.linalg.norm(vectors, axis=-1), dtype=np.float32)
+
+
+def time_of(view: ImageView) -> int:
+    """The timestamp of an image of a drive, nanoseconds: the key is ``traversals/NAME/images/CAMERA/TIME.png``."""
+    return int(Path(view.key).stem)
+
+
+def _centres(places: StreetPlaces, traversal: str, camera: str, images: tuple[ImageView, ...]) -> Array:
+    """(N, 3) camera centres in the world."""
+    drive: Traversal = places.dataset.traversal(traversal)
+    return np.stack([drive.T_world_cam(camera, time_of(image))[:3, 3] for image in images])

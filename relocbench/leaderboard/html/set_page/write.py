@@ -12,8 +12,7 @@ from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import write_data
 from relocbench.leaderboard.html.looks import further_looks
 from relocbench.leaderboard.html.set_page.maps import Maps
-from relocbench.leaderboard.html.set_page.measured import matching_payload, probe_payload, probes_of
-from relocbench.leaderboard.html.set_page.months import months_apart
+from relocbench.leaderboard.html.set_page.measured import matching_payload, months_apart, probe_payload, probes_of
 from relocbench.leaderboard.html.set_page.sweeps import sweep_of
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 
