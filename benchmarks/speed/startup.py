@@ -29,7 +29,8 @@ def calls(out: str) -> dict[str, list[str]]:
         "wrong path: inspect": [*command, "inspect", missing],
         "wrong path: validate": [*command, "validate", missing],
         "wrong path: evaluate": [*command, "evaluate", "--dataset", missing, "--method", "identity"],
-        "wrong path: build-dataset": [*command, "build-dataset", "kitti", missing, "--out", f"{out}/built"],
+        "wrong path: build-dataset kitti": [*command, "build-dataset", "kitti", missing, "--out", f"{out}/built"],
+        "wrong path: build-dataset robotcar": [*command, "build-dataset", "robotcar", missing, "--out", f"{out}/built"],
         "wrong path: leaderboard": [*command, "leaderboard", missing],
         "wrong path: train": [*command, "train", "gn-net", "--dataset", missing, "--out", f"{out}/trained"],
     }

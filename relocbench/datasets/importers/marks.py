@@ -27,14 +27,18 @@ MARKS: dict[str, tuple[str, ...]] = {
 
 
 def check_recordings(kind: str, sources: Sequence[Path]) -> None:
-    """Say what a source looks like that is no recording of the kind: it holds one, or is one of another kind.
+    """Say that a source is missing, or what it looks like if it is no recording of the kind.
 
-    What else is wrong with a source, its importer tells.
+    This is told before an importer, and what it computes with, is loaded. What else is wrong with a source, its
+    importer tells.
 
     Raises:
-        DatasetError: with the folder within the source that is a recording, or the kind that it is one of.
+        DatasetError: there is no such source; or with the folder within it that is a recording, or the kind that it is
+            one of.
     """
     for source in sources:
+        if not source.exists():
+            raise DatasetError(f"no such file or folder; expected a recording for build-dataset {kind}", source)
         if not source.is_dir() or _has_one(kind, source):
             continue
         suggestion = did_you_mean(source, lambda folder: _has_one(kind, folder))

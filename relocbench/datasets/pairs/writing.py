@@ -13,7 +13,6 @@ from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.datasets.pairs.correspondence_file import open_correspondences, write_correspondences
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences
 from relocbench.datasets.pairs.visibility import DepthView
 from relocbench.errors import DatasetError
@@ -107,6 +106,8 @@ def write_measured(
             yield key, found
 
     if with_correspondences:
+        from relocbench.datasets.pairs.correspondence_file import write_correspondences  # loads pyarrow
+
         write_correspondences(layout.correspondence_file(name), noted(), sigma=sigma)
     else:
         for _ in noted():
@@ -121,6 +122,8 @@ def is_finished(layout: DatasetLayout, name: str, pairs: Sequence[Pair], *, with
         return False
     try:
         if with_correspondences:
+            from relocbench.datasets.pairs.correspondence_file import open_correspondences  # loads pyarrow
+
             with open_correspondences(layout.correspondence_file(name)):
                 pass
         known = pairfile.read_pairs(layout.pair_file(name), layout.pair_table(name))

@@ -1,17 +1,19 @@
-"""The options that all importers share which build ground truth from lidar."""
+"""The options that all importers share which build ground truth from lidar.
+
+They are checked before anything large is loaded: what they are for is imported where it is made of them.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
-from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits
-from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions
-from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions
-from relocbench.datasets.groundtruth.registration.submap_pair import RegisterOptions
+
+if TYPE_CHECKING:
+    from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
+    from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits
 
 _OF_OWN_RECIPE = ("matcher", "icp", "calibration", "max_sigma", "max_sigma_rotation")
 """options of steps that the plain recipe with Open3D does not have"""
@@ -88,6 +90,11 @@ class FieldOptions(ImportOptions):
     @property
     def alignment(self) -> AlignmentOptions:
         """The options for aligning two drives."""
+        from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
+        from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions
+        from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions
+        from relocbench.datasets.groundtruth.registration.submap_pair import RegisterOptions
+
         registration = DriveRegistrationOptions(
             register=RegisterOptions(backend=self.icp),
             search=GlobalOptions(matcher=self.matcher, seeds=tuple(range(3 * self.seed, 3 * self.seed + 3))),
@@ -104,6 +111,8 @@ class FieldOptions(ImportOptions):
 
     def limits_at(self, factor: float) -> OutcomeLimits:
         """The limits within which pairs are accepted, in enlarged metres."""
+        from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits
+
         return OutcomeLimits(
             distance_m=self.max_distance * factor,
             sigma_m=self.max_sigma_at(factor) * factor,

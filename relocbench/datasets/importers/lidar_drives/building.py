@@ -10,10 +10,9 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.deferred import later
-from relocbench.datasets.importers.assembly import check_folder, open_writer
+from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, on_one_map
 from relocbench.datasets.sensors.trajectories import traversal_names
-from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.progress import Reporter
@@ -44,10 +43,6 @@ def build_drives(
         DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
         ConfigError: the options do not fit the recordings.
     """
-    if len(sources) < 2:
-        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(sources)}")
-    for source in sources:
-        check_folder(source, f"a drive in the layout of {kind}")
     names = traversal_names(sources)
     options.check_conditions(names)
     drives = [read(source, name, reporter) for source, name in zip(sources, names, strict=True)]

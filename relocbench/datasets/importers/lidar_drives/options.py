@@ -62,7 +62,11 @@ class SequenceOptions(FieldOptions, LinkingOptions):
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
     """Build a dataset from a reference drive, the first source, and query drives. Raises as :class:`Importer`."""
-    from relocbench.datasets.importers.lidar_drives.building import build_drives
-
     assert isinstance(options, DriveOptions)
+    if len(sources) < 2:
+        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(sources)}")
+    for source in sources:
+        check_folder(source, f"a drive in the layout of {options.kind}")
+    from relocbench.datasets.importers.lidar_drives.building import build_drives  # large
+
     return build_drives(options.kind, sources, options, out, reporter, run, options.read)
