@@ -104,6 +104,7 @@ def make_small_dataset(
     sparse: bool = False,
     query_depth: bool = True,
     truth: bool = True,
+    within: bool = True,
     elsewhere: int = 0,
     rejected: int = 0,
     correspondences: int = 0,
@@ -122,6 +123,7 @@ def make_small_dataset(
         sparse: keyframe points instead of dense depth.
         query_depth: whether ``winter`` has depth too.
         truth: False withholds the poses of the pairs, as a challenge does.
+        within: False leaves the second set out, so that no set asks the drive of the keyframes.
         elsewhere: so many pairs of different places across, whose cameras are 0.3 m apart or more.
         rejected: so many pairs of the set across are kept as rejected.
         correspondences: ground-truth correspondences a pair; 0 writes no file.
@@ -149,18 +151,20 @@ def make_small_dataset(
         summer, winter = (PosedFrames(tuple(p), np.array(list(p.values())), frozenset(p)) for p in poses.values())
         chosen = RuleOptions(elsewhere=elsewhere, elsewhere_distance=0.3, max_distance=0.25, seed=seed)
         apart = with_different_places(kept_across, summer, winter, chosen, root)[len(kept_across) :]
-    within = _within(poses["summer"])
     lost = [
         Pair(*p.key, None, group=p.group, source=p.source, accepted=False, reason="too few points agree")
         for p in across[:rejected]
     ]
-    for sequence, extra, query in ((across[rejected:], lost, "winter"), (within, [], "summer")):
+    sets: list[tuple[list[Pair], list[Pair], str]] = [(across[rejected:], lost, "winter")]
+    if within:
+        sets.append((_within(poses["summer"]), [], "summer"))
+    for sequence, extra, query in sets:
         kept = [*sequence[:pairs], *(apart if query == "winter" else [])]
         if not truth:
             kept = [_with_pose(p, None) for p in kept]
         options = ImportOptions(correspondences=correspondences, seed=seed)
         write_pair_set(Build(writer, options, Silent(), Run()), "summer", query, CAMERA, [*extra, *kept])
-    writer.finish(splits or {"test": [ACROSS], "all": [ACROSS, WITHIN]})
+    writer.finish(splits or {"test": [ACROSS], "all": [ACROSS, WITHIN] if within else [ACROSS]})
 
 
 def _write_traversal(

@@ -64,6 +64,8 @@ class Unit:
     visibility: Visibility
     patient: bool
     """whether the first call of a process may take many times the limit, as compilation does"""
+    shows_neighbours: bool
+    """whether frames around a keyframe may be shown, with their true poses"""
 
     def __str__(self) -> str:
         return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
@@ -94,8 +96,10 @@ def units_of(
         by_keyframe = [[group[i] for i in rng.permutation(len(group))] for group in by_keyframe]
         by_keyframe = [by_keyframe[i] for i in rng.permutation(len(by_keyframe))]
     common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
+    # Where a set asks the keyframe's drive for its queries, the frames around a keyframe are the answers there.
+    asked = any(one.query == pair_set.reference for one in dataset.pair_sets())
     return [
-        Unit(*common, tuple(chunk), journal.resolve(), visibility, patient=True)
+        Unit(*common, tuple(chunk), journal.resolve(), visibility, patient=True, shows_neighbours=not asked)
         for group in by_keyframe
         for chunk in chunks(group, _PAIRS_A_UNIT)
     ]
@@ -110,8 +114,7 @@ def show_keyframe(unit: Unit, tracker: TrackerHandle) -> str | None:
     if tracker.declared.fault:
         return tracker.declared.fault
     traversal = traversal_of(unit.dataset, unit.reference)
-    # Where queries are of the keyframe's own drive, its posed neighbours are queries, or stand around one.
-    neighbours = 0 if unit.reference == unit.query else tracker.declared.neighbours
+    neighbours = tracker.declared.neighbours if unit.shows_neighbours else 0
     keyframe = traversal.reference(unit.camera, unit.keys[0][0], neighbours)
     with step(PREPARE, unit.keys, MANY_TIMES):
         return tracker.prepare(masked_reference(keyframe, unit.visibility.times))
@@ -194,18 +197,23 @@ def time_factor(function: str, unit: Unit, pairs: int = 1) -> float:
     return MANY_TIMES if first else min(float(pairs), MANY_TIMES)
 
 
-_trackers: dict[tuple[str, bool], TrackerHandle] = {}
+_trackers: dict[tuple[str, bool, Path, str, str, str], TrackerHandle] = {}
+"""the tracker of this process, by what it is and by the pair set that it is asked about"""
 
 
 def tracker_of(unit: Unit) -> TrackerHandle:
-    """The tracker of a unit, made once for each process; making it may load weights.
+    """The tracker of a unit, made once for each process and pair set; making it may load weights.
 
-    A method that is a program, and nothing else, is isolated by being one.
+    What it saw in one pair set it must not remember in the next, where a drive that was the map may be asked: its
+    process ends with the set, and its home and temporary files with it. A method that is a program, and nothing else,
+    is isolated by being one.
     """
     program = unit.spec.target.startswith(SUBPROCESS) and unit.spec.start is None
     apart = unit.visibility.isolated and not program
-    known = repr(unit.spec), apart
+    known = repr(unit.spec), apart, unit.dataset, unit.reference, unit.query, unit.camera
     if known not in _trackers:
+        _trackers.clear()
+        _called.clear()
         with step(CONSTRUCTOR, times=MANY_TIMES):
             _trackers[known] = IsolatedTracker(unit.spec) if apart else LocalTracker(unit.spec.create())
     return _trackers[known]

@@ -70,12 +70,13 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
         return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
     times = guarded(lambda: bool(getattr(tracker, "uses_times", False)))[0] is True
     questions = [each.shown(times) for each in _made_up() + (_from_dataset(dataset) if dataset else [])]
-    for name, (_, fault) in (
-        ("says how many neighbours it wants", neighbours_of(tracker)),
-        ("says how many queries it takes at once", batch_of(tracker)),
-    ):
-        if fault is not None:
-            findings.append(Finding(name, False, fault))
+    wanted, fault = neighbours_of(tracker)
+    if wanted or fault is not None:
+        told = f"{wanted} on each side of a keyframe; there are none where a pair set asks the keyframe's drive"
+        findings.append(Finding("says how many neighbours it wants", fault is None, fault or told))
+    _, fault = batch_of(tracker)
+    if fault is not None:
+        findings.append(Finding("says how many queries it takes at once", False, fault))
     answers = [_ask(tracker, question) for question in questions]
     for question, answer in zip(questions, answers, strict=True):
         findings.append(_answers(question, answer))

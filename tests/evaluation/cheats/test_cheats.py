@@ -285,11 +285,25 @@ def test_keys_without_a_salt_would_be_guessed(tmp_path: Path) -> None:
     assert guesser.info["found"] == sorted(view.key for view in queries)
 
 
-def test_frames_of_the_querys_own_drive_are_not_shown_as_neighbours(dataset: Dataset, tmp_path: Path) -> None:
-    for name, shown in ((ACROSS, True), (WITHIN, False)):
-        (cheat,) = evaluate(dataset, tmp_path / name, f"cheat={HERE}:Neighbours", pair_sets=(name,))
+def test_frames_around_keyframes_are_shown_only_where_no_set_asks_their_drive(dataset: Dataset, tmp_path: Path) -> None:
+    alone = make_small_dataset(tmp_path / "alone", frames=8, within=False)
+    for of, name, shown in ((alone, ACROSS, True), (dataset, ACROSS, False), (dataset, WITHIN, False)):
+        (cheat,) = evaluate(of, tmp_path / of.name / name, f"cheat={HERE}:Neighbours", pair_sets=(name,))
         found = [json.loads(answer.info)["found"] for answer in read_answers(cheat.answers(name)).values()]
-        assert any(found) is shown
+        assert any(found) is shown, (of, name)
+    told = {finding.check: finding for finding in check(parse_method(f"{HERE}:Neighbours"))}
+    assert told["says how many neighbours it wants"].passed
+    assert "100 on each side" in told["says how many neighbours it wants"].detail
+
+
+def test_nothing_is_remembered_from_one_pair_set_to_the_next(dataset: Dataset, tmp_path: Path) -> None:
+    (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:NoteTaker", pair_sets=(ACROSS, WITHIN))
+    across, within = (
+        [json.loads(answer.info) for answer in read_answers(cheat.answers(name)).values()] for name in (ACROSS, WITHIN)
+    )
+    assert [info["found"] for info in across + within] == [[]] * len(across + within)
+    homes = [{place for info in told for place in info["places"]} for told in (across, within)]
+    assert homes[0].isdisjoint(homes[1]), "each set has a process and folders of its own"
 
 
 @pytest.mark.thorough

@@ -90,7 +90,8 @@ class Played:
 
 
 def _unit(keys: tuple[PairKey, ...], journal: Path) -> Unit:
-    return Unit(parse_method("identity"), Path("d"), "a", "b", "c", keys, journal, Visibility(), patient=True)
+    of = parse_method("identity"), Path("d"), "a", "b", "c"
+    return Unit(*of, keys, journal, Visibility(), patient=True, shows_neighbours=True)
 
 
 @pytest.fixture(autouse=True)
