@@ -156,7 +156,7 @@ class Kind(Generic[T]):
     """the values of a whole column, many times as fast; None where one of its cells needs a closer look"""
 
 
-def one_of(names: Sequence[str]) -> Kind[Any]:
+def one_of(names: Sequence[str]) -> Kind[str]:
     """One of some words."""
     known = frozenset(names)
 

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
-from relocbench.leaderboard.common.model import Row, rank_text
+from relocbench.leaderboard.common.model import Method, Row, rank_text
 from relocbench.leaderboard.common.text import COUNTS, RANK, Value, heading, with_bounds
 from relocbench.metrics import Interval
 
 B = TypeVar("B")
 T = TypeVar("T", bound="Ranked")
-R = TypeVar("R", bound=Row[Any])
+R = TypeVar("R", bound=Row[Method])
 L_contra = TypeVar("L_contra", contravariant=True)
 
 
@@ -24,7 +24,7 @@ class Ranked(Protocol):
     """A table."""
 
     @property
-    def rows(self) -> Sequence[Row[Any]]: ...
+    def rows(self) -> Sequence[Row[Method]]: ...
 
 
 @dataclass(frozen=True, eq=False)

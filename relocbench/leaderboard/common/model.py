@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from relocbench.metrics import MIN_EFFECTIVE, Interval
 
@@ -19,7 +19,7 @@ class Method(Protocol):
     def label(self) -> str: ...
 
     @property
-    def answers(self) -> Mapping[str, Any]:
+    def answers(self) -> Mapping[str, object]:
         """By pair set or task; those without results are absent."""
         ...
 
@@ -50,19 +50,19 @@ NO_RANK = "–"
 SHARED = "Methods share a rank where the pairs show no significant difference between them"
 
 
-def share_a_rank(rows: Iterable[Row[Any]]) -> bool:
+def share_a_rank(rows: Iterable[Row[Method]]) -> bool:
     """Whether all ranked rows share the first rank."""
     return all(row.rank in (1, None) for row in rows)
 
 
-def rank_text(row: Row[Any], rows: Iterable[Row[Any]]) -> str:
+def rank_text(row: Row[Method], rows: Iterable[Row[Method]]) -> str:
     """The rank as text: empty for a row that is not ranked, a dash where all rows share a rank."""
     if row.rank is None:
         return ""
     return NO_RANK if share_a_rank(rows) else str(row.rank)
 
 
-def why_no_ranks(rows: Sequence[Row[Any]], metric: str, of: str) -> str:
+def why_no_ranks(rows: Sequence[Row[Method]], metric: str, of: str) -> str:
     """Why a table shows no ranks, in a sentence without its full stop; empty where it has some, and without methods.
 
     Args:
