@@ -203,6 +203,8 @@ def _time_message(current: Step | None, limits: Limits) -> str:
 
 
 def _exit_description(code: int | None) -> str:
+    if code == os.EX_PROTOCOL:
+        return "the method's process sent something other than an answer to the question"
     if code is None or code >= 0:
         return f"exit status {code}"
     try:

@@ -277,19 +277,29 @@ def _on_circles(starts: list[Any], start: Any) -> Any:
     return point
 
 
+QUESTION = "0123456789abcdef"
+"""what no question is called, since numbers are drawn"""
+
+
 def _frame(text: bytes) -> bytes:
     return struct.pack("<Q", len(text)) + text
+
+
+def _told(words: Any, *arrays: list[int]) -> bytes:
+    return _frame(json.dumps({"question": QUESTION, "words": words, "arrays": arrays}).encode())
 
 
 FRAMES = {
     "pickle": _frame(b"cos\nsystem\n(S'false'\ntR."),
     "text": _frame(b"not json"),
+    "list": _frame(b"[1, 2]"),
     "huge": struct.pack("<Q", 2**60),
-    "arrays": _frame(json.dumps({"words": [], "arrays": [[8, 2**40, 2**40]]}).encode()),
-    "many": _frame(json.dumps({"words": [{"posed": True}] * 3, "arrays": []}).encode()),
-    "fields": _frame(json.dumps({"words": [{"posed": True, "confidence": "x"}], "arrays": []}).encode()),
-    "objects": _frame(json.dumps({"words": [], "arrays": [[3, 5]]}).encode()),
-    "nothing": _frame(json.dumps({"words": None, "arrays": []}).encode()),
+    "arrays": _told([], [8, 2**40, 2**40]),
+    "many": _told([{"posed": True}] * 3),
+    "fields": _told([{"posed": True, "confidence": "x"}]),
+    "objects": _told([], [3, 5]),
+    "nothing": _told(None),
+    "early": _told([{"posed": True, "confidence": 1.0, "message": "", "info": "{}"}], [8, 4, 4]) + np.eye(4).tobytes(),
 }
 
 

@@ -1,7 +1,8 @@
 """Messages between an evaluator and the process of a method, over a pair of connected sockets.
 
 Questions are pickled, with their arrays beside the pickle so that they are copied once. Answers come from a process
-that runs anybody's code: they are JSON and arrays of floats, and nothing in them is executed.
+that runs anybody's code: they are JSON and arrays of floats, and nothing in them is executed. Each names the question
+that it answers by a number drawn for it, so that nothing can be answered before it is asked.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ class FramingFault(Exception):
     """An answer that is not what the protocol says."""
 
 
-def send_request(connection: socket.socket, request: Any) -> None:
-    """Send any object that can be pickled. Raises OSError if the other side is gone."""
+def send_request(connection: socket.socket, question: str, request: Any) -> None:
+    """Send any object that can be pickled, and what its answer must name. Raises OSError if the other side is gone."""
     buffers: list[pickle.PickleBuffer] = []
-    text = pickle.dumps(request, protocol=5, buffer_callback=buffers.append)
+    text = pickle.dumps((question, request), protocol=5, buffer_callback=buffers.append)
     parts = [buffer.raw() for buffer in buffers]
     sizes = [len(text), *(part.nbytes for part in parts)]
     connection.sendall(b"".join(map(_COUNT.pack, [len(sizes), *sizes])) + text)
@@ -40,27 +41,37 @@ def send_request(connection: socket.socket, request: Any) -> None:
         connection.sendall(part)
 
 
-def receive_request(connection: socket.socket) -> Any:
-    """The object that the evaluator sent; its arrays are read-only. Raises EOFError if the evaluator is gone."""
+def receive_request(connection: socket.socket) -> tuple[str, Any]:
+    """The question's number, and the object that the evaluator sent; its arrays are read-only.
+
+    Raises:
+        EOFError: the evaluator is gone.
+    """
     count = _number(connection)
     sizes = [_number(connection) for _ in range(count)]
     text, *parts = [_bytes(connection, size) for size in sizes]
-    return pickle.loads(text, buffers=[memoryview(part).toreadonly() for part in parts])
+    asked: tuple[str, Any] = pickle.loads(text, buffers=[memoryview(part).toreadonly() for part in parts])
+    return asked
 
 
-def send_answer(connection: socket.socket, words: Any, arrays: Sequence[NDArray[np.floating]] = ()) -> None:
+def send_answer(
+    connection: socket.socket, question: str, words: Any, arrays: Sequence[NDArray[np.floating]] = ()
+) -> None:
     """Send plain values and arrays of float16, float32 or float64."""
     about = [[array.dtype.itemsize, *array.shape] for array in arrays]
-    text = json.dumps({"words": words, "arrays": about}).encode()
+    text = json.dumps({"question": question, "words": words, "arrays": about}).encode()
     connection.sendall(_COUNT.pack(len(text)) + text)
     for array in arrays:
         connection.sendall(np.ascontiguousarray(array, dtype=f"<f{array.dtype.itemsize}").tobytes())
 
 
-def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tuple[Any, list[NDArray[np.floating]]]:
+def receive_answer(
+    connection: socket.socket, question: str, alive: Callable[[], bool]
+) -> tuple[Any, list[NDArray[np.floating]]]:
     """Plain values and arrays of floats.
 
     Args:
+        question: what the answer must name.
         alive: whether the other side still runs. The end of the connection is not enough to tell: processes that the
             other side has started may hold it open.
 
@@ -77,6 +88,8 @@ def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tupl
         words, about = answer["words"], [tuple(map(_size, numbers)) for numbers in answer["arrays"]]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise FramingFault("something that is not a JSON object of words and arrays") from None
+    if answer.get("question") != question:
+        raise FramingFault("an answer to another question")
     sizes = [math.prod(numbers) for numbers in about]
     if len(about) > _MOST_ARRAYS or sum(sizes) > _MOST_BYTES:
         raise FramingFault(f"{len(about)} arrays of {sum(sizes)} bytes together")

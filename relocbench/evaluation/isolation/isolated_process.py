@@ -75,17 +75,18 @@ class Connection:
     """Questions and answers of this process alone: a child that a method forked and that returns here ends."""
 
     def __init__(self, connection: socket.socket) -> None:
-        self._connection, self._pid = connection, os.getpid()
+        self._connection, self._pid, self._question = connection, os.getpid(), ""
 
     def request(self) -> Any:
         if os.getpid() != self._pid:
             os._exit(1)
-        return receive_request(self._connection)
+        self._question, request = receive_request(self._connection)
+        return request
 
     def answer(self, words: Any, arrays: Arrays = ()) -> None:
         if os.getpid() != self._pid:
             os._exit(1)
-        send_answer(self._connection, words, arrays)
+        send_answer(self._connection, self._question, words, arrays)
 
 
 def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, Any]]:

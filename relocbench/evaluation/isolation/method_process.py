@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import secrets
 import signal
 import socket
 import subprocess
@@ -23,7 +24,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.errors import MethodError, RelocbenchError, one_line
+from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.isolation.framing import FramingFault, receive_answer, send_request
 from relocbench.execution import ScratchFolder, end_descendants
 from relocbench.methods import MethodSpec
@@ -44,7 +45,8 @@ class MethodProcess:
     """A child process that holds one method and answers only to this object.
 
     Its home, caches and temporary files are in a folder of its own, which is removed with it.
-    If the child dies, this process ends in the same way: whoever watches over it then learns how the method ended.
+    If the child dies, this process ends in the same way: whoever watches over it then learns how the method ended. If
+    it sends what is no answer to the question, this process ends with the status ``EX_PROTOCOL``.
 
     Args:
         spec: the method, which the child makes.
@@ -83,29 +85,32 @@ class MethodProcess:
             needed: returns what the child needs meanwhile, by what it names.
 
         Raises:
-            RelocbenchError: the child does not keep to the protocol.
             Exception: whatever ``needed`` raises; the child is then ended.
         """
         try:
-            self._send(request)
+            question = self._send(request)
             while True:
-                answer, arrays = receive_answer(self._connection, lambda: self._process.poll() is None)
+                answer, arrays = receive_answer(self._connection, question, lambda: self._process.poll() is None)
                 if needed is None or not isinstance(answer, dict) or NEEDS not in answer:
                     return answer, arrays
-                self._send(self._needed(needed, answer[NEEDS]))
+                question = self._send(self._needed(needed, answer[NEEDS]))
         except (EOFError, OSError):
             self._die_like_the_method()
-        except FramingFault as bad:
+        except FramingFault:
             self.close()
-            raise RelocbenchError(f"the method's process sent an invalid answer: {bad}") from None
+            end_descendants()
+            os._exit(os.EX_PROTOCOL)
 
     def close(self) -> None:
         """End the process."""
         self._finalizer()
 
-    def _send(self, request: Any) -> None:
+    def _send(self, request: Any) -> str:
+        """Send a request under a number that the child cannot have known before; returns it."""
+        question = secrets.token_hex(8)
         with suppress(BrokenPipeError, ConnectionResetError):  # what it has answered before is still to be read
-            send_request(self._connection, request)
+            send_request(self._connection, question, request)
+        return question
 
     def _needed(self, needed: Callable[[Any], Any], named: Any) -> Any:
         try:

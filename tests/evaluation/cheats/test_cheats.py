@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cheating_retrievers import KeyGuesser, MeanGrey
-from cheating_trackers import FRAMES, Trilaterator
+from cheating_trackers import FRAMES, QUESTION, Trilaterator
 from refusals import refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
-from relocbench.errors import MethodError, RelocbenchError
+from relocbench.errors import MethodError
 from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.isolation.framing import FramingFault, receive_answer
@@ -65,12 +65,11 @@ CHEATS = {
     "mutator": "Mutator",
     "patch": "Forger",
     "stopwatch": "Forger",
-    "fields": "Forger",
     "note-a": "NoteTaker",
     "note-b": "NoteTaker",
     "order": "Order",
 }
-SETTINGS = ("patch.how=patch", "stopwatch.how=clock", "fields.how=fields")
+SETTINGS = ("patch.how=patch", "stopwatch.how=clock")
 
 
 @pytest.fixture(scope="module")
@@ -146,28 +145,30 @@ def test_seconds_are_measured_where_the_method_cannot_reach(asked: dict[str, Met
     assert min(answer.seconds or 0 for answer in answers(asked["stopwatch"])) >= 0.05
 
 
-def test_a_process_that_speaks_out_of_turn_gains_nothing(asked: dict[str, MethodResults]) -> None:
-    both = zip(errors(asked["fields"]), errors(asked["identity"]), strict=True)
-    assert all(mine >= floors or np.isinf(mine) for mine, floors in both)
-
-
-def test_a_process_that_sends_no_answer_ends_the_run(dataset: Dataset, tmp_path: Path) -> None:
-    with refused(RelocbenchError, "", None, "JSON"):
-        Context().run(evaluate, dataset, tmp_path, f"cheat={HERE}:Forger", set=("how=pickle",))
-    assert not list(tmp_path.rglob("scores.yaml"))
+@pytest.mark.parametrize("how", ["pickle", "early"])
+def test_a_process_that_sends_no_answer_costs_its_pairs_and_later_methods_run(tmp_path: Path, how: str) -> None:
+    few = make_small_dataset(tmp_path / "few", pairs=2)
+    cheat, identity = Context().run(
+        evaluate, few, tmp_path / "r", f"cheat={HERE}:Forger", "identity", set=(f"cheat.how={how}",)
+    )
+    assert {answer.status for answer in answers(cheat)} == {"error"}
+    assert "something other than an answer to the question" in answers(cheat)[0].message
+    assert {answer.status for answer in answers(identity)} == {"ok"}
 
 
 @pytest.mark.parametrize("how", FRAMES)
 def test_nothing_that_a_process_may_send_is_taken_for_an_answer(how: str) -> None:
-    here, there = socket.socketpair()
-    with here:
-        there.sendall(FRAMES[how])
-        there.close()
-        try:
-            words, arrays = receive_answer(here, lambda: False)
-        except FramingFault:
-            return
-    assert {answer.status for answer in as_answers(words, arrays, 1)} == {"error"}
+    for question in (QUESTION, "another"):
+        here, there = socket.socketpair()
+        with here:
+            there.sendall(FRAMES[how])
+            there.close()
+            try:
+                words, arrays = receive_answer(here, question, lambda: False)
+            except FramingFault:
+                continue
+        assert question == QUESTION
+        assert ({answer.status for answer in as_answers(words, arrays, 1)} == {"error"}) is (how != "early")
 
 
 def test_a_method_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
