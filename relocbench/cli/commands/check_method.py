@@ -10,7 +10,7 @@ import typer
 from relocbench.cli.options import Json
 
 if TYPE_CHECKING:
-    from relocbench.evaluation.isolation.capabilities import Finding
+    from relocbench.evaluation.common.contract import Finding
     from relocbench.execution import Loss
     from relocbench.methods import MethodSpec
 
@@ -72,6 +72,6 @@ def _checked(asked: tuple[MethodSpec, Path | None]) -> list[Finding]:
 
 
 def _lost(asked: tuple[MethodSpec, Path | None], loss: Loss) -> list[Finding]:
-    from relocbench.evaluation.isolation.capabilities import Finding
+    from relocbench.evaluation.common.contract import Finding
 
     return [Finding("leaves its process alive", False, f"it ended ({loss.words})")]

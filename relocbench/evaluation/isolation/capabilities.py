@@ -1,14 +1,12 @@
-"""What a method offers, whether it can be constructed, and checks of its calls, in a worker and within limits."""
+"""The optional capabilities of a method, and whether it can be constructed, tested in a worker and within limits."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from relocbench.evaluation.isolation.guard import guarded
 from relocbench.evaluation.isolation.worker import CONSTRUCTOR
-from relocbench.execution import MANY_TIMES, Loss, Run, messages_to_stderr, run_limited, step
+from relocbench.execution import MANY_TIMES, Loss, Run, run_limited, step
 from relocbench.methods import SUBPROCESS, MethodSpec, method_class
 
 
@@ -60,38 +58,3 @@ def _capabilities_of_object(target: object) -> Capabilities:
 def _lost(spec: MethodSpec, loss: Loss) -> Capabilities:
     died = "the worker process died " if loss.kind == "death" else ""
     return Capabilities(fault=f"{CONSTRUCTOR}: {died}{f'({loss.words})' if died else loss.words}")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A requirement of the contract, and whether the method met it."""
-
-    check: str
-    passed: bool
-    detail: str = ""
-    doubtful: bool = False
-    """whether the contract is kept, but the answer is hard to believe"""
-
-
-def constructed(spec: MethodSpec) -> tuple[Any, Finding]:
-    """The method, and whether it could be constructed."""
-    method, problem = guarded(spec.create)
-    parameters = ", ".join(f"{k}={v}" for k, v in spec.parameters.items())
-    return method, Finding("is constructed", not problem, problem or parameters)
-
-
-def constructed_again(spec: MethodSpec) -> tuple[Any, str | None]:
-    """Another instance of a method that could be constructed before, or what went wrong."""
-    method, problem = guarded(spec.create)
-    return method, problem and f"constructed a second time, it raised {problem}"
-
-
-def attempt(call: Callable[[], Any], advice: str) -> tuple[Any, str | None]:
-    """What a call of a method returns, or what it raised.
-
-    Args:
-        advice: what the method should do instead of raising.
-    """
-    with messages_to_stderr():
-        value, problem = guarded(call, placed=True)
-    return value, problem and f"raised {problem} ({advice})"

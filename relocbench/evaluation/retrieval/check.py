@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Image
-from relocbench.evaluation.isolation.capabilities import Finding, attempt, constructed, constructed_again
+from relocbench.evaluation.common.contract import Finding, attempt, constructed, constructed_again
 from relocbench.evaluation.isolation.guard import guarded, implements
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of

@@ -19,6 +19,7 @@ from relocbench.evaluation.common.results import MethodResults, RunRecord
 from relocbench.evaluation.retrieval.opening import SetOptions
 from relocbench.evaluation.submission.card import Answered
 from relocbench.evaluation.submission.folder import RUN, answer_files
+from relocbench.evaluation.submission.resolving import ResolvedDataset, ResolvedRetrievalSet
 from relocbench.files import load_yaml
 from relocbench.progress import Reporter
 
@@ -81,11 +82,12 @@ class AnsweredDataset(ABC):
     """of the submission"""
     units: Sequence[UnitAnswers]
     """every pair set or task, whether it is answered or not"""
+    resolved: ResolvedDataset | ResolvedRetrievalSet
 
     @property
-    @abstractmethod
     def blind_export(self) -> BlindName | None:
         """The blind export that was answered; None for the dataset itself."""
+        return None if self.resolved.blind is None else self.resolved.blind.name
 
     @abstractmethod
     def home(self, results: Path) -> Path:

@@ -13,7 +13,6 @@ from typing import Any
 from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.common.blind_names import BlindName
 from relocbench.evaluation.common.results import MethodResults, RunRecord
 from relocbench.evaluation.retrieval.answers import write_answers, write_lists
 from relocbench.evaluation.retrieval.external import answers_to
@@ -121,10 +120,6 @@ class RankedDataset(AnsweredDataset):
     record_file = SET_FILE
     units: Sequence[TaskLists]
     resolved: ResolvedRetrievalSet
-
-    @property
-    def blind_export(self) -> BlindName | None:
-        return None if self.resolved.blind is None else self.resolved.blind.name
 
     def home(self, results: Path) -> Path:
         opened = self.resolved.images

@@ -17,7 +17,6 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, PoseLine, parse_pose, write_pose_lines
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.common.blind_names import BlindName
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import (
     DatasetResults,
@@ -219,10 +218,6 @@ class TrackedDataset(AnsweredDataset):
     record_file = "dataset.yaml"
     units: Sequence[PairSetAnswers]
     resolved: ResolvedDataset
-
-    @property
-    def blind_export(self) -> BlindName | None:
-        return None if self.resolved.blind is None else self.resolved.blind.name
 
     def home(self, results: Path) -> Path:
         dataset = self.resolved.dataset

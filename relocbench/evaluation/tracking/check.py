@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError
+from relocbench.evaluation.common.contract import Finding, attempt, constructed, constructed_again
 from relocbench.evaluation.isolation.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
-from relocbench.evaluation.isolation.capabilities import Finding, attempt, constructed, constructed_again
 from relocbench.evaluation.isolation.guard import batch_of, guarded, implements, neighbours_of
 from relocbench.evaluation.isolation.info_text import INFO_CHARACTERS
 from relocbench.evaluation.isolation.views import masked_query, masked_reference
