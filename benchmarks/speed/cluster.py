@@ -33,7 +33,7 @@ def main() -> None:
     out = []
     for workers in asked.workers:
         with (
-            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
             kept_workers(),
         ):
             scheduler = Scheduler(address=cluster.scheduler_address)

@@ -10,12 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dask_processes import LOOPBACK
 from killing import is_running
 from refusals import refused
 from units_of_work import count_alive, die, die_once, end_at_once, environment, square, user_error
 
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
 from relocbench.execution import Run, Scheduler, chunks, kept_workers, run_units, scheduler
+
+PAGES = {"dashboard_address": LOOPBACK, "worker_dashboard_address": LOOPBACK}
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -115,9 +118,7 @@ def test_no_scheduler_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_a_dask_cluster_gives_the_same_results() -> None:
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
-    ) as cluster:
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, **PAGES) as cluster:
         results = dict(run_units(square, list(range(9)), Run(scheduler=Scheduler(address=cluster.scheduler_address))))
     assert results == {i: i * i for i in range(9)}
 
@@ -125,7 +126,7 @@ def test_a_dask_cluster_gives_the_same_results() -> None:
 def test_workers_with_several_threads_are_refused() -> None:
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, **PAGES) as cluster,
         pytest.raises(ConfigError, match="--nthreads 1"),
     ):
         list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=cluster.scheduler_address))))

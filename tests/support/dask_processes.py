@@ -19,6 +19,9 @@ from typing import Any
 
 _ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
+LOOPBACK = "127.0.0.1:0"
+"""where Dask serves its pages; without an address it serves them to the network, with ``dashboard=False`` too"""
+
 
 class DaskProcesses:
     """A scheduler on loopback; workers are added and killed one by one.
@@ -117,7 +120,13 @@ def main(folder: Path, certificates: str) -> None:
     def schedule() -> Awaitable[Any]:
         protocol = "tls" if certificates else "tcp"
         return Scheduler(
-            protocol=protocol, host="127.0.0.1", port=0, dashboard=False, security=security, scheduler_file=str(file)
+            protocol=protocol,
+            host="127.0.0.1",
+            port=0,
+            dashboard=False,
+            dashboard_address=LOOPBACK,
+            security=security,
+            scheduler_file=str(file),
         )
 
     def work() -> Awaitable[Any]:
@@ -125,7 +134,9 @@ def main(folder: Path, certificates: str) -> None:
             scheduler_file=str(file),
             nthreads=1,
             memory_limit=0,
+            host="127.0.0.1",
             dashboard=False,
+            dashboard_address=LOOPBACK,
             security=security,
             local_directory=str(folder),
         )
