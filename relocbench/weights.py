@@ -21,7 +21,7 @@ class PublishedFile:
     licence: str
     """of the file, as a name or in a few words"""
     sha256: str | None = None
-    """hex digest of its content; None: nobody states one"""
+    """hex digest of its content; None: none is known, and the file is fetched only with ``--unverified``"""
     size_bytes: int | None = None
 
 

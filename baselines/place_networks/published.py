@@ -1,4 +1,7 @@
-"""The files of weights that the authors of the networks publish, as of November 2026."""
+"""The files of weights that the authors of the networks publish, as of November 2026.
+
+Digests are Patch-NetVLAD's publisher's, and for MegaLoc that of several projects that pin it independently.
+"""
 
 from __future__ import annotations
 
@@ -86,8 +89,10 @@ NETVLAD: Mapping[NetVladModel, PublishedFile] = {
 """by model"""
 
 MEGALOC = PublishedFile(
-    name="megaloc.torch",
-    address="https://github.com/gmberton/MegaLoc/releases/download/v1.0/megaloc.torch",
-    publisher="gmberton/MegaLoc, release v1.0 (Berton and Masone)",
+    name="megaloc.safetensors",
+    address="https://huggingface.co/gberton/MegaLoc/resolve/7cb9f7970d366fdf059963d04d372e503e8e9df9/model.safetensors",
+    publisher="gberton/MegaLoc on Hugging Face (Berton and Masone)",
     licence="MIT",
+    sha256="d4f9f2bcb60018f91eb6a8e061ed054fd55654e10c2569cf13841ea986ffb4f8",
+    size_bytes=914577436,
 )

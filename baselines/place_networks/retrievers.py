@@ -164,7 +164,7 @@ class MegaLoc(PlaceRetriever):
     """MegaLoc (Berton and Masone, CVPR Workshops 2025): DINOv2 and SALAD's aggregation by optimal transport.
 
     Args:
-        weights: file of the network's weights, as its authors publish it; by default ``megaloc.torch`` in torch's
+        weights: file of the network's weights, as its authors publish it; by default ``megaloc.safetensors`` in torch's
             cache, ``$TORCH_HOME/hub/checkpoints``.
         size: that images are resized to: WIDTHxHEIGHT, a number of pixels of the shorter side, or null for none; sides
             are then rounded to the nearest multiples of 14.

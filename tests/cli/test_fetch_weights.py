@@ -19,6 +19,7 @@ from relocbench.methods.fetching import Weights, weights_of
 from relocbench.weights import PublishedFile, SupportsFetching
 
 CONTENT = b"numbers of a network" * 40_000
+DIGEST = hashlib.sha256(CONTENT).hexdigest()
 
 
 class _Server(http.server.BaseHTTPRequestHandler):
@@ -92,7 +93,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache" / "small.pth"
 
 
-def publish(place: Path, address: str, sha256: str | None = None, size_bytes: int | None = None) -> None:
+def publish(place: Path, address: str, sha256: str | None = DIGEST, size_bytes: int | None = None) -> None:
     Published.files = {place: PublishedFile(place.name, address, "its authors", "MIT", sha256, size_bytes)}
 
 
@@ -105,19 +106,18 @@ def test_a_tracker_that_publishes_fits_the_contract() -> None:
 
 
 def test_what_is_fetched_is_shown_and_asked_about(server: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    digest = hashlib.sha256(CONTENT).hexdigest()
-    publish(place, f"{server}/moved", digest, len(CONTENT))
+    publish(place, f"{server}/moved", DIGEST, len(CONTENT))
     answering(monkeypatch, "no\n")
     told = relocbench("fetch-weights", METHOD)
     assert told.status == 2
     assert "nothing was fetched" in told.complaint
-    for word in (f"{server}/moved", "its authors", "MIT", digest, str(place), "0.8 MB", "Fetch it? [y/N]"):
+    for word in (f"{server}/moved", "its authors", "MIT", DIGEST, str(place), "0.8 MB", "Fetch it? [y/N]"):
         assert word in told.out
     assert not place.parent.exists()
     answering(monkeypatch, "y\n")
     told = relocbench("fetch-weights", METHOD, "-q")
     assert (told.status, told.err) == (0, "")
-    assert f"{place}: fetched; its SHA-256 is {digest} (as published)" in told.out
+    assert f"{place}: fetched; its SHA-256 is {DIGEST} (as expected)" in told.out
     assert place.read_bytes() == CONTENT
     assert list(place.parent.iterdir()) == [place]
 
@@ -130,18 +130,23 @@ def test_no_answer_is_no(server: str, place: Path, monkeypatch: pytest.MonkeyPat
     assert "not confirmed" in told.complaint
 
 
-def test_the_digest_is_told_where_nobody_states_one(server: str, place: Path) -> None:
-    publish(place, f"{server}/whole")
+def test_a_file_without_a_known_digest_is_fetched_only_when_asked_for(server: str, place: Path) -> None:
+    publish(place, f"{server}/whole", None)
     told = relocbench("fetch-weights", METHOD, "--yes", "-q")
+    assert told.status == 2
+    assert place.name in told.complaint
+    assert not place.parent.exists()
+    told = relocbench("fetch-weights", METHOD, "--yes", "--unverified", "-q")
     assert told.status == 0
     assert "size unknown" in told.out
-    assert f"{hashlib.sha256(CONTENT).hexdigest()} (nobody states the one to expect)" in told.out
+    assert DIGEST in told.out
+    assert place.read_bytes() == CONTENT
 
 
 def test_a_file_that_is_there_is_never_replaced(server: str, place: Path) -> None:
     place.parent.mkdir()
     place.write_bytes(b"mine")
-    publish(place, f"{server}/whole")
+    publish(place, f"{server}/whole", None)
     told = relocbench("fetch-weights", METHOD, "--yes")
     assert told.status == 0
     assert "is there already" in told.out
@@ -161,19 +166,17 @@ def closed_port() -> int:
 @pytest.mark.parametrize(
     ("path", "sha256", "words"),
     [
-        ("{server}/absent", None, "cannot be fetched: the server answers 404 Not Found"),
-        ("{server}/cut", None, f"cut short, {len(CONTENT) // 2} of {len(CONTENT)} bytes came"),
-        ("{server}/empty", None, "the answer is empty"),
-        ("{server}/elsewhere", None, "cannot be fetched"),
+        ("{server}/absent", DIGEST, "cannot be fetched: the server answers 404 Not Found"),
+        ("{server}/cut", DIGEST, f"cut short, {len(CONTENT) // 2} of {len(CONTENT)} bytes came"),
+        ("{server}/empty", DIGEST, "the answer is empty"),
+        ("{server}/elsewhere", DIGEST, "cannot be fetched"),
         ("{server}/whole", "0" * 64, "not the published file: its SHA-256 is"),
-        ("http://127.0.0.1:{closed}/whole", None, "cannot be fetched: [Errno 111] Connection refused"),
-        ("file:///no/such/file", None, "cannot be fetched"),
-        ("no address", None, "cannot be fetched: unknown url type"),
+        ("http://127.0.0.1:{closed}/whole", DIGEST, "cannot be fetched: [Errno 111] Connection refused"),
+        ("file:///no/such/file", DIGEST, "cannot be fetched"),
+        ("no address", DIGEST, "cannot be fetched: unknown url type"),
     ],
 )
-def test_a_failure_is_one_line_and_leaves_nothing(
-    server: str, place: Path, path: str, sha256: str | None, words: str
-) -> None:
+def test_a_failure_is_one_line_and_leaves_nothing(server: str, place: Path, path: str, sha256: str, words: str) -> None:
     publish(place, path.format(server=server, closed=closed_port()), sha256)
     told = relocbench("fetch-weights", METHOD, "--yes", "-q")
     assert told.status == 2

@@ -35,5 +35,5 @@ def test_fetched_weights_are_those_that_the_methods_publish() -> None:
         for method in installed_methods(kind):
             loaded = method_class(method, kind)
             for file in loaded.published().values() if isinstance(loaded, SupportsFetching) else ():
-                expected.setdefault(file.name, (set(), file.sha256 or "not stated"))[0].add(method)
+                expected.setdefault(file.name, (set(), file.sha256 or "unknown"))[0].add(method)
     assert {name: row for name, row in shown.items() if "." in name} == expected

@@ -19,13 +19,17 @@ def fetch_weights(
     ],
     settings: Settings = [],  # noqa: B006
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Fetch without asking.")] = False,
+    unverified: Annotated[
+        bool, typer.Option("--unverified", help="Fetch files whose SHA-256 is unknown too: nothing is compared.")
+    ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
     """Fetch the weights that a method needs, from those who publish them, to where the method looks for them.
 
     What is fetched, under which licence, and where it goes is shown first, and asked about. Files that are there
-    already are never replaced. No other command downloads anything.
+    already are never replaced. A file with another SHA-256 than the expected one is not kept, and one whose SHA-256
+    is unknown is not fetched without --unverified. No other command downloads anything.
 
     Example: relocbench fetch-weights disk-lightglue-pnp
     """
@@ -44,12 +48,17 @@ def fetch_weights(
             missing[path] = file
     for path, file in missing.items():
         typer.echo(_shown(path, file), err=json)
+    unknown = [file.name for file in missing.values() if file.sha256 is None]
+    if unknown and not unverified:
+        raise MethodError(
+            f"nothing was fetched: no SHA-256 to verify {', '.join(unknown)} with (--unverified fetches without one)"
+        )
     if missing and not yes and not _confirmed(len(missing), err=json):
         raise MethodError("nothing was fetched: not confirmed (--yes fetches without asking)")
     fetched = {}
     for path, file in missing.items():
         fetched[str(path)] = digest = fetch(file, path, reporter(quiet))
-        standing = "as published" if file.sha256 else "nobody states the one to expect"
+        standing = "as expected" if file.sha256 else "not verified"
         typer.echo(f"{path}: fetched; its SHA-256 is {digest} ({standing})", err=json)
     if json:
         counts = {"files_written": len(fetched), "skipped": len(files) - len(fetched)}

@@ -121,7 +121,7 @@ def test_retrievers_are_installed_by_their_names() -> None:
         ("eigenplaces", {"dimensions": 512}, "ResNet50_512_eigenplaces.pth"),
         ("netvlad", {}, "pitts_WPCA4096.pth.tar"),
         ("netvlad", {"model": "mapillary_WPCA512"}, "mapillary_WPCA512.pth.tar"),
-        ("megaloc", {}, "megaloc.torch"),
+        ("megaloc", {}, "megaloc.safetensors"),
     ],
 )
 def test_what_is_published_is_what_is_looked_for(
@@ -186,6 +186,6 @@ def test_without_weights_the_command_says_which_file_goes_where(
         "evaluate-retrieval", "-d", views, "-m", "baselines.place_networks:MegaLoc", "-o", tmp_path / "results"
     )
     assert told.status == 2
-    assert f"{tmp_path / 'torch'}/hub/checkpoints/megaloc.torch: no weights here" in told.complaint
+    assert f"{tmp_path / 'torch'}/hub/checkpoints/megaloc.safetensors: no weights here" in told.complaint
     assert "--set megaloc.weights=FILE" in told.complaint
     assert not (tmp_path / "results").exists()
