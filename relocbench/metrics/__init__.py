@@ -17,7 +17,15 @@ from relocbench.metrics.pose.failure_policy import (
 from relocbench.metrics.pose.matching import matching_quality
 from relocbench.metrics.pose.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
 from relocbench.metrics.pose.registry import CORRECT, METRICS, Metric, PairScores, metric_named, shown_in, within
-from relocbench.metrics.pose.summary import PairSetSummary, Spread, spread_over_seeds, summarize, totals
+from relocbench.metrics.pose.summary import (
+    PairSetSummary,
+    Spread,
+    spread_over_seeds,
+    summarize,
+    summarize_scores,
+    totals,
+)
+from relocbench.metrics.pose.virtual_correspondences import reprojection_errors
 from relocbench.metrics.retrieval.chance import chance_level, chance_recall
 from relocbench.metrics.retrieval.descriptors import exact_scores, rank_descriptors
 from relocbench.metrics.retrieval.measures import (
@@ -115,6 +123,7 @@ __all__ = [
     "relevance_from_labels",
     "relevance_from_lists",
     "relevance_within",
+    "reprojection_errors",
     "risk_coverage_area",
     "score_retrieval",
     "shown_in",
@@ -124,6 +133,7 @@ __all__ = [
     "success_radius",
     "summarize",
     "summarize_retrieval",
+    "summarize_scores",
     "totals",
     "within",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import relocbench.evaluation.common.folders as folders_module
 import relocbench.evaluation.common.results as results_module
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.records import ErrorTable, PairErrors, read_errors, write_errors
+from relocbench.evaluation.tables.records import NUMBERS, ErrorTable, PairErrors, read_errors, write_errors
 from relocbench.files import load_yaml, write_text
 from relocbench.leaderboard import load_results, make_board, write_leaderboard
 from relocbench.leaderboard.common import loading as loading_module
@@ -74,6 +75,7 @@ def test_rows_by_column_read_back_as_they_were_written(tmp_path: Path) -> None:
         for i in range(50)
     ]
     rows[7] = PairErrors(-7, 3, "a,\u2028b", "error", np.inf, np.inf, np.inf, -0.5, None, 1.0, None, None, 0.1)
+    rows[8:10] = replace(rows[8], vcre=0.25), replace(rows[9], vcre=np.inf)
     write_errors(tmp_path / "x.errors.csv", rows)
     table = read_errors(tmp_path / "x.errors.csv")
     assert list(table) == rows
@@ -85,7 +87,7 @@ def test_a_table_of_errors_without_a_row_is_read_and_written(tmp_path: Path) -> 
     write_errors(tmp_path / "x.errors.csv", [])
     table = read_errors(tmp_path / "x.errors.csv")
     assert list(table) == list(table.by_time()) == []
-    assert table.numbers.shape == (9, 0)
+    assert table.numbers.shape == (len(NUMBERS), 0)
     write_errors(tmp_path / "y.errors.csv", table)
     assert (tmp_path / "y.errors.csv").read_bytes() == (tmp_path / "x.errors.csv").read_bytes()
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pairfile import Pair, PairKey
+from relocbench.datasets.core.traversal import Traversal
 from relocbench.errors import DatasetError
 
 
@@ -20,6 +21,11 @@ class PairSet:
         self.layout = layout
         self.name = name
         self.reference, self.query, self.camera = parts
+
+    @cached_property
+    def query_traversal(self) -> Traversal:
+        """The drive of the queries. Raises DatasetError where its description is bad."""
+        return Traversal(self.layout.traversal(self.query))
 
     @cached_property
     def all_pairs(self) -> list[Pair]:

@@ -30,10 +30,18 @@ from relocbench.evaluation.tables.schema import (
     TEXT,
     PairRecord,
     Schema,
-    read_chunks,
+    or_blank,
     write_rows,
 )
-from relocbench.metrics import CORRECT, DifferentPlaces, PairSetSummary, PoseErrors, summarize, within
+from relocbench.metrics import (
+    CORRECT,
+    DifferentPlaces,
+    PairScores,
+    PairSetSummary,
+    PoseErrors,
+    summarize_scores,
+    within,
+)
 from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 
 ALL = "all"
@@ -178,11 +186,14 @@ class PairErrors(PairRecord):
     angle_deg: Annotated[float | None, NUMBER]
     sigma_translation_m: Annotated[float | None, NUMBER]
     sigma_rotation_deg: Annotated[float | None, NUMBER]
+    vcre: Annotated[float | None, or_blank(ERROR)] = None
+    """virtual correspondence reprojection error, as a share of the image's diagonal; unknown without a camera"""
 
 
-ERRORS = Schema(PairErrors)
+ERRORS = Schema(PairErrors, added_later=1)
 NUMBERS = ERRORS.columns[4:]
 _ERRORS, _OPTIONAL = NUMBERS[:3], NUMBERS[3:]
+_MAY_BE_INFINITE = [*range(len(_ERRORS)), NUMBERS.index("vcre")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +209,7 @@ class ErrorTable(Sequence[PairErrors]):
     status_index: NDArray[np.int8]
     """(N,) index into :data:`STATUSES`"""
     numbers: Array
-    """(9, N) the columns :data:`NUMBERS`; NaN where there is no value"""
+    """(len(NUMBERS), N) the columns :data:`NUMBERS`; NaN where there is no value"""
 
     @classmethod
     def of(cls, rows: Sequence[PairErrors]) -> ErrorTable:
@@ -278,7 +289,12 @@ class ErrorTable(Sequence[PairErrors]):
     @cached_property
     def summary(self) -> PairSetSummary:
         """Every metric over the rows. Raises DatasetError where there is none."""
-        return summarize(self.errors, seconds=self.column("seconds"), confidence=self.column("confidence"))
+        return summarize_scores(self.scores)
+
+    @cached_property
+    def scores(self) -> PairScores:
+        """What metrics are computed from."""
+        return PairScores(self.errors, *(self.column(name) for name in ("seconds", "confidence", "vcre")))
 
     @property
     def different_places(self) -> DifferentPlaces:
@@ -329,7 +345,7 @@ def read_errors(path: Path) -> ErrorTable:
         PredictionError: with file and line: a wrong column, a number or status that is not valid.
     """
     parts = []
-    for lines, rows in read_chunks(path, ERRORS.columns):
+    for lines, rows in ERRORS.chunks(path):
         part = _fast(list(zip(*rows, strict=True)))
         if part is None:
             part = ErrorTable.of([ERRORS.row(path, line, texts) for line, texts in zip(lines, rows, strict=True)])
@@ -372,9 +388,9 @@ def _fast(columns: Sequence[Sequence[str]]) -> ErrorTable | None:
     except (ValueError, OverflowError):
         return None
     blanks = sum(texts.count("") for texts in columns[7:])
-    infinite = sum(texts.count("inf") for texts in columns[4:7])
+    infinite = sum(columns[4 + index].count("inf") for index in _MAY_BE_INFINITE)
     odd = np.count_nonzero(~np.isfinite(numbers))
-    if odd != blanks + infinite or np.isnan(numbers[:3]).any() or not (numbers[:3] >= 0).all():
+    if odd != blanks + infinite or np.isnan(numbers[:3]).any() or (numbers[_MAY_BE_INFINITE] < 0).any():
         return None
     names: dict[str, int] = {}
     groups = np.array([names.setdefault(name, len(names)) for name in columns[2]], dtype=np.int64)

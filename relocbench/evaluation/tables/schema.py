@@ -236,11 +236,17 @@ R = TypeVar("R", bound=Record)
 class Schema(Generic[R]):
     """The columns of a table, and its reading and writing, as a record states them."""
 
-    def __init__(self, record: type[R]) -> None:
+    def __init__(self, record: type[R], *, added_later: int = 0) -> None:
+        """State a table.
+
+        Args:
+            added_later: how many of the last columns a table of an earlier version may lack, which are blank there.
+        """
         hints = get_type_hints(record, include_extras=True)
         self._make: Callable[..., R] = record
         self._kinds: dict[str, Kind[Any]] = {f.name: hints[f.name].__metadata__[0] for f in fields(record)}
         self.columns: tuple[str, ...] = tuple(self._kinds)
+        self.added_later = self.columns[len(self.columns) - added_later :]
 
     def of(self, values: Iterable[object]) -> R:
         """The record with these values, in the order of the columns."""
@@ -263,7 +269,7 @@ class Schema(Generic[R]):
         """
         out: list[R] = []
         seen: set[str] = set()
-        for lines, rows in read_chunks(path, self.columns):
+        for lines, rows in self.chunks(path):
             kept = [place for place, row in enumerate(rows) if keep is None or keep(row)]
             usual = self.together([rows[place] for place in kept])
             for number, place in enumerate(kept):
@@ -275,6 +281,22 @@ class Schema(Generic[R]):
                     seen.add(named)
                 out.append(row)
         return out
+
+    def chunks(self, path: Path) -> Iterator[tuple[list[int], list[list[str]]]]:
+        """The rows in chunks: the line numbers that they begin on, and their fields, blank where the table lacks them.
+
+        Raises:
+            PredictionError: as :func:`read_rows`.
+        """
+        head = next(read_csv(path, f"a table ({','.join(self.columns)})", PredictionError), (1, []))[1]
+        lacking = [""] * self._lacking(head)
+        for lines, rows in read_chunks(path, self.columns[: len(self.columns) - len(lacking)]):
+            yield lines, [[*row, *lacking] for row in rows] if lacking else rows
+
+    def _lacking(self, head: Sequence[str]) -> int:
+        """How many of the last columns a table with this header lacks; 0 where it has another header altogether."""
+        lacking = len(self.columns) - len(head)
+        return lacking if 0 < lacking <= len(self.added_later) and list(self.columns[: len(head)]) == list(head) else 0
 
     def row(self, path: Path, line: int, texts: Sequence[str]) -> R:
         """One row. Raises PredictionError with file and line."""
@@ -303,11 +325,14 @@ class Schema(Generic[R]):
         head, first = ",".join(self.columns), dict[str, int]()
         with findings.catching():
             rows = read_csv(path, f"a table ({head})", PredictionError)
-            if next(rows, (1, []))[1] != list(self.columns):
+            header = next(rows, (1, []))[1]
+            lacking = [""] * self._lacking(header)
+            if [*header, *self.columns[len(self.columns) - len(lacking) :]] != list(self.columns):
                 raise PredictionError(f"expected the header {head}", path, 1)
-            for line, texts in rows:
+            for line, row_texts in rows:
+                texts = [*row_texts, *lacking]
                 if len(texts) != len(self.columns):
-                    findings.fault(f"expected {len(self.columns)} columns, found {len(texts)}", path, line)
+                    findings.fault(f"expected {len(header)} columns, found {len(row_texts)}", path, line)
                     continue
                 cells, values = self._cells(path, line, texts), []
                 for name, kind in self._kinds.items():

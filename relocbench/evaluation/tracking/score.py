@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench import version
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
@@ -31,7 +31,8 @@ from relocbench.evaluation.tables.records import (
     write_errors,
 )
 from relocbench.files import plain_file, remove_parts
-from relocbench.metrics import PairSetSummary, align_predictions, pose_errors
+from relocbench.geometry import Camera
+from relocbench.metrics import PairSetSummary, align_predictions, pose_errors, reprojection_errors
 
 FORMULAS = 1
 """Version of the formulas: a change by which the same predictions and truth get other scores increases it."""
@@ -119,9 +120,15 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
     T_pred = np.array([poses.get(p.key, np.full((4, 4), np.nan)) for p in pairs]).reshape(-1, 4, 4)
     T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)
     errors = pose_errors(T_pred, T_gt, answered=[p.key in poses for p in pairs])
-    values = zip(errors.rotation_error_deg, errors.translation_error_m, errors.mlad_translation_error_m, strict=True)
+    values = zip(
+        errors.rotation_error_deg,
+        errors.translation_error_m,
+        errors.mlad_translation_error_m,
+        _reprojection_errors(pair_set, T_pred, T_gt, errors.answered),
+        strict=True,
+    )
     rows = []
-    for pair, (distance, angle), (rotation, translation, mlad) in zip(
+    for pair, (distance, angle), (rotation, translation, mlad, vcre) in zip(
         pairs, distances_and_angles(pairs), values, strict=True
     ):
         # Predictions made elsewhere may come without a table.
@@ -141,9 +148,24 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
                 angle_deg=angle,
                 sigma_translation_m=pair.sigma_translation_m,
                 sigma_rotation_deg=pair.sigma_rotation_deg,
+                vcre=vcre,
             )
         )
     return ErrorTable.of(rows)
+
+
+def _reprojection_errors(pair_set: PairSet, T_pred: Array, T_gt: Array, answered: Mask) -> Array:
+    """The virtual correspondence reprojection errors (N,) as shares of the diagonal; NaN for frames without images."""
+    drive = pair_set.query_traversal
+    out = np.full(len(T_gt), np.nan)
+    if pair_set.camera in drive.frames:
+        return out
+    rows_of: dict[Camera, list[int]] = {}
+    for row, pair in enumerate(pair_set.evaluated):
+        rows_of.setdefault(drive.camera(pair_set.camera, pair.query_timestamp_ns), []).append(row)
+    for camera, rows in rows_of.items():
+        out[rows] = reprojection_errors(T_pred[rows], T_gt[rows], camera, answered[rows])
+    return out
 
 
 def matching_scores(pair_set: PairSet, folder: MethodResults) -> dict[str, Summary]:

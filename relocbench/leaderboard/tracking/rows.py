@@ -17,7 +17,6 @@ from relocbench.metrics import (
     Interval,
     Metric,
     PairScores,
-    PoseErrors,
     median_interval,
     paired_difference,
     totals,
@@ -100,8 +99,5 @@ def _pooled(sets: Sequence[ErrorTable]) -> dict[str, float | None]:
     A mean of medians would be infinite as soon as a method fails on half of the pairs of one set. In a mean over sets,
     the only answer to one of them would weigh as much as all the answers to another.
     """
-    names = ("rotation_error_deg", "translation_error_m", "mlad_translation_error_m")
-    errors = PoseErrors(*(np.concatenate([rows.column(name) for rows in sets]) for name in names))
-    seconds, confidence = (np.concatenate([rows.column(name) for rows in sets]) for name in ("seconds", "confidence"))
-    scores = PairScores(errors, seconds, None if np.isnan(confidence).all() else confidence)
+    scores = PairScores.joined([rows.scores for rows in sets])
     return {m.name: m.compute(scores) for m in METRICS if m.per_pair is None}

@@ -128,9 +128,17 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
             if table.medians[sigma] is not None
         ],
         "pivots": [_pivot(table, groups, metric) for metric in (_pivoted(board) if groups else ())],
+        "more": _more(table),
         "groups": [(group, _method_table(board, dataset, group, ranks=False)) for group in groups],
         "matching": None,
     }
+
+
+def _more(table: Table) -> str:
+    """The measures that are folded away, one a line and methods side by side; empty where no method has any."""
+    known = [m for m in shown_in("more") if any(row.values[m.name] is not None for row in table.rows)]
+    lines = [[plain_heading(m), *(cell(m, row, table, interval=False) for row in table.rows)] for m in known]
+    return table_text(["measure", *(name(row) for row in table.rows)], lines, left=1) if lines else ""
 
 
 def _matching(dataset: DatasetBoard, table: Table) -> dict[str, object] | None:

@@ -29,6 +29,11 @@ class PrecisionRecall:
         """``sum_k (recall_k - recall_{k-1}) precision_k``: no interpolation, in 0..1."""
         return float(np.sum(np.diff(self.recall, prepend=0.0) * self.precision))
 
+    @property
+    def area_over_coverage(self) -> float:
+        """``sum_k (coverage_k - coverage_{k-1}) precision_k``, in 0..1: what Map-free relocalization calls AUC."""
+        return float(np.sum(np.diff(self.coverage, prepend=0.0) * self.precision))
+
     def coverage_at(self, precision: float) -> float:
         """The largest coverage of a threshold whose precision is at least that high; 0 where there is none."""
         return float(np.max(self.coverage[self.precision >= precision], initial=0.0))

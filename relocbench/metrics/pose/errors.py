@@ -16,7 +16,8 @@ other way round. That is why each has its own name.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,6 +50,11 @@ class PoseErrors:
     def answered(self) -> Mask:
         """(N,) whether each pair has an answer: by the failure policy, exactly the pairs with finite errors."""
         return np.isfinite(self.translation_error_m)
+
+    @classmethod
+    def joined(cls, parts: Sequence[PoseErrors]) -> PoseErrors:
+        """The errors of several sets, one after the other."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
     def joint_error(self, metres: float, degrees: float) -> Array:
         """(N,) ``max(translation_error_m / metres, rotation_error_deg / degrees)``: no unit, inf without an answer.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,6 +22,8 @@ CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence is assessed"""
 PRECISIONS_PERCENT: tuple[int, ...] = (95, 99)
 """the precision of the answers that are kept, where the share that can be kept is measured"""
+VCRE_THRESHOLD = 0.1
+"""of the image's diagonal, as in Map-free relocalization, whose images have a diagonal of 900 px"""
 SIGMA_FACTOR = 2.0
 """a threshold below this many ground-truth sigmas measures the errors of the ground truth rather than the method's"""
 
@@ -35,15 +37,30 @@ class PairScores:
     """(N,) wall-clock seconds of a pair, NaN where the method was not run; None if not measured at all"""
     confidence: Array | None = None
     """(N,) higher is more certain, NaN where not given; None if the method gives none"""
+    vcre: Array | None = None
+    """(N,) virtual correspondence reprojection errors as shares of the image's diagonal, inf without an answer; NaN
+    or None where the camera is not known"""
 
     def __post_init__(self) -> None:
-        for name, column in (("seconds", self.seconds), ("confidence", self.confidence)):
-            if column is not None and np.shape(column) != (len(self.errors),):
-                raise ValueError(f"{name} must be ({len(self.errors)},), got {np.shape(column)}")
+        for name in (f.name for f in fields(self)[1:]):
+            if np.shape(self.column(name)) != (len(self.errors),):
+                raise ValueError(f"{name} must be ({len(self.errors)},), got {np.shape(getattr(self, name))}")
+
+    @classmethod
+    def joined(cls, parts: Sequence[PairScores]) -> PairScores:
+        """The pairs of several sets, one set after the other; a column that one of them lacks is NaN there."""
+        columns = [np.concatenate([part.column(f.name) for part in parts]) for f in fields(cls)[1:]]
+        return cls(PoseErrors.joined([part.errors for part in parts]), *columns)
+
+    def column(self, name: str) -> Array:
+        """(N,) a column by its name; NaN where it is not given."""
+        known: Array | None = getattr(self, name)
+        return np.full(len(self.errors), np.nan) if known is None else known
 
 
-Place = Literal["set page", "first page", "paper", "terminal", "confidence"]
-"""tables for people: on the page of a dataset and on the first page, in LaTeX, on the terminal, and of confidences"""
+Place = Literal["set page", "more", "first page", "paper", "terminal", "confidence"]
+"""tables for people: on the page of a dataset, folded away there, on the first page, in LaTeX, on the terminal, and of
+confidences"""
 
 
 @dataclass(frozen=True)
@@ -56,7 +73,7 @@ class Metric:
     higher_is_better: bool
     description: str
     compute: Callable[[PairScores], float | None]
-    """the value over all pairs; None when its inputs (seconds, confidence) were not given"""
+    """the value over all pairs; None when its inputs (seconds, confidence, cameras) were not given"""
     per_pair: Callable[[PoseErrors], Array] | None = None
     """(N,) values whose plain mean is the metric, for metrics that are such a mean: the bootstrap resamples them"""
     translation_threshold_m: float | None = None
@@ -208,9 +225,8 @@ def _of_confidence(
     metres, degrees = CORRECT
 
     def compute(scores: PairScores) -> float | None:
-        pairs = len(scores.errors)
-        confidence = np.full(pairs, np.nan) if scores.confidence is None else scores.confidence
-        return value((within(scores.errors, metres, degrees), scores.errors.answered, confidence))
+        correct = within(scores.errors, metres, degrees)
+        return value((correct, scores.errors.answered, scores.column("confidence")))
 
     return Metric(
         name=f"{name}@({metres:g}m,{degrees:g}deg)",
@@ -282,6 +298,45 @@ def _coverage_of_confident() -> Metric:
     )
 
 
+def _of_vcre(name: str, description: str, value: Callable[[Array, PairScores], float], **options: Any) -> Metric:
+    """A metric of the reprojection errors (N,); None where one of them is not known."""
+
+    def compute(scores: PairScores) -> float | None:
+        vcre = scores.column("vcre")
+        return None if np.isnan(vcre).any() else value(vcre, scores)
+
+    return Metric(name=name, unit="share", description=description, compute=compute, **options)
+
+
+def _vcre_precision() -> Metric:
+    return _of_vcre(
+        f"vcre_precision@{VCRE_THRESHOLD:.0%}",
+        "share of all pairs whose virtual correspondence reprojection error is below "
+        f"{VCRE_THRESHOLD:.0%} of the image's diagonal",
+        lambda vcre, _: float(np.mean(vcre < VCRE_THRESHOLD)),
+        higher_is_better=True,
+    )
+
+
+def _vcre_auc() -> Metric:
+    def value(vcre: Array, scores: PairScores) -> float:
+        judged = vcre < VCRE_THRESHOLD, scores.errors.answered, scores.column("confidence")
+        return precision_recall(*judged).area_over_coverage
+
+    description = (
+        "area under precision against coverage as the threshold on the confidence falls; correct is a virtual "
+        f"correspondence reprojection error below {VCRE_THRESHOLD:.0%} of the diagonal"
+    )
+    return _of_vcre(f"vcre_auc@{VCRE_THRESHOLD:.0%}", description, value, higher_is_better=True)
+
+
+def _median_vcre() -> Metric:
+    description = (
+        "median over all pairs of the virtual correspondence reprojection error, as a share of the image's diagonal"
+    )
+    return _of_vcre("median_vcre", description, lambda vcre, _: float(np.median(vcre)), higher_is_better=False)
+
+
 def _shown(metric: Metric, *places: Place, with_interval: bool = False) -> Metric:
     return replace(metric, shown=frozenset(places), with_interval=with_interval)
 
@@ -308,6 +363,7 @@ METRICS: tuple[Metric, ...] = (
         ),
         *("set page", "first page", "paper", "terminal", "confidence"),
     ),
+    *(_shown(metric, "more") for metric in (_median_vcre(), _vcre_precision(), _vcre_auc())),
     _confidence_area(*CORRECT),
     _shown(_risk_coverage_area(), "confidence"),
     _shown(_wrong_of_answered(), "confidence"),

@@ -39,7 +39,7 @@ class PairSetSummary:
 
 
 def summarize(errors: PoseErrors, seconds: Array | None = None, confidence: Array | None = None) -> PairSetSummary:
-    """Compute every metric of the registry over a pair set.
+    """Compute every metric that errors, seconds and confidences give.
 
     Args:
         errors: N pairs.
@@ -47,12 +47,17 @@ def summarize(errors: PoseErrors, seconds: Array | None = None, confidence: Arra
         confidence: (N,) higher is more certain, NaN where not given; None if the method gives none.
 
     Raises:
-        DatasetError: there is no pair to score.
+        DatasetError: as :func:`summarize_scores`.
         ValueError: the lengths do not fit.
     """
+    return summarize_scores(PairScores(errors, seconds, confidence))
+
+
+def summarize_scores(scores: PairScores) -> PairSetSummary:
+    """Compute every metric of the registry over a pair set. Raises DatasetError where there is no pair to score."""
+    errors = scores.errors
     if len(errors) == 0:
         raise DatasetError("the pair set holds no accepted pair; expected at least one to score")
-    scores = PairScores(errors, seconds, confidence)
     values = {metric.name: metric.compute(scores) for metric in METRICS}
     return PairSetSummary(pairs=len(errors), answered=int(np.sum(errors.answered)), values=values)
 

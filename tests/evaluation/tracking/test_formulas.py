@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from relocbench.evaluation.tracking.score import FORMULAS
-from relocbench.geometry import make_transform, so3_exp
-from relocbench.metrics import pose_errors, summarize
+from relocbench.geometry import Camera, make_transform, so3_exp
+from relocbench.metrics import PairScores, pose_errors, reprojection_errors, summarize_scores
 
 SCORES = {
     1: {
@@ -31,6 +31,9 @@ SCORES = {
         "median_rotation_error_deg": 1.0313240312354817,
         "median_mlad_translation_error_m": 0.24704284182491676,
         "coverage": 0.9,
+        "median_vcre": 0.08982922503164512,
+        "vcre_precision@10%": 0.6,
+        "vcre_auc@10%": 0.5296428571428572,
         "confidence_auc_pr@(0.25m,2deg)": 0.2984126984126984,
         "aurc@(0.25m,2deg)": 0.4949206349206349,
         "wrong_of_answered@(0.25m,2deg)": 0.4444444444444444,
@@ -52,7 +55,8 @@ def scores() -> dict[str, float | int | None]:
     off = np.array([make_transform(so3_exp([0.004 * i, 0.0, 0.0]), [0.0, 0.05 * i, 0.03 * i]) for i in steps])
     errors = pose_errors(off @ truth, truth, answered=steps < 9)
     seconds, confidence = 0.1 + 0.1 * steps.astype(np.float64), np.cos(steps.astype(np.float64))
-    return summarize(errors, seconds, confidence).to_dict()
+    vcre = reprojection_errors(off @ truth, truth, Camera("pinhole", 96, 72, 240.0, 240.0, 47.5, 35.5), steps < 9)
+    return summarize_scores(PairScores(errors, seconds, confidence, vcre)).to_dict()
 
 
 def test_a_changed_formula_has_another_version() -> None:
