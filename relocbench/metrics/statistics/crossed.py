@@ -34,26 +34,25 @@ from numpy.typing import ArrayLike
 
 from relocbench.arrays import Array
 from relocbench.metrics.statistics.effective_size import MIN_EFFECTIVE
-from relocbench.metrics.statistics.intervals import LEVEL, Difference, Interval, with_two_pairs
+from relocbench.metrics.statistics.intervals import LEVEL, Difference, Interval, paired_difference, with_two_pairs
 
 
-def crossed_difference(a: ArrayLike, b: ArrayLike, *, level: float = LEVEL) -> Difference:
+def crossed_difference(a: ArrayLike, b: ArrayLike) -> Difference:
     """The mean of A minus the mean of B, with an interval for other places and other trainings.
 
     Two places with the largest difference either way are added to the variance by places, as in
-    :func:`relocbench.metrics.statistics.intervals.paired_difference`, whose interval for the means over the seeds is
-    never the wider one.
+    :func:`relocbench.metrics.statistics.intervals.paired_difference`, whose interval for the means over the seeds lies
+    within this one.
 
     Args:
         a, b: (S, P) values in 0..1 with each seed at each place, the same seeds and places in the same order. Single
             values of :func:`relocbench.metrics.per_group` may exceed 1.
-        level: nominal coverage of the interval.
 
     Returns:
         No interval for a single seed, or for fewer than :data:`MIN_EFFECTIVE` places.
 
     Raises:
-        ValueError: the seeds or places differ, there are none, values are not finite, or the level is impossible.
+        ValueError: the seeds or places differ, there are none, or values are not finite.
     """
     values_a, values_b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if values_a.ndim != 2 or values_a.size == 0 or values_a.shape != values_b.shape:
@@ -63,8 +62,6 @@ def crossed_difference(a: ArrayLike, b: ArrayLike, *, level: float = LEVEL) -> D
         )
     if not (np.isfinite(values_a).all() and np.isfinite(values_b).all()):
         raise ValueError("values by seed and place must be finite numbers")
-    if not 0 < level < 1:
-        raise ValueError(f"the level of an interval must be between 0 and 1, got {level}")
     difference = values_a - values_b
     seeds, places = difference.shape
     mean = float(difference.mean())
@@ -81,8 +78,11 @@ def crossed_difference(a: ArrayLike, b: ArrayLike, *, level: float = LEVEL) -> D
     spread = of_places**2 / (places - 1) + of_seeds**2 / (seeds - 1)
     spread += of_residuals**2 / ((places - 1) * (seeds - 1))
     freedom = min(max(variance**2 / spread, seeds - 1), places - 1)
-    half = float(stdtrit(freedom, (1 + level) / 2)) * math.sqrt(variance)
-    return Difference(mean, Interval(max(adjusted - half, -1.0), min(adjusted + half, 1.0), level))
+    half = float(stdtrit(freedom, (1 + LEVEL) / 2)) * math.sqrt(variance)
+    by_places = paired_difference([by_place], [np.zeros(places)], independent=True).interval
+    assert by_places is not None
+    low, high = min(adjusted - half, by_places.low), max(adjusted + half, by_places.high)
+    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL))
 
 
 def _variance_of_residuals(difference: Array) -> float:

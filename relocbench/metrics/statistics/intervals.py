@@ -10,12 +10,18 @@ pairs (:mod:`relocbench.metrics.statistics.effective_size`) in the place of thei
   the normal law serves near 0 and 1.
 - medians: the order statistics at the bounds of a share of one half.
 - differences: Student's t, with Bonett and Price's two added pairs ("Adjusted Wald confidence interval for a difference
-  of binomial proportions based on paired data", J. Educ. Behav. Stat. 2012).
+  of binomial proportions based on paired data", J. Educ. Behav. Stat. 2012). This is symmetric, but the number of rare
+  pairs on which methods differ is skewed: more of them may have been missed than seen too many. So the end away from
+  zero is at least as far as the intervals of two shares demand, of the pairs that A wins and of those that it loses:
+  the distances of their bounds are squared and added (Newcombe, "Improved confidence intervals for the difference
+  between binomial proportions based on paired data", Statistics in Medicine 1998; Zou and Donner, "Construction of
+  confidence limits about effect measures: a general approach", the same journal 2008).
 
 Pairs must be ordered by reference time. What is estimated is the mean over roads of the mean over a road's pair sets of
 the mean over a set's pairs. The sets of one road become one series first (:mod:`relocbench.metrics.statistics.roads`),
 since they are not independent; roads are. From :data:`MANY_ROADS` roads on, the interval is at least as wide as
-Student's t over the roads.
+Student's t over the roads, and the spread of the roads bounds the effective number of draws of a share as well, with
+the degrees of freedom of the roads (Korn and Graubard, the same).
 
 ``benchmarks/truth/intervals.py`` measures their coverage.
 """
@@ -80,9 +86,6 @@ def mean_interval(
 ) -> Interval | None:
     """The interval of a share or area: of the mean over the roads of the mean over a road's sets.
 
-    With p the mean and v its variance under the inflation, the pairs are worth ``p (1 - p) / v`` draws of 0 or 1,
-    and as many as they are effective pairs where they do not vary.
-
     Args:
         pair_sets: (N_s,) values of each pair set, ordered by reference time, whose means are in 0..1; single values of
             :func:`relocbench.metrics.per_group` may exceed 1.
@@ -104,14 +107,9 @@ def mean_interval(
     size = _effective_size(sets, errors, roads, independent, level)
     if size is None:
         return None
-    from scipy.special import ndtri, stdtrit
-
     sets = by_road(sets, roads)
-    p = min(max(mean_of_means(sets), 0.0), 1.0)
-    variance = _variance_of_one(sets) / (size - 1) + _UNSEEN * (p**2 + (1 - p) ** 2) / size**2
-    tails = float(ndtri((1 + level) / 2)) / float(stdtrit(size - 1, (1 + level) / 2))
-    draws = max(p * (1 - p) / variance * tails**2, size)
-    low, high = _clopper_pearson(p, draws, level)
+    p = _share(sets)
+    low, high = _clopper_pearson(p, _draws(sets, size, level), level)
     between = _between_roads(sets, level)
     return Interval(max(0.0, min(low, p - between)), min(1.0, max(high, p + between)), level)
 
@@ -178,18 +176,38 @@ def paired_difference(
         raise ValueError("a paired difference needs both methods on the same pairs")
     difference = [x - y for x, y in zip(a, b, strict=True)]
     size = _effective_size(difference, [np.stack(both) for both in zip(a, b, strict=True)], roads, independent, LEVEL)
+    won, lost = (by_road([np.maximum(sign * d, 0.0) for d in difference], roads) for sign in (1.0, -1.0))
     difference = by_road(difference, roads)
     mean = mean_of_means(difference)
     if size is None:
         return Difference(mean, None)
+    low, high = _by_students_t(difference, size)
+    if mean > 0:
+        high = max(high, mean + _beyond(won, lost, size))
+    elif mean < 0:
+        low = min(low, mean - _beyond(lost, won, size))
+    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL))
+
+
+def _by_students_t(difference: Sequence[Array], size: float) -> tuple[float, float]:
+    """The bounds of the mean of roads' series by t over their stretches with two added pairs, and over the roads."""
     from scipy.special import stdtrit
 
+    mean = mean_of_means(difference)
     largest = max(float(np.abs(d).max()) for d in difference) or 1.0
     adjusted, variance = with_two_pairs(mean, _variance_of_one(difference), largest, size)
     half = float(stdtrit(size - 1, (1 + LEVEL) / 2)) * math.sqrt(variance)
-    half_between = _between_roads(difference, LEVEL)
-    low, high = min(adjusted - half, mean - half_between), max(adjusted + half, mean + half_between)
-    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL))
+    between = _between_roads(difference, LEVEL)
+    return min(adjusted - half, mean - between), max(adjusted + half, mean + between)
+
+
+def _beyond(won: Sequence[Array], lost: Sequence[Array], size: float) -> float:
+    """By how much the share that one method wins minus the share that it loses may exceed the one that was seen."""
+    draws = _draws([x + y for x, y in zip(won, lost, strict=True)], size, LEVEL)
+    wins, losses = _share(won), _share(lost)
+    most = _clopper_pearson(wins, max(draws, _draws(won, size, LEVEL)), LEVEL)[1]
+    least = _clopper_pearson(losses, max(draws, _draws(lost, size, LEVEL)), LEVEL)[0]
+    return math.hypot(most - wins, losses - least)
 
 
 def with_two_pairs(
@@ -250,6 +268,30 @@ def _effective_size(
     pairs = pairs_in_equal_sets([len(v) for v in by_road(sets, roads)])
     inflation = inflation_of(sets, errors, roads, independent=independent)
     return pairs / float(inflation.likely[0]) if bool(inflation.enough(pairs)[0]) else None
+
+
+def _share(series: Sequence[Array]) -> float:
+    """The mean of roads' series, which rounding leaves in 0..1."""
+    return min(max(mean_of_means(series), 0.0), 1.0)
+
+
+def _draws(series: Sequence[Array], size: float, level: float) -> float:
+    """How many independent draws of 0 or 1 have a mean as uncertain as that of roads' series.
+
+    With p the mean and v its variance they are ``p (1 - p) / v``; and as many as there are effective stretches
+    (``size``) where these hardly vary.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    def draws(variance: float, freedom: float) -> float:
+        tails = float(ndtri((1 + level) / 2)) / float(stdtrit(freedom, (1 + level) / 2))
+        return p * (1 - p) / variance * tails**2
+
+    p, roads = _share(series), len(series)
+    along = _variance_of_one(series) / (size - 1) + _UNSEEN * (p**2 + (1 - p) ** 2) / size**2
+    of_stretches = max(draws(along, size - 1), size)
+    between = float(np.var([x.mean() for x in series], ddof=1)) / roads if roads >= MANY_ROADS else 0.0
+    return min(of_stretches, draws(between, roads - 1)) if between > 0 and 0 < p < 1 else of_stretches
 
 
 def _variance_of_one(sets: Sequence[Array]) -> float:

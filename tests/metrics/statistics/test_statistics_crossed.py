@@ -151,5 +151,3 @@ def test_what_cannot_be_compared_is_refused() -> None:
             crossed_difference(a, b)
     with pytest.raises(ValueError, match="finite"):
         crossed_difference(np.full((3, 20), np.nan), np.ones((3, 20)))
-    with pytest.raises(ValueError, match="level"):
-        crossed_difference(np.ones((3, 20)), np.ones((3, 20)), level=95.0)
