@@ -140,4 +140,5 @@ def one_line(thing: object, most: int = MESSAGE_CHARACTERS) -> str:
 
 def raised(bad: BaseException) -> str:
     """An exception of third-party code in one line: its type and its message."""
-    return one_line(f"{type(bad).__name__}: {one_line(bad)}")
+    message = one_line(bad)
+    return one_line(f"{type(bad).__name__}: {message}" if message else type(bad).__name__)

@@ -79,6 +79,12 @@ def real_data() -> Callable[[str], Path]:
     return find
 
 
+@pytest.fixture(scope="session", autouse=True)
+def writable(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Methods of tests keep logs among the tests' files: they may write to folders of caches that have a variable."""
+    os.environ["OF_TESTS_CACHE_DIR"] = str(tmp_path_factory.getbasetemp())
+
+
 @pytest.fixture(scope="module")
 def workers_kept() -> Iterator[None]:
     """Worker processes that live go on from test to test: a fresh one takes seconds to import what it works with.

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+import typer
+
 from relocbench.cli.options import chosen
 
 if TYPE_CHECKING:
@@ -23,6 +25,11 @@ class Report(Protocol):
     @property
     def crashed(self) -> list[tuple[str, str]]:
         """Label of each method that crashed, and a message."""
+        ...
+
+    @property
+    def left_out(self) -> list[tuple[str, str]]:
+        """Label of each method that could not be made, and a message."""
         ...
 
     def to_dict(self) -> dict[str, Any]:
@@ -59,9 +66,13 @@ def run_evaluation(
     report = evaluate(merged(options, arguments["config"], chosen(arguments)), progress)
     if arguments["json"]:
         print_json(report.to_dict(), report.counts())
-        return
-    show(report, progress)
-    for label, message in (*report.crashed, *getattr(report, "suspicions", ())):
-        print(f"{label}: {message}", file=sys.stderr)
-    if not quiet:
-        print(f"results: {report.results}", file=sys.stderr)
+    else:
+        show(report, progress)
+        for label, message in (*report.crashed, *getattr(report, "suspicions", ())):
+            print(f"{label}: {message}", file=sys.stderr)
+        if not quiet:
+            print(f"results: {report.results}", file=sys.stderr)
+    for _, message in report.left_out:
+        print(f"error: {message}; the other methods ran", file=sys.stderr)
+    if report.left_out:
+        raise typer.Exit(2)

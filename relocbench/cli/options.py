@@ -74,6 +74,16 @@ MemoryLimit = Annotated[
         rich_help_panel=_RUN,
     ),
 ]
+Sandbox = Annotated[
+    Literal["auto", "required", "none"] | None,
+    typer.Option(
+        metavar="WHICH",
+        help="Whether a method runs where dataset, results and other processes are out of sight and only its own "
+        "folders can be written to: where this system has a sandbox (auto), always (required) or never (none) "
+        "[default: auto].",
+        rich_help_panel=_RUN,
+    ),
+]
 Scheduler = Annotated[
     str | None,
     typer.Option(

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import Literal, Self, TypeVar
 
 from relocbench.errors import ConfigError
 from relocbench.execution.calling import messages_to_stderr, pin_threads
@@ -27,18 +27,23 @@ from relocbench.execution.limits import (
     step,
 )
 from relocbench.execution.memory import can_watch
+from relocbench.execution.namespaces import SIGNALLED
 from relocbench.execution.processes import kept_workers, run_on_processes, run_with_limits
+from relocbench.execution.sandbox import NONE, Sandbox, working_sandbox
 from relocbench.execution.scheduler import Scheduler
-from relocbench.execution.scratch import ScratchFolder
+from relocbench.execution.scratch import ScratchFolder, shared_folders
 from relocbench.execution.worker_process import end_workers
 
 __all__ = [
     "IN_A_ROW",
     "MANY_TIMES",
+    "SIGNALLED",
     "TIME_LIMIT_S",
     "Limits",
     "Loss",
     "Run",
+    "Sandbox",
+    "SandboxChoice",
     "Scheduler",
     "ScratchFolder",
     "Step",
@@ -52,9 +57,11 @@ __all__ = [
     "pin_threads",
     "run_limited",
     "run_units",
+    "shared_folders",
     "step",
 ]
 
+SandboxChoice = Literal["auto", "required", "none"]
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
@@ -69,11 +76,29 @@ class Run:
     """a Dask scheduler, whose workers replace local ones"""
     limits: Limits = field(default_factory=Limits)
     """limits of each call of third-party code (:func:`run_limited`); a scheduler's workers have limits of their own"""
+    sandbox: SandboxChoice = "auto"
+    """whether processes of methods have a sandbox: where the system has one, always (or not at all), or never"""
 
     @property
     def in_subprocess(self) -> bool:
         """Whether the work runs in other processes than this one."""
         return self.scheduler is not None or self.workers > 0
+
+    def sandbox_hiding(self, *folders: Path) -> Sandbox:
+        """The sandbox of a method's processes, in which they find folders empty.
+
+        Raises:
+            ConfigError: there must be one, and this system has none.
+        """
+        hidden = tuple(folder.resolve() for folder in folders)
+        if self.sandbox == "none" or not self.in_subprocess:
+            return Sandbox(NONE)
+        if self.scheduler is not None:
+            return Sandbox("", hidden)  # what each worker's system has
+        kind = working_sandbox()
+        if self.sandbox == "required" and kind == NONE:
+            raise ConfigError("--sandbox required: neither namespaces nor bubblewrap work on this system")
+        return Sandbox(kind, hidden)
 
     def single_process(self) -> Self:
         """The same without worker processes, for work that is shorter than their start."""

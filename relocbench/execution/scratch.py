@@ -13,6 +13,7 @@ import secrets
 import shutil
 import tempfile
 import weakref
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -63,6 +64,23 @@ class ScratchFolder:
     def remove(self) -> None:
         """Remove the folder and what is in it."""
         self._finalizer()
+
+
+def shared_folders(environment: Mapping[str, str]) -> list[Path]:
+    """The folders of caches that a method with these variables shares with others, made where they are missing."""
+    named = {name: Path(value) for name, value in environment.items() if name in _SHARED_CACHES or _is_cache(name)}
+    if KERNEL_CACHE in environment:
+        named[KERNEL_CACHE] = Path(environment[KERNEL_CACHE]) / "relocbench"
+    made = []
+    for path in named.values():
+        with suppress(OSError):
+            path.mkdir(parents=True, exist_ok=True)
+            made.append(path)
+    return made
+
+
+def _is_cache(variable: str) -> bool:
+    return variable.endswith(("_CACHE_DIR", "_CACHE_PATH"))
 
 
 def _shared_caches() -> dict[str, str]:

@@ -17,8 +17,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-_ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-
 LOOPBACK = "127.0.0.1:0"
 """where Dask serves its pages; without an address it serves them to the network, with ``dashboard=False`` too"""
 
@@ -45,7 +43,7 @@ class DaskProcesses:
             stdout=subprocess.PIPE,
             stderr=self._log,
             cwd=folder,
-            env={**_ENVIRONMENT, **(environment or {})},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), **(environment or {})},
         )
         self.scheduler = self._fork()
         while not self.file.exists() or not self.file.read_text().endswith("}"):

@@ -141,6 +141,16 @@ def _running(fault_point: str) -> list[int]:
     return found
 
 
+def running_with(argument: str) -> list[Path]:
+    """The processes that have an argument, by their folders of ``/proc``."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            if argument.encode() in path.read_bytes().split(b"\0"):
+                found.append(path.parent)
+    return found
+
+
 def is_running(pid: int) -> bool:
     """A process that nobody waited for yet does not run any more."""
     try:

@@ -73,10 +73,10 @@ def fork_sleepers() -> None:
 def start_and_leave_behind() -> None:
     """A program and a thread that go on."""
     threading.Thread(target=time.sleep, args=(FOREVER_S,)).start()
-    sleeper = subprocess.Popen(["sleep", str(FOREVER_S)])
-    apart = subprocess.Popen(["sleep", str(FOREVER_S)], start_new_session=True)
-    with Path(os.environ["LEFT_BEHIND"]).open("a") as stream:
-        stream.write(f"{sleeper.pid}\n{apart.pid}\n")
+    sleeper = [sys.executable, "-c", f"import time; time.sleep({FOREVER_S})", os.environ["LEFT_BEHIND"]]
+    subprocess.Popen(sleeper)
+    subprocess.Popen(sleeper, start_new_session=True)
+    Path(os.environ["LEFT_BEHIND"]).touch()
 
 
 DEEDS: dict[str, Callable[[], None]] = {

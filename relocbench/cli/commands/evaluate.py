@@ -45,6 +45,7 @@ def evaluate(
     config: common.ConfigFile = None,
     time_limit: common.TimeLimit = None,
     memory_limit: common.MemoryLimit = None,
+    sandbox: common.Sandbox = None,
     workers: common.AskingWorkers = None,
     scheduler: common.Scheduler = None,
     scheduler_tls_ca: common.SchedulerTlsCa = None,

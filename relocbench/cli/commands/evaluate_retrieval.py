@@ -100,6 +100,7 @@ def evaluate_retrieval(
     ] = None,
     time_limit: common.TimeLimit = None,
     memory_limit: common.MemoryLimit = None,
+    sandbox: common.Sandbox = None,
     workers: Annotated[
         int | None,
         typer.Option(

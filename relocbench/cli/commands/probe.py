@@ -69,6 +69,7 @@ def probe(
     config: common.ConfigFile = None,
     time_limit: common.TimeLimit = None,
     memory_limit: common.MemoryLimit = None,
+    sandbox: common.Sandbox = None,
     workers: common.AskingWorkers = None,
     scheduler: common.Scheduler = None,
     scheduler_tls_ca: common.SchedulerTlsCa = None,

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from relocbench.datasets.core.schema import Strict
-from relocbench.execution import TIME_LIMIT_S, Limits, Run, Scheduler, default_workers, parse_size
+from relocbench.execution import TIME_LIMIT_S, Limits, Run, SandboxChoice, Scheduler, default_workers, parse_size
 
 Overwrite = Literal["never", "failed", "always"]
 """answers to compute again: none, those that failed, or all"""
@@ -26,6 +26,9 @@ class LimitOptions(Strict):
     memory_limit: Annotated[int, BeforeValidator(_size), Field(gt=0)] | None = None
     """bytes, or a size such as ``4GB``, of resident memory of a worker process with its children"""
 
+    sandbox: SandboxChoice = "auto"
+    """whether its processes have a sandbox: where the system has one, always (or nothing runs), or never"""
+
     @property
     def limits(self) -> Limits:
         return Limits(self.time_limit, self.memory_limit)
@@ -40,7 +43,9 @@ class ExecutionOptions(LimitOptions):
 
     @property
     def run(self) -> Run:
-        return Run(default_workers() if self.workers is None else self.workers, self.scheduler, self.limits)
+        return Run(
+            default_workers() if self.workers is None else self.workers, self.scheduler, self.limits, self.sandbox
+        )
 
     @model_validator(mode="after")
     def _limits_that_can_be_kept(self) -> Self:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 import platform
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from relocbench.datasets.core.writer import versions
-from relocbench.errors import PredictionError
+from relocbench.errors import MethodError, PredictionError
 from relocbench.evaluation.common.results import MethodResults, RunRecord
 from relocbench.execution import default_workers
 from relocbench.files import json_text, remove_parts
@@ -31,6 +32,44 @@ def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
         "workers": workers,
         "start": now(),
     }
+
+
+Result = TypeVar("Result")
+
+
+def run_each(
+    specs: Sequence[MethodSpec], run_one: Callable[[MethodSpec], Result]
+) -> tuple[list[tuple[MethodSpec, Result]], list[tuple[str, str]]]:
+    """Run methods one after the other. One that cannot be made is left out, and costs the others nothing.
+
+    Returns:
+        each method that ran with its result, and the label and message of each that was left out.
+
+    Raises:
+        MethodError: a single method, or each of them, cannot be made.
+    """
+    done: list[tuple[MethodSpec, Result]] = []
+    left_out: list[tuple[str, str]] = []
+    here = Path.cwd()
+    for spec in specs:
+        try:
+            done.append((spec, run_one(spec)))
+        except MethodError as bad:
+            left_out.append((spec.label, str(bad)))
+            if len(left_out) == len(specs):
+                raise
+        finally:
+            _return_to(here)
+    return done, left_out
+
+
+def _return_to(folder: Path) -> None:
+    """Make the working folder again where a method without a sandbox has removed it: the rest of a run needs one."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.chdir(folder)
 
 
 def refuse_submitted(folder: MethodResults) -> None:

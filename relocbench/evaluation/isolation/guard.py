@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import operator
 import signal
 import sysconfig
@@ -35,10 +36,15 @@ def guarded(call: Callable[[], Any], *, placed: bool = False) -> tuple[Any, str 
         try:
             value, crash = call(), None
         except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
-            value, crash = None, raised(bad) + (_place(bad) if placed else "")
+            value, crash = None, raised(bad) + (_place(bad) if placed else "") + _way_out(bad)
     if came:
         raise KeyboardInterrupt
     return value, crash
+
+
+def _way_out(bad: BaseException) -> str:
+    sandboxed = isinstance(bad, OSError) and bad.errno == errno.EROFS
+    return " (a method writes below TMPDIR and HOME, or runs with --sandbox none)" if sandboxed else ""
 
 
 def _place(bad: BaseException) -> str:

@@ -6,11 +6,9 @@ and depth. It ends when the evaluator does.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import socket
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -29,29 +27,19 @@ from relocbench.tracking import Query, Reference
 
 Arrays = Sequence[NDArray[np.floating]]
 
-_SET_PDEATHSIG = 1
+
+def main(descriptor: int) -> None:
+    """Answer requests about a tracker from a socket, which the file descriptor names, until its other end is closed."""
+    serve(descriptor, _made)
 
 
-def main(descriptor: int, parent: int) -> None:
-    """Answer requests about a tracker from a socket until its other end is closed.
-
-    Args:
-        descriptor: file descriptor of the socket.
-        parent: process id of the evaluator.
-    """
-    serve(descriptor, parent, _made)
-
-
-def serve(
-    descriptor: int, parent: int, make: Callable[[MethodSpec, Connection], tuple[object, dict[str, Any]]]
-) -> None:
+def serve(descriptor: int, make: Callable[[MethodSpec, Connection], tuple[object, dict[str, Any]]]) -> None:
     """Make a method and answer requests about it until the socket's other end is closed.
 
     Args:
         make: returns an object whose methods are named as the requests, and what the method declares of itself.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _end_with(parent)
     pin_threads()
     connection = Connection(socket.socket(fileno=descriptor))
     try:
@@ -59,7 +47,8 @@ def serve(
         try:
             handler, declared = make(spec, connection)
         except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
-            connection.answer({"fault": str(bad) if isinstance(bad, RelocbenchError) else raised(bad)})
+            known = isinstance(bad, RelocbenchError)
+            connection.answer({"fault": str(bad) if known else f"method '{spec.label}' cannot be made: {raised(bad)}"})
             return
         pin_threads()
         connection.answer({"declared": declared})
@@ -101,13 +90,14 @@ class _RequestHandler:
         self._tracker = tracker
 
     def prepare(self, keyframe: Reference) -> tuple[Any, Arrays]:
-        return {"broke": self._tracker.prepare(keyframe)}, []
+        crash = self._tracker.prepare(keyframe)
+        return {"broke": crash, "batch": self._tracker.declared.batch}, []
 
     def ask(self, different: list[Query], order: list[int], priors: list[Array | None] | None) -> tuple[Any, Arrays]:
         """Answer one query for each place in ``order``, which may name a query several times, with several priors."""
         answers, _ = self._tracker.ask([different[index] for index in order], priors)
         poses = [answer.T_query_ref for answer in answers if answer.T_query_ref is not None]
-        return [_words(answer) for answer in answers], poses
+        return {"answers": [_words(answer) for answer in answers], "batch": self._tracker.declared.batch}, poses
 
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
         ends, crash = self._tracker.match(query, uv_ref, uv_start)
@@ -125,11 +115,3 @@ def _words(answer: CheckedAnswer) -> dict[str, Any]:
         "message": answer.message,
         "info": answer.info,
     }
-
-
-def _end_with(parent: int) -> None:
-    """Have the kernel end this process with the evaluator (Linux); the socket's end tells it elsewhere."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
-        os._exit(1)

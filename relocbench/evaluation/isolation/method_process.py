@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.isolation.framing import FramingFault, receive_answer, send_request
-from relocbench.execution import ScratchFolder, end_descendants
-from relocbench.methods import MethodSpec
+from relocbench.execution import SIGNALLED, Sandbox, ScratchFolder, end_descendants, shared_folders
+from relocbench.methods import MethodSpec, keeper
 
 Arrays = list[NDArray[np.floating]]
 
@@ -36,8 +36,8 @@ NEEDS = "needs"
 """key of an answer by which the method's process asks for something before it can answer"""
 _ENDING_S = 1.0
 _START = (
-    "import importlib, json, sys; sys.path[:] = json.loads(sys.argv[4]); "
-    "importlib.import_module(sys.argv[1]).main(int(sys.argv[2]), int(sys.argv[3]))"
+    "import importlib, json, sys; sys.path[:] = json.loads(sys.argv[3]); "
+    "importlib.import_module(sys.argv[1]).main(int(sys.argv[2]))"
 )
 
 
@@ -51,24 +51,33 @@ class MethodProcess:
     Args:
         spec: the method, which the child makes.
         module: the module whose ``main`` the child runs.
+        sandbox: where the child runs.
 
     Raises:
         MethodError: the method cannot be made.
     """
 
-    def __init__(self, spec: MethodSpec, module: str) -> None:
+    def __init__(self, spec: MethodSpec, module: str, sandbox: Sandbox) -> None:
         self._connection, theirs = socket.socketpair()
-        words = [sys.executable, "-c", _START, module, str(theirs.fileno()), str(os.getpid()), json.dumps(sys.path)]
         scratch = ScratchFolder()
+        environment = scratch.environment()
+        held, control = os.pipe()
+        words = [sys.executable, "-c", _START, module, str(theirs.fileno()), json.dumps(sys.path)]
+        self._sandboxed = sandbox.exists
+        if self._sandboxed:
+            words = sandbox.command(words, [scratch.path, *shared_folders(environment)])
+        else:
+            words = [sys.executable, "-I", "-S", str(keeper.__file__), str(held), str(os.getpid()), *words]
         with theirs:
             self._process = subprocess.Popen(
                 words,
                 stdin=subprocess.DEVNULL,
                 stdout=sys.__stderr__,
-                pass_fds=(theirs.fileno(),),
-                env=scratch.environment(),
+                pass_fds=(theirs.fileno(), held),
+                env=environment,
             )
-        self._finalizer = weakref.finalize(self, _end, self._process, self._connection, scratch)
+        os.close(held)
+        self._finalizer = weakref.finalize(self, _end, self._process, self._connection, control, scratch)
         answer, _ = self.ask(spec)
         if not isinstance(answer, dict) or not isinstance(answer.get("declared"), dict):
             self.close()
@@ -127,6 +136,8 @@ class MethodProcess:
             self._process.kill()
             code = self._process.wait()
         end_descendants()
+        if self._sandboxed and code > SIGNALLED:
+            code = SIGNALLED - code
         if code < 0:
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
             if -code != signal.SIGKILL:
@@ -142,8 +153,9 @@ def crash_of(answer: Any) -> str | None:
     return None if crash is None else one_line(crash)
 
 
-def _end(process: subprocess.Popen[bytes], connection: socket.socket, scratch: ScratchFolder) -> None:
+def _end(process: subprocess.Popen[bytes], connection: socket.socket, control: int, scratch: ScratchFolder) -> None:
     connection.close()
+    os.close(control)
     process.kill()
     process.wait()
     scratch.remove()

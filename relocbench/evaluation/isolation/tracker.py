@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from relocbench.arrays import Array
@@ -12,6 +13,7 @@ from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.isolation.answers import CheckedAnswer, checked_answer, checked_pixels, error_answer
 from relocbench.evaluation.isolation.handles import Declared
 from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess, crash_of
+from relocbench.execution import Sandbox
 from relocbench.methods import MethodSpec
 from relocbench.tracking import MOST_QUERIES, Query, Reference, TrackResult
 
@@ -25,12 +27,14 @@ class IsolatedTracker:
         MethodError: the tracker cannot be made.
     """
 
-    def __init__(self, spec: MethodSpec) -> None:
-        self._process = MethodProcess(spec, _MODULE)
+    def __init__(self, spec: MethodSpec, sandbox: Sandbox) -> None:
+        self._process = MethodProcess(spec, _MODULE, sandbox)
         self.declared = _declared(self._process.declared)
 
     def prepare(self, keyframe: Reference) -> str | None:
-        return crash_of(self._process.ask(("prepare", (keyframe,)))[0])
+        answer, _ = self._process.ask(("prepare", (keyframe,)))
+        self._note_batch(answer)
+        return crash_of(answer)
 
     def ask(
         self, views: Sequence[Query], priors: Sequence[Array | None] | None = None
@@ -42,7 +46,9 @@ class IsolatedTracker:
         start = time.perf_counter()  # before the method's process gets the images, where it might begin to work
         answer, poses = self._process.ask(request)
         seconds = time.perf_counter() - start
-        return _answers(answer, poses, len(views)), seconds
+        self._note_batch(answer)
+        answers = answer.get("answers") if isinstance(answer, dict) else None
+        return _answers(answers, poses, len(views)), seconds
 
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
         answer, ends = self._process.ask(("match", (query, uv_ref, uv_start)))
@@ -61,6 +67,12 @@ class IsolatedTracker:
     def close(self) -> None:
         """End the process."""
         self._process.close()
+
+    def _note_batch(self, answer: Any) -> None:
+        """Keep the number of queries that it answers at once, which a program tells only when it has started."""
+        batch = answer.get("batch") if isinstance(answer, dict) else None
+        if type(batch) is int:
+            self.declared = replace(self.declared, batch=min(max(1, batch), MOST_QUERIES))
 
 
 def _answers(answers: Any, poses: Sequence[Any], count: int) -> list[CheckedAnswer]:

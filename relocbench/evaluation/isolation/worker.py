@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import groupby
 from pathlib import Path
@@ -30,9 +30,9 @@ from relocbench.datasets.core.traversal import Traversal
 from relocbench.evaluation.isolation.handles import LocalTracker, TrackerHandle
 from relocbench.evaluation.isolation.tracker import IsolatedTracker
 from relocbench.evaluation.isolation.views import masked_query, masked_reference
-from relocbench.execution import IN_A_ROW, MANY_TIMES, Loss, Run, chunks, run_limited, step
+from relocbench.execution import IN_A_ROW, MANY_TIMES, Loss, Run, Sandbox, chunks, run_limited, step
 from relocbench.files import read_journal
-from relocbench.methods import SUBPROCESS, MethodSpec
+from relocbench.methods import MethodSpec
 from relocbench.tracking import Query
 
 CONSTRUCTOR = "constructor"
@@ -48,6 +48,8 @@ class Visibility:
     """it runs in a process that holds no dataset"""
     times: bool = False
     """it declares that it uses the times of images"""
+    sandbox: Sandbox = field(default_factory=Sandbox)
+    """where its process runs"""
 
 
 @dataclass(frozen=True)
@@ -71,9 +73,9 @@ class Unit:
         return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
 
 
-def visibility_of(spec: MethodSpec, run: Run) -> Visibility:
-    """What a method sees in a run. Raises MethodError."""
-    return Visibility(isolated=run.in_subprocess, times=spec.uses_times())
+def visibility_of(spec: MethodSpec, run: Run, dataset: Dataset, results: Path) -> Visibility:
+    """What a method sees in a run on a dataset whose results are in a folder. Raises MethodError and ConfigError."""
+    return Visibility(run.in_subprocess, spec.uses_times(), run.sandbox_hiding(dataset.root, results))
 
 
 def units_of(
@@ -205,18 +207,21 @@ def tracker_of(unit: Unit) -> TrackerHandle:
     """The tracker of a unit, made once for each process and pair set; making it may load weights.
 
     What it saw in one pair set it must not remember in the next, where a drive that was the map may be asked: its
-    process ends with the set, and its home and temporary files with it. A method that is a program, and nothing else,
-    is isolated by being one.
+    process ends with the set, and its home and temporary files with it.
     """
-    program = unit.spec.target.startswith(SUBPROCESS) and unit.spec.start is None
-    apart = unit.visibility.isolated and not program
-    known = repr(unit.spec), apart, unit.dataset, unit.reference, unit.query, unit.camera
+    known = repr(unit.spec), unit.visibility.isolated, unit.dataset, unit.reference, unit.query, unit.camera
     if known not in _trackers:
         _trackers.clear()
         _called.clear()
         with step(CONSTRUCTOR, times=MANY_TIMES):
-            _trackers[known] = IsolatedTracker(unit.spec) if apart else LocalTracker(unit.spec.create())
+            _trackers[known] = _made(unit)
     return _trackers[known]
+
+
+def _made(unit: Unit) -> TrackerHandle:
+    if unit.visibility.isolated:
+        return IsolatedTracker(unit.spec, unit.visibility.sandbox)
+    return LocalTracker(unit.spec.create())
 
 
 U = TypeVar("U", bound=Unit)

@@ -17,6 +17,7 @@ from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import EvaluationOptions, ExecutionOptions
 from relocbench.evaluation.common.results import PREDICTIONS, MethodResults
+from relocbench.evaluation.common.runs import run_each
 from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
 from relocbench.evaluation.relocalization.candidates import read_tracked, track_candidates
 from relocbench.evaluation.relocalization.pipeline import Retrieved, keyframe_poses
@@ -83,6 +84,8 @@ class RelocalizationReport:
     results: Path
     crashed: list[tuple[str, str]] = field(default_factory=list)
     """label and message of each pipeline that crashed on queries"""
+    left_out: list[tuple[str, str]] = field(default_factory=list)
+    """label and message of each tracker that could not be made"""
 
     @cached_property
     def _scores(self) -> dict[str, PipelineScores]:
@@ -127,6 +130,7 @@ class RelocalizationReport:
                 for run in (folder.run_record(),)
             ],
             "broken": [{"pipeline": label, "message": message} for label, message in self.crashed],
+            "left_out": [{"method": label, "message": message} for label, message in self.left_out],
         }
 
 
@@ -162,6 +166,7 @@ def _evaluate(
         set_results(options.out, tasks.asked),
         overwrite=options.overwrite,
         run=options.run,
+        hidden=(options.dataset,),
         seed=options.seed,
         reporter=reporter,
     )
@@ -169,8 +174,9 @@ def _evaluate(
     write_set(results, tasks.record)
     retrieved = {each.label: _retrieved(each, tasks, options.top) for each in ranked}
     wanted = {name: _pairs(tasks.truth[name], [of[name] for of in retrieved.values()]) for name in tasks.names}
-    answered = [
-        track_candidates(
+    done, left_out = run_each(
+        trackers,
+        lambda spec: track_candidates(
             dataset,
             wanted,
             spec,
@@ -179,9 +185,9 @@ def _evaluate(
             run=options.run.with_shared_folders(options.out, options.dataset),
             seed=options.seed,
             reporter=reporter,
-        )
-        for spec in trackers
-    ]
+        ),
+    )
+    answered = [folder for _, folder in done]
     answers = {folder.label: {name: read_tracked(dataset, folder, name) for name in tasks.names} for folder in answered}
     folders = []
     for each in ranked:
@@ -193,7 +199,7 @@ def _evaluate(
             run = _run(tasks, each, folder.label, options.top, folder)
             folders.append(write_pipeline_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
     messages = [each for folder in folders for each in crashed_queries(folder, tasks.names)]
-    return RelocalizationReport(tasks, folders, results.root, messages)
+    return RelocalizationReport(tasks, folders, results.root, messages, left_out)
 
 
 def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], reporter: Reporter) -> Basins:

@@ -84,6 +84,7 @@ def run_retrievers(
     *,
     overwrite: Overwrite,
     run: Run,
+    hidden: Sequence[Path],
     seed: int,
     reporter: Reporter,
 ) -> list[RankingSource]:
@@ -114,6 +115,7 @@ def run_retrievers(
                 keep=KEEP,
                 overwrite=overwrite,
                 run=run,
+                hidden=hidden,
                 seed=seed,
                 reporter=reporter,
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,6 +13,7 @@ from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.options import AnswerOptions, LimitOptions
 from relocbench.evaluation.common.predictions import predictions_label
 from relocbench.evaluation.common.results import first_crash
+from relocbench.evaluation.common.runs import run_each
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
@@ -41,7 +42,7 @@ class RetrievalOptions(AnswerOptions, LimitOptions):
 
     @property
     def run(self) -> Run:
-        return Run(1 if self.workers is None else self.workers, None, self.limits)
+        return Run(1 if self.workers is None else self.workers, None, self.limits, self.sandbox)
 
     @model_validator(mode="after")
     def _one_process(self) -> Self:
@@ -62,6 +63,8 @@ class RetrievalReport:
     """label and message of each retriever that crashed on queries"""
     suspicions: list[tuple[str, str]]
     """label and advice for each retriever whose R@1 is no better than chance"""
+    left_out: list[tuple[str, str]] = field(default_factory=list)
+    """label and message of each retriever that could not be made"""
 
     def scores(self, folder: RetrieverResults) -> dict[str, Values]:
         """A retriever's scores on the evaluated tasks; none of answers to a blind export."""
@@ -91,6 +94,7 @@ class RetrievalReport:
             "chance": {task.name: self.record.tasks[task.name].chance for task in self.asked.chosen},
             "methods": {folder.label: self.scores(folder) for folder in self.folders},
             "broken": [{"method": label, "message": message} for label, message in self.crashed],
+            "left_out": [{"method": label, "message": message} for label, message in self.left_out],
             "suspicious": [{"method": label, "message": message} for label, message in self.suspicions],
         }
 
@@ -106,14 +110,16 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
     check_blind(specs, options.dataset)
     opened = open_set(options.dataset, options.out, _set_options(options), reporter)
     results = set_results(options.out, opened)
+    left_out: list[tuple[str, str]] = []
     if options.predictions is not None:
         label = predictions_label(options.predictions, options.methods)
         folders = [import_rankings(opened, opened.chosen, options.predictions, label, results)]
         write_set_record(results, opened, opened.chosen)
     else:
         with kept_workers():
-            folders = [
-                run_retriever(
+            done, left_out = run_each(
+                specs,
+                lambda spec: run_retriever(
                     opened,
                     opened.chosen,
                     spec,
@@ -121,21 +127,24 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
                     keep=options.keep,
                     overwrite=options.overwrite,
                     run=options.run,
+                    hidden=(options.dataset,),
                     seed=options.seed,
                     reporter=reporter,
-                )
-                for spec in specs
-            ]
+                ),
+            )
+        folders = [folder for _, folder in done]
         write_set_record(results, opened, opened.chosen)
     record = results.record
     names = [task.name for task in opened.chosen]
     crashed = [b for folder in folders for b in _crashes(folder, names)]
     if record.is_withheld:
         reporter.note(f"{opened.name} is a blind export: answers are kept, and scored by who has the truth")
-        return RetrievalReport(opened, record, folders, results.root, crashed, [])
+        return RetrievalReport(opened, record, folders, results.root, crashed, [], left_out)
     for folder in folders:
         score_retriever(record, folder)
-    return RetrievalReport(opened, record, folders, results.root, crashed, _suspicions(record, folders, names))
+    return RetrievalReport(
+        opened, record, folders, results.root, crashed, _suspicions(record, folders, names), left_out
+    )
 
 
 def _set_options(options: RetrievalOptions) -> SetOptions:

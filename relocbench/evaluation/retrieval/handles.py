@@ -5,6 +5,8 @@ from __future__ import annotations
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
 from relocbench.evaluation.isolation.worker import (
@@ -17,7 +19,7 @@ from relocbench.evaluation.isolation.worker import (
 )
 from relocbench.evaluation.retrieval.isolation import IsolatedRetriever
 from relocbench.evaluation.retrieval.local import CallResult, LocalRetriever, create_retriever
-from relocbench.execution import MANY_TIMES, Limits, Loss, Run, run_limited, step
+from relocbench.execution import MANY_TIMES, Limits, Loss, Run, Sandbox, run_limited, step
 from relocbench.methods import MethodSpec
 from relocbench.retrieval import Descriptors, ImageView
 
@@ -52,6 +54,7 @@ class _About:
 class _Request:
     token: str
     spec: MethodSpec
+    sandbox: Sandbox
     what: str
     given: tuple[Any, ...] = ()
     fitted: bool = False
@@ -65,10 +68,9 @@ class WorkerRetriever:
         MethodError: the retriever's constructor raises.
     """
 
-    def __init__(self, spec: MethodSpec, limits: Limits) -> None:
-        self._spec = spec
+    def __init__(self, spec: MethodSpec, limits: Limits, sandbox: Sandbox = Sandbox()) -> None:
         self._run = Run(1, limits=limits)  # a single process, since the fitted state lives in it
-        self._token = uuid.uuid4().hex
+        self._request = partial(_Request, uuid.uuid4().hex, spec, sandbox)
         self._fitted_by: tuple[Any, ...] = ()
         self._answered = False
         self._losses = 0
@@ -102,10 +104,10 @@ class WorkerRetriever:
             return None, 0.0, self._gone
         result: CallResult | Loss | None = None
         for attempt in range(1, tries + 1):
-            result = self._send(_Request(self._token, self._spec, what, given, bool(self._fitted_by)))
+            result = self._send(self._request(what, given, bool(self._fitted_by)))
             if result is None:  # a fresh process
-                fitted = self._send(_Request(self._token, self._spec, "fit", self._fitted_by))
-                again = _Request(self._token, self._spec, what, given, True)
+                fitted = self._send(self._request("fit", self._fitted_by))
+                again = self._request(what, given, True)
                 result = fitted if isinstance(fitted, Loss) else self._send(again)
             if not isinstance(result, Loss) or is_final(result, attempt):
                 break
@@ -125,9 +127,19 @@ class WorkerRetriever:
         return out
 
 
-def retriever_handle(spec: MethodSpec, run: Run) -> RetrieverHandle:
-    """The retriever in a worker process, or in this process if ``run`` has no workers. Raises MethodError."""
-    return LocalRetriever(create_retriever(spec)) if run.workers == 0 else WorkerRetriever(spec, run.limits)
+def retriever_handle(spec: MethodSpec, run: Run, hidden: Sequence[Path] = ()) -> RetrieverHandle:
+    """The retriever in a worker process, or in this process if ``run`` has no workers.
+
+    Args:
+        hidden: folders that it finds empty in a process of its own, where the system has a sandbox.
+
+    Raises:
+        MethodError: the retriever cannot be made.
+        ConfigError: there must be a sandbox, and this system has none.
+    """
+    if run.workers == 0:
+        return LocalRetriever(create_retriever(spec))
+    return WorkerRetriever(spec, run.limits, run.sandbox_hiding(*hidden))
 
 
 _retrievers: dict[str, IsolatedRetriever] = {}
@@ -143,7 +155,7 @@ def _serve(request: _Request) -> Any:
             other.close()
         _retrievers.clear()
         with step(CONSTRUCTOR, times=MANY_TIMES):
-            _retrievers[request.token] = IsolatedRetriever(request.spec)
+            _retrievers[request.token] = IsolatedRetriever(request.spec, request.sandbox)
     handler = _retrievers[request.token]
     if request.what == "about":
         return _About(handler.fits, handler.rerank_top, handler.rerank_fault), 0.0, ""

@@ -22,14 +22,9 @@ Shown = tuple[str, str, Image]
 """key and view of an image, and the image"""
 
 
-def main(descriptor: int, parent: int) -> None:
-    """Answer requests about a retriever from a socket until its other end is closed.
-
-    Args:
-        descriptor: file descriptor of the socket.
-        parent: process id of the evaluator.
-    """
-    serve(descriptor, parent, _made)
+def main(descriptor: int) -> None:
+    """Answer requests about a retriever from a socket, which the descriptor names, until its other end is closed."""
+    serve(descriptor, _made)
 
 
 def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, Any]]:

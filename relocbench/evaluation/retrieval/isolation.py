@@ -13,7 +13,7 @@ from relocbench.evaluation.isolation.info_text import info_text
 from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess, crash_of
 from relocbench.evaluation.retrieval.local import CallResult
 from relocbench.evaluation.retrieval.output_checks import MOST_RERANKED, checked_descriptors, checked_scores
-from relocbench.execution import MANY_TIMES, step
+from relocbench.execution import MANY_TIMES, Sandbox, step
 from relocbench.methods import MethodSpec
 from relocbench.retrieval import Descriptors, ImageView
 
@@ -27,8 +27,8 @@ class IsolatedRetriever:
         MethodError: the retriever cannot be made.
     """
 
-    def __init__(self, spec: MethodSpec) -> None:
-        self._process = MethodProcess(spec, _MODULE)
+    def __init__(self, spec: MethodSpec, sandbox: Sandbox) -> None:
+        self._process = MethodProcess(spec, _MODULE, sandbox)
         declared = self._process.declared
         self._warm = False
         self.fits = declared.get("fits") is True

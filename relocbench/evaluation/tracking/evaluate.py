@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,6 +24,7 @@ from relocbench.evaluation.common.results import (
     first_crash,
     write_dataset_record,
 )
+from relocbench.evaluation.common.runs import run_each
 from relocbench.evaluation.isolation.capabilities import capabilities_of
 from relocbench.evaluation.tables.records import read_answers, read_matching
 from relocbench.evaluation.tracking.external import import_predictions
@@ -61,6 +62,8 @@ class Report:
     """label and message of each method that crashed on pairs, rather than reporting failures"""
     matching: bool = False
     """whether matching quality was asked for"""
+    left_out: list[tuple[str, str]] = field(default_factory=list)
+    """label and message of each method that could not be made"""
 
     def counts(self) -> dict[str, int]:
         """Answers of all methods to all evaluated pairs, by their status; predictions made elsewhere may have none."""
@@ -88,6 +91,7 @@ class Report:
             "elsewhere": {label: scores.elsewhere for label, scores in scored.items() if scores.elsewhere},
             "matching": {label: scores.matching for label, scores in scored.items() if scores.matching},
             "broken": [{"method": label, "message": message} for label, message in self.crashed],
+            "left_out": [{"method": label, "message": message} for label, message in self.left_out],
         }
 
 
@@ -104,6 +108,7 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     specs = [] if options.predictions else blind_methods(dataset, named, options.set, options.seed)
     pictured = _check_images(dataset, pair_sets, specs)
     results = dataset_results(options.out, dataset)
+    left_out: list[tuple[str, str]] = []
     if options.predictions is not None:
         label = predictions_label(options.predictions, options.methods)
         folders = [import_predictions(dataset, pair_sets, options.predictions, label, results)]
@@ -112,17 +117,20 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
         write_dataset_record(results, dataset)
         with kept_workers():
             if pictured:
-                folders = [_run(dataset, pair_sets, spec, results, options, reporter) for spec in specs]
+                done, left_out = run_each(
+                    specs, lambda spec: _run(dataset, pair_sets, spec, results, options, reporter)
+                )
             else:
-                folders = [run_identity(dataset, pair_sets, spec, results) for spec in specs]
+                done = [(spec, run_identity(dataset, pair_sets, spec, results)) for spec in specs]
             if options.matching and pictured:
-                _match(dataset, pair_sets, specs, folders, options, reporter)
+                _match(dataset, pair_sets, done, options, reporter)
+        folders = [folder for _, folder in done]
         if CLOCK in options.methods:
             folders.append(run_clock(dataset, pair_sets, results))
     for folder in folders:
         score_method(dataset, pair_sets, folder)
     crashed = [crash for folder in folders for crash in _crashes(folder, pair_sets)]
-    return Report(dataset, pair_sets, folders, results.root, crashed, options.matching)
+    return Report(dataset, pair_sets, folders, results.root, crashed, options.matching, left_out)
 
 
 def _check_images(dataset: Dataset, pair_sets: list[PairSet], specs: list[MethodSpec]) -> bool:
@@ -158,17 +166,15 @@ def _run(
 def _match(
     dataset: Dataset,
     pair_sets: list[PairSet],
-    specs: list[MethodSpec],
-    folders: list[MethodResults],
+    done: list[tuple[MethodSpec, MethodResults]],
     options: EvaluateOptions,
     reporter: Reporter,
 ) -> None:
     """Measure matching quality of the methods that offer it; whatever is left out is reported."""
     for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
         reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
-    pairs = zip(specs, folders, strict=True)
-    able = [(spec, folder) for spec, folder in pairs if capabilities_of(spec, options.run).match]
-    unable = [spec.label for spec in specs if spec.label not in {spec.label for spec, _ in able}]
+    able = [(spec, folder) for spec, folder in done if capabilities_of(spec, options.run).match]
+    unable = [spec.label for spec, _ in done if spec.label not in {spec.label for spec, _ in able}]
     if unable:
         reporter.note(f"matching quality is not measured without match(): {', '.join(unable)}")
     for spec, folder in able:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import relocbench
-from killing import is_running, wait_until
+from killing import running_with, wait_until
 from misbehaving import allow_few_times
 from refusals import refused
 from small_dataset import ACROSS, make_small_dataset
@@ -106,7 +106,8 @@ def test_a_method_that_ends_its_worker_costs_one_pair_and_what_it_starts_ends_wi
         assert words in told[at].message
     assert {a.status for a in answers(report, 2).values()} == {"ok"}
     assert [label for label, _ in (*hung.crashed, *report.crashed)] == ["hang_in_native_code", "leave", "take_memory"]
-    wait_until(lambda: not any(is_running(int(pid)) for pid in left.read_text().split()))
+    assert left.exists()
+    wait_until(lambda: not running_with(str(left)))
 
 
 @pytest.mark.thorough

@@ -1,0 +1,80 @@
+"""Where the process of a method runs: it sees no other process, finds some folders empty, and can write only to a few.
+
+Two ways are tried: the kernel's namespaces, which need no privileges on most systems, and ``bubblewrap``, which some
+systems allow more than others. Where neither works, as on macOS and in many containers, a process runs as it is.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from relocbench.execution import namespaces
+
+NAMESPACES, BUBBLEWRAP, NONE = "namespaces", "bubblewrap", "none"
+_PATIENCE_S = 10.0
+
+
+@dataclass(frozen=True)
+class Sandbox:
+    """How processes of a method are kept from everything else."""
+
+    kind: str = NONE
+    """``namespaces``, ``bubblewrap`` or ``none``; empty for the one that works where the process is started"""
+    hidden: tuple[Path, ...] = ()
+    """folders that they find empty"""
+
+    @property
+    def exists(self) -> bool:
+        return (self.kind or working_sandbox()) != NONE
+
+    def command(self, words: Sequence[str], writable: Sequence[Path]) -> list[str]:
+        """The command line that runs another one inside.
+
+        Environment, working folder and inherited file descriptors are passed on. The exit status is that of the
+        command, or 128 and the number of the signal that ended it. It ends with the process that started it, and all
+        that it has started with it.
+
+        Args:
+            writable: existing folders that the command may write to.
+        """
+        kind = self.kind or working_sandbox()
+        writes = [str(path.resolve()) for path in writable]
+        hides = [str(path.resolve()) for path in self.hidden if path.is_dir()]
+        if kind == NAMESPACES:
+            spec = json.dumps({"parent": os.getpid(), "writable": writes, "hidden": hides})
+            # A variable, since the arguments of process 1 can be read inside.
+            return ["env", f"{namespaces.SPEC}={spec}", sys.executable, "-I", "-S", namespaces.__file__, *words]
+        if kind == BUBBLEWRAP:
+            seen = ["--ro-bind", "/", "/", "--dev-bind", "/dev", "/dev", "--tmpfs", "/dev/shm", "--proc", "/proc"]
+            seen += [word for path in writes for word in ("--bind", path, path)]
+            seen += [word for path in hides for word in ("--tmpfs", path, "--remount-ro", path)]
+            apart = ["--unshare-user", "--unshare-pid", "--unshare-ipc", "--die-with-parent", "--cap-drop", "ALL"]
+            return ["bwrap", *seen, *apart, "--chdir", str(Path.cwd()), *words]
+        return list(words)
+
+
+@cache
+def working_sandbox() -> str:
+    """The kind of sandbox that works on this system: ``namespaces``, ``bubblewrap`` or ``none``."""
+    if sys.platform != "linux":
+        return NONE
+    return next((kind for kind in (NAMESPACES, BUBBLEWRAP) if _works(kind)), NONE)
+
+
+def _works(kind: str) -> bool:
+    if kind == BUBBLEWRAP and shutil.which("bwrap") is None:
+        return False
+    command = Sandbox(kind).command(["true"], [])
+    try:
+        done = subprocess.run(command, check=False, stdin=subprocess.DEVNULL, capture_output=True, timeout=_PATIENCE_S)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return done.returncode == 0
