@@ -58,6 +58,7 @@ from relocbench.metrics.retrieval.relevance import (
 )
 from relocbench.metrics.statistics.crossed import crossed_difference
 from relocbench.metrics.statistics.effective_size import MIN_EFFECTIVE
+from relocbench.metrics.statistics.families import families_of, same_answers
 from relocbench.metrics.statistics.intervals import (
     LEVEL,
     Difference,
@@ -102,6 +103,7 @@ __all__ = [
     "count_at_least",
     "crossed_difference",
     "exact_scores",
+    "families_of",
     "generator",
     "infinite_where_failed",
     "matching_quality",
@@ -125,6 +127,7 @@ __all__ = [
     "relevance_within",
     "reprojection_errors",
     "risk_coverage_area",
+    "same_answers",
     "score_retrieval",
     "shown_in",
     "single_positive_fault",

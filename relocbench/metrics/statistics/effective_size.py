@@ -77,12 +77,17 @@ def series_inflation(roads: Sequence[Array]) -> Inflation:
     return _inflation(roads, lambda a, b: np.einsum("kn,kn->k", a, b))
 
 
-def difference_inflation(roads: Sequence[Array]) -> Inflation:
+def difference_inflation(roads: Sequence[Array], tables: Mask) -> Inflation:
     """The variance inflation of the differences of every two of M series, as (M, M) arrays.
+
+    Entry [x, y] is that of series x and y in the table of x: it is at least the one of all differences within that
+    table together, which are better known than a single one.
 
     Args:
         roads: (S, M, N) each, as in :func:`series_inflation`. Two series that differ by a constant are NaN.
+        tables: (M, M) by series x, those among which it is compared, with itself.
     """
+    within = tables.astype(np.float64)
 
     def product(a: Array, b: Array) -> Array:
         cross = a @ b.T
@@ -90,7 +95,9 @@ def difference_inflation(roads: Sequence[Array]) -> Inflation:
         return own[:, None] + own[None, :] - cross - cross.T
 
     def together(a: Array, b: Array) -> Array:
-        return np.atleast_1d(np.nansum(product(a, b) / variance))
+        of_pairs = np.nan_to_num(product(a, b) / variance)
+        out: Array = np.sum((within @ of_pairs) * within, axis=1)
+        return out
 
     each = _inflation(roads, product, likely_at=0.0)
     variance = np.sum([product(x, x) for x in (_centred(of.mean(axis=0)) for of in roads)], axis=0)
@@ -98,7 +105,11 @@ def difference_inflation(roads: Sequence[Array]) -> Inflation:
     if np.isnan(variance).all():
         return each
     pooled = _inflation(roads, together)
-    return Inflation(np.maximum(each.likely, pooled.likely), np.maximum(each.cautious, pooled.cautious))
+    likely, cautious = (
+        np.where(np.isnan(own), np.nan, np.fmax(own, of_table[:, None]))
+        for own, of_table in ((each.likely, pooled.likely), (each.cautious, pooled.cautious))
+    )
+    return Inflation(likely, cautious)
 
 
 def inflation_of(
@@ -141,7 +152,7 @@ def measured_inflation(
     """As :func:`inflation_of`, but NaN where nothing varies."""
     estimates = [series_inflation(aligned([v[None] for v in values], roads))]
     if errors is not None:
-        scores = [_normal_scores(np.atleast_2d(np.asarray(e, float))) for e in errors]
+        scores = [normal_scores(np.atleast_2d(np.asarray(e, float))) for e in errors]
         estimates.append(series_inflation(aligned(scores, roads)))
     likely = np.concatenate([e.likely for e in estimates])
     cautious = np.concatenate([e.cautious for e in estimates])
@@ -269,7 +280,7 @@ def _autoregressive(lag_one: Array, count: int, sets: int, quantile: float = 0.0
     return out
 
 
-def _normal_scores(errors: Array) -> Array:
+def normal_scores(errors: Array) -> Array:
     """``Phi^-1((rank - 1/2) / N)`` of each row, equal errors with their mean rank. (K, N) -> (K, N)."""
     from scipy.special import ndtri
 

@@ -1,20 +1,27 @@
 """Ranks of methods that hold their error rate over all methods and sets together.
 
-Every two methods are compared on the same pairs. The largest absolute t statistic of all comparisons has, if the
-methods are equal, a distribution that follows from the correlations between methods: the single-step max-T test of
-Hothorn, Bretz and Westfall ("Simultaneous inference in general parametric models", Biometrical Journal 2008), stepped
-down by Romano and Wolf ("Exact and approximate stepdown methods for multiple hypothesis testing", JASA 2005): what is
-not rejected is tested again with the smaller critical value of what is left. With probability ``level`` no comparison
-of equal methods is significant.
+Going down from the method with the highest mean, each is compared with those above it on the same pairs, and nothing
+below it matters: methods that fail everywhere change nobody's rank. Its table holds it and those above, and every two
+of a table are compared with one error rate: the largest absolute statistic of all these comparisons has, if the methods
+are equal, a distribution that follows from the correlations between methods, the max-T test of Hothorn, Bretz and
+Westfall ("Simultaneous inference in general parametric models", Biometrical Journal 2008), stepped down by Romano and
+Wolf ("Exact and approximate stepdown methods for multiple hypothesis testing", JASA 2005): what is significant does not
+count in the critical value of what is left. That a longer stretch of a table has a larger critical value is the idea of
+Newman and Keuls (Keuls, "The use of the studentized range in connection with an analysis of variance", Euphytica 1952).
 
-A method's rank is one more than the number of methods that are significantly better: the best rank that it may have
-(Mogstad, Romano, Shaikh and Wilhelm, "Inference for ranks", Review of Economic Studies 2024). Nobody stands behind a
-method with a lower mean: a rank is never larger than those further down.
+A method's rank is one more than the number of methods above that are significantly better (Mogstad, Romano, Shaikh and
+Wilhelm, "Inference for ranks", Review of Economic Studies 2024), and never smaller than that of a method above it.
+
+Near-copies are represented by one of them (:mod:`relocbench.metrics.statistics.families`): methods are compared with
+representatives alone, so that copies count for one comparison, and for one method that is better.
 
 The pair sets of one road become one series first (:mod:`relocbench.metrics.statistics.roads`). From
 :data:`~relocbench.metrics.statistics.intervals.MANY_ROADS` roads on, a comparison must be significant by the spread of
-the roads' differences as well, whose largest t statistic is compared with those under random signs of the roads
-(Romano and Wolf, the same): for equal methods a road's differences are as likely the one way as the other.
+the roads' differences as well: for equal methods a road's differences are as likely the one way as the other. Of each
+comparison it is counted how many random signs of the roads give as large a difference, and the smallest such share of a
+table is compared with those under the same random signs (Westfall and Young, "Resampling-based multiple testing",
+1993). The shares, unlike t statistics, have one distribution whatever the differences look like; those of methods that
+differ by one pair on each road would otherwise exceed all others by chance.
 """
 
 from __future__ import annotations
@@ -31,7 +38,9 @@ from relocbench.metrics.statistics.effective_size import (
     difference_inflation,
     fill_missing_with_prior,
     measured_inflation,
+    normal_scores,
 )
+from relocbench.metrics.statistics.families import families_of, same_answers
 from relocbench.metrics.statistics.intervals import (
     LEVEL,
     MANY_ROADS,
@@ -44,7 +53,8 @@ from relocbench.metrics.statistics.roads import aligned, by_road
 
 DRAWS = 10_000
 """random draws for a critical value"""
-_DRAWN_AT_ONCE = 2**22
+_EQUAL = 1e-12
+"""means that differ by no more are equal"""
 
 
 def generator(seed: int, place: str, metric: str) -> np.random.Generator:
@@ -57,6 +67,7 @@ def rank_with_ties(
     rng: np.random.Generator,
     errors: Mapping[str, Sequence[ArrayLike | None]] | None = None,
     *,
+    families: Mapping[str, str] | None = None,
     higher_is_better: bool = True,
     roads: Sequence[Hashable] | None = None,
     independent: bool = False,
@@ -69,6 +80,8 @@ def rank_with_ties(
         rng: the source of the draws for critical values.
         errors: (K, N_s) for each method and pair set: continuous errors of the same pairs, which say how correlated
             neighbours are where the difference of two methods is the same on all pairs.
+        families: the representative of each method (:func:`relocbench.metrics.families_of`), where one that is not
+            named represents itself; None to find near-copies by the errors, those that come first representing others.
         higher_is_better: the direction of the metric.
         roads: the road of each pair set, such as the name of its dataset; None where all are of one road.
         independent: whether the pairs are known to be independent.
@@ -90,14 +103,21 @@ def rank_with_ties(
     if len({tuple(map(len, sets)) for sets in complete.values()}) > 1:
         raise ValueError("ranked methods must have the same pairs in the same pair sets")
     sign = 1.0 if higher_is_better else -1.0
-    order = sorted(complete, key=lambda name: (-sign * mean_of_means(by_road(complete[name], roads)), name))
-    stacked = [np.stack(methods) for methods in zip(*(complete[name] for name in order), strict=True)]
+    means = {name: sign * mean_of_means(by_road(of, roads)) for name, of in complete.items()}
+    order = sorted(complete, key=lambda name: (-means[name], name))
+    stacked = [sign * np.stack(methods) for methods in zip(*(complete[name] for name in order), strict=True)]
     of_methods = None if errors is None else [[e for e in errors[name] if e is not None] for name in order]
-    differs = different_methods(stacked, rng, of_methods, roads=roads, independent=independent)
-    behind = np.tril(differs, -1).sum(axis=1) + 1
-    places = np.minimum.accumulate(behind[::-1])[::-1]
-    for name, place in zip(order, places.tolist(), strict=True):
-        ranks[name] = place
+    if families is None:
+        oriented = {name: [sign * of for of in sets] for name, sets in complete.items()}
+        families = families_of(oriented, lambda a, b: errors is not None and same_answers(errors[a], errors[b]))
+    represents = np.array([families.get(name, name) == name for name in order])
+    tables = _tables(stacked, roads, represents)
+    behind = _behind(stacked, tables, represents, rng, of_methods, roads=roads, independent=independent)
+    places = behind.sum(axis=1) + 1
+    for index, name in enumerate(order):  # best first, so that those above are final
+        above = tables[index] & (np.arange(len(order)) != index)
+        places[index] = max(places[index], places[above].max(initial=1))
+        ranks[name] = int(places[index])
     return ranks
 
 
@@ -110,91 +130,172 @@ def different_methods(
     independent: bool = False,
     level: float = LEVEL,
 ) -> Mask:
-    """Which methods differ significantly from which, (M, M), with one error rate over all comparisons.
+    """Which methods differ significantly from which, (M, M), each compared among those with a mean that is as high.
 
     Args:
         pair_sets: (M, N_s) the values of M methods on the same pairs of each set, ordered by reference time.
         rng, errors, roads, independent, level: as in :func:`rank_with_ties`; errors by method in the order of the
             values.
     """
-    size = len(pair_sets[0])
+    means = np.mean([x.mean(axis=1) for x in by_road(pair_sets, roads)], axis=0)
+    order = np.argsort(-means, kind="stable")
+    in_order = [x[order] for x in pair_sets]
+    of_methods = None if errors is None else [errors[m] for m in order]
+    all_ = np.ones(len(order), dtype=bool)
+    tables = _tables(in_order, roads, all_)
+    behind = _behind(in_order, tables, all_, rng, of_methods, roads=roads, independent=independent, level=level)
+    out = np.zeros_like(behind)
+    out[np.ix_(order, order)] = behind | behind.T
+    return out
+
+
+def _tables(pair_sets: Sequence[Array], roads: Sequence[Hashable] | None, represents: Mask) -> Mask:
+    """(M, M) by method, among which it is compared: the representatives with a higher mean, and itself."""
+    means = np.mean([x.mean(axis=1) for x in by_road(pair_sets, roads)], axis=0)
+    above: Mask = (means[None, :] > means[:, None] + _EQUAL) & represents[None, :]
+    return above | np.eye(len(means), dtype=bool)
+
+
+def _behind(
+    pair_sets: Sequence[Array],
+    tables: Mask,
+    represents: Mask,
+    rng: np.random.Generator,
+    errors: Sequence[Sequence[ArrayLike]] | None,
+    *,
+    roads: Sequence[Hashable] | None,
+    independent: bool,
+    level: float = LEVEL,
+) -> Mask:
+    """(M, M) which methods are significantly better than a method, [method, better], among those of its table.
+
+    Args:
+        pair_sets: (M, N_s) with the highest mean first.
+        tables: of :func:`_tables`.
+    """
+    size, represented = len(tables), np.flatnonzero(represents)
     series = by_road(pair_sets, roads)
-    statistic, freedom = _t_statistics(series, pair_sets, errors, roads, independent)
-    rejected = np.zeros((size, size), dtype=bool)
-    if size < 2 or not np.isfinite(freedom):
-        return rejected
-    open_ = np.triu(np.isfinite(statistic), 1)
-    between = _BetweenRoads(series, rng) if len(series) >= MANY_ROADS else None
-    while open_.any():
-        limit = np.quantile(_largest_statistics(series, freedom, rng, open_), level)
-        now = open_ & (np.abs(statistic) > limit)
-        if between is not None:
-            now &= between.significant(open_, level)
-        if not now.any():
-            break
-        rejected |= now
-        open_ &= ~now
-    return rejected | rejected.T
+    statistic = _statistics(series, tables, pair_sets, errors, roads, independent)
+    seed = int(rng.integers(2**32))
+    tests: list[_ByPairs | _ByRoads] = [_ByPairs(series, statistic, represented, np.random.default_rng([seed, 0]))]
+    if len(series) >= MANY_ROADS:
+        tests.append(_ByRoads(series, np.random.default_rng([seed, 1])))
+    behind = np.zeros((size, size), dtype=bool)
+    largest: list[Array | float] = [-np.inf] * len(tests)  # among the representatives above, of what is not significant
+    joining: list[tuple[int, list[Array]]] = []  # the same of representatives that are not yet above
+    for method in range(size):
+        for _, of_tests in (each for each in joining if tables[method, each[0]]):
+            largest = [np.maximum(*both) for both in zip(largest, of_tests, strict=True)]
+        joining = [each for each in joining if not tables[method, each[0]]]
+        testable = represents & np.isfinite(statistic[method])
+        others = np.flatnonzero(testable & tables[method])
+        drawn = [test.drawn(method, others) for test in tests]
+        open_ = np.ones(len(others), dtype=bool)
+        while open_.any():
+            now = open_.copy()
+            for above, (observed, null) in zip(largest, drawn, strict=True):
+                limit = np.quantile(np.maximum(null[open_].max(axis=0), above), level, method="higher")
+                now &= observed > limit * (1 + 1e-9)
+            if not now.any():
+                break
+            open_ &= ~now
+        behind[method, others[~open_]] = True
+        if represents[method]:
+            equal = np.array([other for other, _ in joining if testable[other]], dtype=int)
+            of_equal = [test.drawn(method, equal) for test in tests]
+            both = [np.concatenate([a[1][open_], b[1]]) for a, b in zip(drawn, of_equal, strict=True)]
+            joining.append((method, [null.max(axis=0, initial=-np.inf) for null in both]))
+    return behind
 
 
-class _BetweenRoads:
+class _ByPairs:
+    """Comparisons by the spread of pairs: a statistic of each, which is normal if the methods are equal."""
+
+    def __init__(self, series: Sequence[Array], statistic: Array, represented: Array, rng: np.random.Generator) -> None:
+        self._statistic, self._rng = statistic, rng
+        self._covariance = _covariance(series)
+        self._scale = np.sqrt(_differences(self._covariance))
+        self._represented = represented
+        self._roots = np.zeros((len(statistic), len(represented) + 1))
+        self._normal = [rng.standard_normal(DRAWS)]
+        self._means = [self._draw(method) for method in range(len(statistic))]
+
+    def drawn(self, method: int, others: Array) -> tuple[Array, Array]:
+        """(K,) the statistics of a method against others, and (K, DRAWS) what they are if all methods are equal."""
+        scale = self._scale[method, others]
+        null = np.abs(np.stack([self._means[m] for m in others]) - self._means[method]) if len(others) else _none(DRAWS)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            null = np.where(scale[:, None] > 0, null / scale[:, None], np.abs(self._normal[0]))
+        return np.abs(self._statistic[method, others]), null
+
+    def _draw(self, method: int) -> Array:
+        """(DRAWS,) a method's mean, given those of the representatives before it: it depends on no other method."""
+        before = self._represented[self._represented < method]
+        root = self._roots[method]
+        for place, other in enumerate(before):
+            own = self._roots[other, place]
+            if own**2 > 1e-10 * self._covariance[other, other]:
+                shared = root[:place] @ self._roots[other, :place]
+                root[place] = (self._covariance[method, other] - shared) / own
+        root[len(before)] = np.sqrt(max(self._covariance[method, method] - float(root @ root), 0.0))
+        while len(self._normal) <= len(before) + 1:
+            self._normal.append(self._rng.standard_normal(DRAWS))
+        out: Array = root[: len(before) + 1] @ np.stack(self._normal[1 : len(before) + 2])
+        return out
+
+
+class _ByRoads:
     """Comparisons by the means of many roads, each of which is one draw of a difference that is symmetric around 0."""
 
     def __init__(self, series: Sequence[Array], rng: np.random.Generator) -> None:
-        means = np.stack([x.mean(axis=1) for x in series], axis=1)
-        self._pairs = np.triu_indices(len(means), 1)
-        self._differences = means[self._pairs[0]] - means[self._pairs[1]]  # (comparisons, roads)
+        self._means = np.stack([x.mean(axis=1) for x in series], axis=1)
         roads = len(series)
         if 2 ** (roads - 1) <= DRAWS:  # all signs, up to the sign of the first road, which changes no absolute value
             bits = np.arange(2 ** (roads - 1))[:, None] >> np.arange(roads)
             self._signs = 1.0 - 2.0 * (bits & 1)
         else:
             self._signs = rng.choice([-1.0, 1.0], (DRAWS, roads))
-            self._signs[0] = 1.0
-        self._size = len(means)
+        self._signs[0] = 1.0
 
-    def significant(self, open_: Mask, level: float) -> Mask:
-        """(M, M) which open comparisons exceed the largest ones under random signs."""
-        chosen = open_[self._pairs]
-        differences = self._differences[chosen]
-        statistics = np.abs(self._t(differences @ self._signs.T, differences))
-        observed = np.abs(self._t(differences.sum(axis=1, keepdims=True), differences))[:, 0]
-        limit = np.quantile(statistics.max(axis=0), level, method="higher")
-        out = np.zeros((self._size, self._size), dtype=bool)
-        first, second = (of[chosen] for of in self._pairs)
-        out[first, second] = observed > limit * (1 + 1e-9)
-        return out
-
-    @staticmethod
-    def _t(sums: Array, differences: Array) -> Array:
-        """Student's t of sums of signed differences, whose squares do not depend on the signs; inf without spread."""
-        roads = differences.shape[1]
-        squares = (differences**2).sum(axis=1, keepdims=True)
-        spread = np.maximum(squares - sums**2 / roads, 1e-12 * squares) / (roads - 1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            out: Array = np.where(squares > 0, sums / np.sqrt(roads * spread), 0.0)
-        return out
+    def drawn(self, method: int, others: Array) -> tuple[Array, Array]:
+        """(K,) how rare the differences are, and (K, signs) how rare they are under random signs, both from 0 to 1."""
+        differences = self._means[others] - self._means[method]
+        size = np.sqrt(np.sum(differences**2, axis=1, keepdims=True))
+        sums = np.abs(differences @ self._signs.T) / np.where(size > 0, size, 1.0)
+        sums = np.round(sums, 9)
+        rarer = np.empty_like(sums)
+        for of_one, row in zip(rarer, sums, strict=True):
+            of_one[:] = np.searchsorted(np.sort(row), row) / len(row)
+        rarer += sums * 1e-6  # among equally rare ones, the larger counts
+        return rarer[:, 0], rarer
 
 
-def _t_statistics(
+def _none(draws: int) -> Array:
+    return np.empty((0, draws))
+
+
+def _statistics(
     series: Sequence[Array],
+    tables: Mask,
     pair_sets: Sequence[Array],
     errors: Sequence[Sequence[ArrayLike]] | None,
     roads: Sequence[Hashable] | None,
     independent: bool,
-) -> tuple[Array, float]:
-    """(M, M) t statistics of the differences, NaN where undefined, and their least degrees of freedom.
+) -> Array:
+    """(M, M) the differences of every two methods as normal statistics in the table of the first, NaN where undefined.
 
-    Two pairs with the largest difference either way are added, as in
-    :func:`relocbench.metrics.statistics.intervals.paired_difference`.
+    Student's t, with two pairs added that have the largest difference either way as in
+    :func:`relocbench.metrics.statistics.intervals.paired_difference`, is turned into the normal value of the same tail.
     """
+    from scipy.special import ndtri, stdtr
+
     pairs = pairs_in_equal_sets([x.shape[1] for x in series])
     methods = len(series[0])
     if independent:
         inflation = Inflation(np.ones((methods, methods)), np.ones((methods, methods)))
     else:
         inflation = _with_constant_differences(
-            difference_inflation(aligned(pair_sets, roads)), pair_sets, errors, roads
+            difference_inflation(aligned(pair_sets, roads), tables), pair_sets, errors, roads
         )
     means = np.mean([x.mean(axis=1) for x in series], axis=0)
     mean = means[:, None] - means[None, :]
@@ -204,9 +305,35 @@ def _t_statistics(
     with np.errstate(invalid="ignore", divide="ignore"):
         known = inflation.enough(pairs) & (largest > 0)
         adjusted, of_mean = with_two_pairs(mean, variance, largest, size)
-        statistic = np.where(known, adjusted / np.sqrt(of_mean), np.nan)
-    freedom = float(size[known].min() - 1) if known.any() else np.nan
-    return statistic, freedom
+        if errors is not None and not independent:
+            of_mean = np.fmax(of_mean, _variance_by_errors(pair_sets, tables, errors, roads))
+        tail = stdtr(np.where(known, size - 1, np.nan), -np.abs(adjusted / np.sqrt(of_mean)))
+        out: Array = np.sign(mean) * -ndtri(np.maximum(tail, 1e-300))
+    return out
+
+
+def _variance_by_errors(
+    pair_sets: Sequence[Array], tables: Mask, errors: Sequence[Sequence[ArrayLike]], roads: Sequence[Hashable] | None
+) -> Array:
+    """(M, M) the variance of the differences of means that follows from errors, if two methods are equal.
+
+    Equal methods need not err on equally long stretches. One that a drive suits by chance has fewer failures there,
+    hence a smaller variance than it has elsewhere, and one that is right throughout has none. Its errors vary all the
+    same. With the normal scores S of errors, a difference of equal methods is given the variance of ``S_i - S_j``,
+    times the variance of a value of both methods together.
+    """
+    own = np.mean([x.var(axis=1) for x in pair_sets], axis=0)
+    means = np.mean([x.mean(axis=1) for x in by_road(pair_sets, roads)], axis=0)
+    of_both = (own[:, None] + own[None, :]) / 2 + (means[:, None] - means[None, :]) ** 2 / 4
+    of_sets = [
+        np.stack([np.atleast_2d(np.asarray(e, float)) for e in of_methods]) for of_methods in zip(*errors, strict=True)
+    ]
+    out = np.zeros_like(of_both)
+    for kind in range(of_sets[0].shape[1]):
+        scores = [normal_scores(of[:, kind]) for of in of_sets]
+        likely = difference_inflation(aligned(scores, roads), tables).likely
+        out = np.fmax(out, of_both * _differences(_covariance(by_road(scores, roads))) * likely)
+    return out
 
 
 def _with_constant_differences(
@@ -228,26 +355,6 @@ def _with_constant_differences(
     return Inflation(
         np.where(unknown, larger.likely, inflation.likely), np.where(unknown, larger.cautious, inflation.cautious)
     )
-
-
-def _largest_statistics(series: Sequence[Array], freedom: float, rng: np.random.Generator, open_: Mask) -> Array:
-    """(DRAWS,) the largest absolute t statistic among the open comparisons if all methods were equal."""
-    covariance = _covariance(series)
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    scale = np.sqrt(_differences(covariance))
-    first, second = np.nonzero(open_ & (scale > 0))
-    out = np.empty(DRAWS)
-    step = max(1, _DRAWN_AT_ONCE // max(1, len(first)))
-    for start in range(0, DRAWS, step):
-        count = min(step, DRAWS - start)
-        drawn = rng.standard_normal((count, len(root))) @ root.T
-        statistics = np.abs(drawn[:, first] - drawn[:, second]) / scale[first, second]
-        if (open_ & (scale == 0)).any():  # a difference without a variance is correlated with no other
-            statistics = np.column_stack([statistics, np.abs(rng.standard_normal(count))])
-        chi = np.sqrt(rng.chisquare(freedom, count) / freedom)
-        out[start : start + count] = statistics.max(axis=1, initial=0.0) / chi
-    return out
 
 
 def _covariance(series: Sequence[Array]) -> Array:

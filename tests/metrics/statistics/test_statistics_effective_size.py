@@ -75,10 +75,10 @@ def test_neither_scale_nor_offset_nor_direction_of_the_drive_matters(n: int, see
 def test_differences_have_the_inflation_of_their_series() -> None:
     rng = np.random.default_rng(2)
     sets = [np.stack([autoregressive(rng, n, rho) for rho in (0.0, 0.5, 0.9)]) for n in (300, 500)]
-    found = difference_inflation([x[None] for x in sets])
+    found = difference_inflation([x[None] for x in sets], np.ones((3, 3), dtype=bool))
     assert np.isnan(np.diag(found.likely)).all()
     assert np.allclose(found.likely, found.likely.T, equal_nan=True)
     assert found.likely[0, 2] > found.likely[0, 1] > 1
-    same = difference_inflation([np.stack([x[0], x[0], x[1]])[None] for x in sets])
+    same = difference_inflation([np.stack([x[0], x[0], x[1]])[None] for x in sets], np.ones((3, 3), dtype=bool))
     assert np.isnan(same.likely[0, 1])
     assert same.likely[0, 2] == pytest.approx(same.likely[1, 2])
