@@ -15,16 +15,20 @@ if docker info >/dev/null 2>&1; then
 else
   echo "no Docker daemon: the steps of Dockerfile in an environment of its own"
   uv="$root/${VENV:-.venv}/bin/uv"
-  [ -z "${TORCH_BACKEND:-}" ] || export UV_TORCH_BACKEND="$TORCH_BACKEND"
   missing=()
   for package in $(grep -oE 'no-install-recommends [^\\]*' Dockerfile | cut -d' ' -f2-); do
     dpkg -s "$package" >/dev/null 2>&1 || missing+=("$package")
   done
   [ "${#missing[@]}" -eq 0 ] || { echo "missing system packages: ${missing[*]}" >&2; exit 1; }
   "$uv" venv --quiet --no-python-downloads --python "${PYTHON:-python3}" "$work/env"
-  "$uv" build --quiet --wheel --out-dir "$work/dist" "$root"
+  "$uv" build --quiet --wheel -b tools/hashes.txt --out-dir "$work/dist" "$root"
   wheel="$(echo "$work"/dist/*.whl)"
-  "$uv" pip install --quiet --python "$work/env/bin/python" -c constraints.txt "relocbench[cluster] @ file://$wheel"
+  install() { "$uv" pip install --quiet --python "$work/env/bin/python" "$@"; }
+  if [ -n "${TORCH_BACKEND:-}" ]; then
+    grep -oE '^(torch|torchvision)==[^ ]+' tools/hashes.txt >"$work/torch.txt"
+    UV_TORCH_BACKEND="$TORCH_BACKEND" install -r "$work/torch.txt"
+  fi
+  install -c tools/hashes.txt "relocbench[cluster] @ file://$wheel"
   echo "installed in $(($(date +%s) - start)) s, $(du -sm "$work/env" | cut -f1) MB, $("$work/env/bin/python" -V)"
   cd "$work"
   start="$(date +%s)"

@@ -9,13 +9,13 @@ root="$PWD"
 uv="$root/${VENV:-.venv}/bin/uv"
 work="$(mktemp -d)"
 trap 'rm -rf "$work"' EXIT
-"$uv" build --quiet --wheel --out-dir "$work/dist" "$root"
+"$uv" build --quiet --wheel -b tools/hashes.txt --out-dir "$work/dist" "$root"
 failed=0
 for python in "${@:-python3}"; do
   env="$work/$(basename "$python")"
   start=$(date +%s.%N)
   "$uv" venv --quiet --no-python-downloads --python "$python" "$env"
-  "$uv" pip install --quiet --python "$env/bin/python" -r "$root/requirements-light.txt"
+  "$uv" pip install --quiet --python "$env/bin/python" -c "$root/tools/hashes.txt" -r "$root/requirements-light.txt"
   "$uv" pip install --quiet --python "$env/bin/python" --no-deps "$work"/dist/*.whl
   spent=$(echo "$(date +%s.%N) - $start" | bc)
   echo "$("$env/bin/python" -V): installed in $spent s, $(du -sm "$env" | cut -f1) MB"

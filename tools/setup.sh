@@ -5,7 +5,6 @@ cd "$(dirname "$0")/.."
 
 python="${PYTHON:-python3}"
 venv="${VENV:-.venv}"
-uv_version=0.13.8
 
 fail() {
   printf 'set-up: %s\n' "$1" >&2
@@ -40,7 +39,8 @@ fi
 if [ ! -x "$venv/bin/python" ]; then
   "$python" -m venv "$venv" || fail "cannot make a virtual environment; on Debian: apt-get install python3-venv"
 fi
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check "uv==$uv_version"
+sed -n '/^uv==/,/[^\\]$/p' tools/hashes.txt |
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r /dev/stdin
 echo "set-up: installing pinned packages (torch is large; this may take minutes)"
 export VIRTUAL_ENV="$PWD/$venv"
 case "$venv" in /*) VIRTUAL_ENV="$venv" ;; esac
