@@ -15,8 +15,10 @@ from relocbench.metrics.pose.failure_policy import (
     mean_over_pair_sets,
 )
 from relocbench.metrics.pose.matching import matching_quality
+from relocbench.metrics.pose.metric import Metric
 from relocbench.metrics.pose.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
-from relocbench.metrics.pose.registry import CORRECT, METRICS, Metric, PairScores, metric_named, shown_in, within
+from relocbench.metrics.pose.registry import METRICS, metric_named, shown_in
+from relocbench.metrics.pose.scores import CORRECT, PairScores, within
 from relocbench.metrics.pose.summary import (
     PairSetSummary,
     Spread,

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core import images, pairfile
 from relocbench.datasets.core.intrinsics import read_intrinsics
@@ -84,6 +86,13 @@ class Traversal:
     def poses(self) -> dict[int, Array]:
         """Poses of the rig: timestamp_ns -> (4, 4) ``T_world_rig``."""
         return read_poses(self.layout.poses)
+
+    @cached_property
+    def travelled_m(self) -> dict[int, float]:
+        """timestamp_ns -> metres that the rig had travelled by then: the sum of the distances between its poses."""
+        positions = np.array([T_world_rig[:3, 3] for T_world_rig in self.poses.values()]).reshape(-1, 3)
+        steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
+        return dict(zip(self.poses, np.cumsum(steps).tolist(), strict=True))
 
     @cached_property
     def names(self) -> dict[int, str]:

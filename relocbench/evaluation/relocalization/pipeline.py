@@ -14,7 +14,7 @@ from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
 from relocbench.evaluation.tables.records import Answer
 from relocbench.metrics import PoseErrors, pose_errors, within
-from relocbench.metrics.pose.registry import CORRECT
+from relocbench.metrics.pose.scores import CORRECT
 
 RIGHT = CORRECT
 """(metres, degrees) within which an answer is right when failures are attributed to retrieval or tracking"""

@@ -9,7 +9,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.errors import ConfigError, available
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer, errors_of
-from relocbench.metrics import METRICS, mean_interval, metric_named, summarize
+from relocbench.metrics import METRICS, PairScores, mean_interval, metric_named, summarize_scores
 
 Values = dict[str, float | int | None]
 RANKING = "recall@(0.25m,2deg)"
@@ -70,7 +70,8 @@ def summary(answers: Sequence[PipelineAnswer], top: int) -> Values:
     """
     seconds = np.array([np.nan if a.seconds is None else a.seconds for a in answers])
     confidence = np.array([np.nan if a.confidence is None else a.confidence for a in answers])
-    whole = summarize(errors_of(answers), seconds, confidence).to_dict()
+    times = np.array([a.query_timestamp_ns for a in answers], dtype=np.int64)
+    whole = summarize_scores(PairScores(errors_of(answers), seconds, confidence, query_ns=times)).to_dict()
     statuses = [a.status for a in answers]
     values: Values = {
         "queries": len(answers),

@@ -188,9 +188,11 @@ class PairErrors(PairRecord):
     sigma_rotation_deg: Annotated[float | None, NUMBER]
     vcre: Annotated[float | None, or_blank(ERROR)] = None
     """virtual correspondence reprojection error, as a share of the image's diagonal; unknown without a camera"""
+    travelled_m: Annotated[float | None, NUMBER] = None
+    """metres that the query's drive had travelled by then"""
 
 
-ERRORS = Schema(PairErrors, added_later=1)
+ERRORS = Schema(PairErrors, added_later=2)
 NUMBERS = ERRORS.columns[4:]
 _ERRORS, _OPTIONAL = NUMBERS[:3], NUMBERS[3:]
 _MAY_BE_INFINITE = [*range(len(_ERRORS)), NUMBERS.index("vcre")]
@@ -294,7 +296,14 @@ class ErrorTable(Sequence[PairErrors]):
     @cached_property
     def scores(self) -> PairScores:
         """What metrics are computed from."""
-        return PairScores(self.errors, *(self.column(name) for name in ("seconds", "confidence", "vcre")))
+        return PairScores(
+            self.errors,
+            seconds=self.column("seconds"),
+            confidence=self.column("confidence"),
+            vcre=self.column("vcre"),
+            travelled_m=self.column("travelled_m"),
+            query_ns=self.keys[:, 1],
+        )
 
     @property
     def different_places(self) -> DifferentPlaces:

@@ -149,6 +149,7 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
                 sigma_translation_m=pair.sigma_translation_m,
                 sigma_rotation_deg=pair.sigma_rotation_deg,
                 vcre=vcre,
+                travelled_m=pair_set.query_traversal.travelled_m.get(pair.query_timestamp_ns),
             )
         )
     return ErrorTable.of(rows)

@@ -37,7 +37,7 @@ def heading(name: str, unit: str = "share") -> str:
 
 
 Value = str | int | float | None
-_DIGITS = {"m": 3, "deg": 3, "s": 3}
+_DIGITS = {"m": 3, "deg": 3, "s": 3, "count": 0}
 _FORMULA = re.compile(r"[\s'\"\x00-\x20]*[=+\-@＝＋－＠]|[\t\r\n]")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 

@@ -14,7 +14,7 @@ from relocbench.leaderboard.tracking.marks import MARKS, level_with_identity, pl
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import MEDIANS, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
 from relocbench.metrics import CORRECT, Interval, metric_named, shown_in
-from relocbench.metrics.pose.registry import SIGMA_FACTOR
+from relocbench.metrics.pose.metric import SIGMA_FACTOR
 
 _LIST = [
     {"key": "task", "title": "pair", "kind": "link"},

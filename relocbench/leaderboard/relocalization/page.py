@@ -27,7 +27,7 @@ from relocbench.leaderboard.relocalization.columns import lines_of, pipeline_col
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere, not_isolated
 from relocbench.leaderboard.tracking.method import machine_words
 from relocbench.metrics import LEVEL
-from relocbench.metrics.pose.registry import SIGMA_FACTOR
+from relocbench.metrics.pose.metric import SIGMA_FACTOR
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 

@@ -18,7 +18,7 @@ from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import DatasetBoard
 from relocbench.leaderboard.tracking.reservations import finer_thresholds
 from relocbench.metrics import CORRECT, within
-from relocbench.metrics.pose.registry import finer_than_truth
+from relocbench.metrics.pose.metric import finer_than_truth
 
 UNKNOWN = "unknown"
 """the condition of drives of which none is recorded"""

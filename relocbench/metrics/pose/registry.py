@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,96 +13,22 @@ from relocbench.errors import ConfigError
 from relocbench.metrics.pose.confidence import CONFIDENT, is_confident, precision_recall, risk_coverage_area
 from relocbench.metrics.pose.curves import area_shares
 from relocbench.metrics.pose.errors import PoseErrors
+from relocbench.metrics.pose.metric import Metric, Place
+from relocbench.metrics.pose.scores import CORRECT, PairScores, within
+from relocbench.metrics.pose.sequences import Drive, LostStretches, right_runs
 
 _Judged = tuple[Mask, Mask, Array]
 """(N,) whether each pair is correct, whether it is answered, and how confidently"""
 
 MLAD_THRESHOLDS_M: tuple[float, ...] = (0.1, 0.2, 0.5)
-CORRECT: tuple[float, float] = (0.25, 2)
-"""(metres, degrees) within which an answer counts as correct where confidence is assessed"""
 PRECISIONS_PERCENT: tuple[int, ...] = (95, 99)
 """the precision of the answers that are kept, where the share that can be kept is measured"""
 VCRE_THRESHOLD = 0.1
 """of the image's diagonal, as in Map-free relocalization, whose images have a diagonal of 900 px"""
-SIGMA_FACTOR = 2.0
-"""a threshold below this many ground-truth sigmas measures the errors of the ground truth rather than the method's"""
-
-
-@dataclass(frozen=True, eq=False)
-class PairScores:
-    """The errors, times and confidences of all N pairs of one set, in the order of reference time."""
-
-    errors: PoseErrors
-    seconds: Array | None = None
-    """(N,) wall-clock seconds of a pair, NaN where the method was not run; None if not measured at all"""
-    confidence: Array | None = None
-    """(N,) higher is more certain, NaN where not given; None if the method gives none"""
-    vcre: Array | None = None
-    """(N,) virtual correspondence reprojection errors as shares of the image's diagonal, inf without an answer; NaN
-    or None where the camera is not known"""
-
-    def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self)[1:]):
-            if np.shape(self.column(name)) != (len(self.errors),):
-                raise ValueError(f"{name} must be ({len(self.errors)},), got {np.shape(getattr(self, name))}")
-
-    @classmethod
-    def joined(cls, parts: Sequence[PairScores]) -> PairScores:
-        """The pairs of several sets, one set after the other; a column that one of them lacks is NaN there."""
-        columns = [np.concatenate([part.column(f.name) for part in parts]) for f in fields(cls)[1:]]
-        return cls(PoseErrors.joined([part.errors for part in parts]), *columns)
-
-    def column(self, name: str) -> Array:
-        """(N,) a column by its name; NaN where it is not given."""
-        known: Array | None = getattr(self, name)
-        return np.full(len(self.errors), np.nan) if known is None else known
-
-
-Place = Literal["set page", "more", "first page", "paper", "terminal", "confidence"]
-"""tables for people: on the page of a dataset, folded away there, on the first page, in LaTeX, on the terminal, and of
-confidences"""
-
-
-@dataclass(frozen=True)
-class Metric:
-    """A metric of a pair set: its name, how it is computed, and its description."""
-
-    name: str
-    unit: str
-    """share (0..1; printed as percent), m, deg or s"""
-    higher_is_better: bool
-    description: str
-    compute: Callable[[PairScores], float | None]
-    """the value over all pairs; None when its inputs (seconds, confidence, cameras) were not given"""
-    per_pair: Callable[[PoseErrors], Array] | None = None
-    """(N,) values whose plain mean is the metric, for metrics that are such a mean: the bootstrap resamples them"""
-    translation_threshold_m: float | None = None
-    rotation_threshold_deg: float | None = None
-    shown: frozenset[Place] = frozenset()
-    """the tables for people that have it, besides those of CSV and JSON, which have all"""
-    with_interval: bool = False
-    """whether tables have its 95 % interval, also where another metric ranks"""
-
-    def threshold_finer_than(self, sigma_m: float | None, sigma_deg: float | None = None) -> bool:
-        """Whether a threshold of the metric is below :data:`SIGMA_FACTOR` times the ground truth's sigma.
-
-        Tables print such a number in grey. ``sigma_m`` and ``sigma_deg`` are standard deviations of the pair set's
-        ground truth; a threshold is never too fine for an unknown one (None).
-        """
-        return finer_than_truth(self.translation_threshold_m, self.rotation_threshold_deg, sigma_m, sigma_deg)
-
-
-def finer_than_truth(
-    metres: float | None, degrees: float | None, sigma_m: float | None, sigma_deg: float | None
-) -> bool:
-    """Whether a threshold is below :data:`SIGMA_FACTOR` times the truth's sigma; never where one of the two is None."""
-    limits = ((metres, sigma_m), (degrees, sigma_deg))
-    return any(t is not None and sigma is not None and t < SIGMA_FACTOR * sigma for t, sigma in limits)
-
-
-def within(errors: PoseErrors, metres: float, degrees: float) -> Mask:
-    """(N,) whether both errors are at most their thresholds."""
-    return (errors.translation_error_m <= metres) & (errors.rotation_error_deg <= degrees)
+STRETCHES: tuple[int, ...] = (2, 5, 10)
+"""numbers of wrong queries in a row from which a stretch is counted"""
+RUNS: tuple[int, ...] = (3, 5)
+"""numbers of consecutive queries that are judged together"""
 
 
 def metric_named(name: str) -> Metric:
@@ -337,6 +263,60 @@ def _median_vcre() -> Metric:
     return _of_vcre("median_vcre", description, lambda vcre, _: float(np.median(vcre)), higher_is_better=False)
 
 
+def _of_drives(
+    name: str, unit: str, higher_is_better: bool, description: str, value: Callable[[list[Drive]], float | None]
+) -> Metric:
+    """A metric of what is right along the drives of the queries; None where their times are not given."""
+    metres, degrees = CORRECT
+
+    def compute(scores: PairScores) -> float | None:
+        return None if scores.drives is None else value(scores.drives)
+
+    return Metric(
+        f"{name}@({metres:g}m,{degrees:g}deg)",
+        unit,
+        higher_is_better,
+        f"{description}; right is translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}",
+        compute,
+        translation_threshold_m=metres,
+        rotation_threshold_deg=degrees,
+    )
+
+
+def _longest_lost(unit: str, column: str, words: str) -> Metric:
+    def value(drives: list[Drive]) -> float | None:
+        longest = float(np.max(getattr(LostStretches.of(drives), column), initial=0.0))
+        return None if np.isnan(longest) else longest
+
+    description = f"the most {words} of a stretch of consecutive queries of a drive that are all wrong"
+    return _of_drives(f"longest_lost_{column}", unit, False, description, value)
+
+
+def _lost_queries(least: int) -> Metric:
+    def value(drives: list[Drive]) -> float:
+        return LostStretches.of(drives).queries_in(least) / sum(len(drive.right) for drive in drives)
+
+    description = f"share of the queries on stretches of at least {least} consecutive wrong ones"
+    return _of_drives(f"lost_for_{least}", "share", False, description, value)
+
+
+def _lost_stretches(least: int) -> Metric:
+    def value(drives: list[Drive]) -> float | None:
+        return LostStretches.of(drives).share_of_stretches(least)
+
+    description = f"share of the stretches of consecutive wrong queries that have at least {least}; nothing without any"
+    return _of_drives(f"lost_stretches_of_{least}", "share", False, description, value)
+
+
+def _run_recall(length: int) -> Metric:
+    def value(drives: list[Drive]) -> float | None:
+        right = right_runs(drives, length)
+        return float(np.mean(right)) if right.size else None
+
+    description = f"share of the runs of {length} consecutive queries of a drive of which more than half are right"
+    return _of_drives(f"run_recall_{length}", "share", True, description, value)
+
+
 def _shown(metric: Metric, *places: Place, with_interval: bool = False) -> Metric:
     return replace(metric, shown=frozenset(places), with_interval=with_interval)
 
@@ -364,6 +344,12 @@ METRICS: tuple[Metric, ...] = (
         *("set page", "first page", "paper", "terminal", "confidence"),
     ),
     *(_shown(metric, "more") for metric in (_median_vcre(), _vcre_precision(), _vcre_auc())),
+    _shown(_longest_lost("count", "queries", "queries"), "more"),
+    _shown(_longest_lost("s", "seconds", "seconds, to the next right query,"), "more"),
+    _shown(_longest_lost("m", "metres", "metres, to the next right query,"), "more"),
+    *(_shown(_lost_queries(least), "more") for least in STRETCHES),
+    *(_shown(_lost_stretches(least), "more") for least in STRETCHES),
+    *(_shown(_run_recall(length), "more") for length in RUNS),
     _confidence_area(*CORRECT),
     _shown(_risk_coverage_area(), "confidence"),
     _shown(_wrong_of_answered(), "confidence"),

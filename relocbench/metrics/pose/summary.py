@@ -17,7 +17,8 @@ from relocbench.arrays import Array
 from relocbench.errors import DatasetError
 from relocbench.metrics.pose.errors import PoseErrors
 from relocbench.metrics.pose.failure_policy import mean_over_pair_sets
-from relocbench.metrics.pose.registry import METRICS, PairScores
+from relocbench.metrics.pose.registry import METRICS
+from relocbench.metrics.pose.scores import PairScores
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from relocbench.leaderboard.relocalization.columns import (
 )
 from relocbench.leaderboard.relocalization.page import marks_of_pipeline
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
-from relocbench.metrics.pose.registry import SIGMA_FACTOR
+from relocbench.metrics.pose.metric import SIGMA_FACTOR
 
 LOSSES = ("right_and_hit", "right_without_hit", *FAILURES)
 """shares of all queries that add up to one: what is right, and what the others are lost to"""
