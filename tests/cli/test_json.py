@@ -17,7 +17,7 @@ from made_pairs import SETTINGS
 from repository import DOCS, TRUTH
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
-from submissions import submit
+from submissions import salt_file, submit
 
 from relocbench.cli.app import app
 from relocbench.cli.commands import demo as demo_module
@@ -209,7 +209,10 @@ def _small_demo(monkeypatch: pytest.MonkeyPatch) -> None:
             ["export", "-d", "DATASET", "--results", "RESULTS", "-m", "identity", "-f", "mlad", "--out", "OUT/a.zip"],
             {"files_written", "pair_sets"},
         ),
-        (["export", "-d", "DATASET", "-f", "blind", "--out", "OUT/b"], {"pairs", "pair_sets"}),
+        (
+            ["export", "-d", "DATASET", "-f", "blind", "--salt-file", "OUT/5f1c.salt", "--out", "OUT/b"],
+            {"pairs", "pair_sets"},
+        ),
         (["submit-check", "--new", "OUT/s"], {"files_written"}),
     ],
 )
@@ -218,6 +221,7 @@ def test_other_ways_of_asking_print_one_object_too(
 ) -> None:
     places = {"VIEWS": data.views, "DATASET": data.dataset, "RESULTS": data.results}
     words = [str(places.get(word, word)).replace("OUT/", f"{tmp_path}/") for word in arguments]
+    salt_file(tmp_path)
     outcome = relocbench(*words, "--json")
     assert outcome.status == 0, outcome.err
     assert counted <= set(_parse(outcome)["counts"])

@@ -159,8 +159,14 @@ NEEDS_IMAGES: dict[str, tuple[list[str], str]] = {
     "colmap": (["export", "-d", "D", "-f", "colmap", "-o", "e"], "colmap files name images; tum, kitti and mlad hold"),
     "kapture": (["export", "-d", "D", "-f", "kapture", "-o", "e"], "kapture files name images"),
     "hloc": (["export", "-d", "D", "-f", "hloc", "-o", "e"], "hloc files name images"),
-    "a blind export": (["export", "-d", "D", "-f", "blind", "-o", "e"], "a blind export would hold keys alone"),
-    "blind images": (["export", "-d", "D", "-f", "blind-images", "-o", "e"], "retrievers have nothing to rank"),
+    "a blind export": (
+        ["export", "-d", "D", "-f", "blind", "--salt-file", "salt", "-o", "e"],
+        "a blind export would hold keys alone",
+    ),
+    "blind images": (
+        ["export", "-d", "D", "-f", "blind-images", "--salt-file", "salt", "-o", "e"],
+        "retrievers have nothing to rank",
+    ),
 }
 
 
@@ -170,6 +176,7 @@ def test_what_needs_images_says_so_in_one_line_and_writes_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(root / "D", "D")
+    Path("salt").write_text("s" * 32)
     arguments, words = NEEDS_IMAGES[what]
     outcome = relocbench(*arguments, *([] if arguments[0] in ("check-method", "train") else ["-q"]))
     assert outcome.status == 2

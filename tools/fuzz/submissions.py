@@ -12,14 +12,11 @@ from fuzz.parser import Parser, Place
 def write_submissions(root: Path) -> None:
     """A dataset, a blind export of it, and submissions to both; one of lists."""
     from small_dataset import ACROSS, make_small_dataset
-    from submissions import submit
-
-    from relocbench.evaluation.tracking.blind_export import export_blind
-    from relocbench.progress import Silent
+    from submissions import blind_export, submit
 
     dataset = make_small_dataset(root / "ds", frames=3, size=(24, 18))
     submit(root / "real", dataset)
-    submit(root / "blind", export_blind(dataset, root / "export", 1, Silent()))
+    submit(root / "blind", blind_export(dataset, root / "export"))
     submit(root / "lists", dataset, task="retrieval")
     times = {name: dataset.traversal(name).timestamps("cam0") for name in ("summer", "winter")}
     names = {name: [f"traversals/{name}/images/cam0/{t}.png" for t in found] for name, found in times.items()}
@@ -36,12 +33,14 @@ def _card(place: Place) -> None:
 
 
 def _check(place: Place, submission: str) -> Iterable[str]:
+    from submissions import salt
+
     from relocbench.evaluation.retrieval.opening import SetOptions
     from relocbench.evaluation.submission.check import check_submission
     from relocbench.evaluation.submission.contract import SubmissionOptions
     from relocbench.progress import Silent
 
-    options = SubmissionOptions((place.root / "ds",), retrieval=SetOptions(radius_m=0.2))
+    options = SubmissionOptions((place.root / "ds",), retrieval=SetOptions(radius_m=0.2), salt=salt())
     found = check_submission(place.root / submission, options, Silent())
     return [*(str(finding) for finding in (*found.found.faults, *found.found.notes)), *found.suspicions]
 

@@ -81,7 +81,15 @@ def export(
             metavar="METRES",
             min=0.0,
             help="With --format blind-images, of drives: distance within which an image is right, which the export "
-            "does not tell but is named after [default: 25].",
+            "does not tell and answers are scored by [default: 25].",
+        ),
+    ] = None,
+    salt_file: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="With --format blind and blind-images: file with random text that only you have (openssl rand -hex "
+            "32), which keys are drawn from and answers are read back with; that of a rendered dataset.",
         ),
     ] = None,
     quiet: Quiet = False,
@@ -92,12 +100,10 @@ def export(
     Example: relocbench export -d D --method dso --format mlad --out submission.zip
     """
     from relocbench.cli.console import print_json, reporter
-    from relocbench.cli.counts import of_dataset
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.errors import ConfigError
     from relocbench.evaluation.common.opening import check_outside
     from relocbench.evaluation.retrieval.exports import export_lists
-    from relocbench.evaluation.tracking.blind_export import export_blind
     from relocbench.evaluation.tracking.exports import export_poses
     from relocbench.files import locked_output
 
@@ -112,21 +118,21 @@ def export(
         raise ConfigError("--edition chooses the keys of a blind export; it goes with --format blind or blind-images")
     if radius is not None and format != "blind-images":
         raise ConfigError("--radius chooses a retrieval set; it goes with --format blind-images")
-    if format.startswith("blind") and (method is not None or pair_set or relocalization_files):
-        raise ConfigError("a blind export holds all pair sets and no answers; give no option but --edition")
-    if format == "blind-images":
-        _export_images(dataset, out, radius, 1 if edition is None else edition, quiet=quiet, json=json)
+    if format == "blind" or format == "blind-images":
+        if method is not None or pair_set or relocalization_files:
+            raise ConfigError("a blind export holds all pair sets and no answers; --method and --pair-set do not apply")
+        if salt_file is None:
+            raise ConfigError("--salt-file must be given: the keys of a blind export are drawn from it")
+        numbered = 1 if edition is None else edition
+        if format == "blind":
+            _export_pairs(dataset, out, salt_file, numbered, quiet=quiet, json=json)
+        else:
+            _export_images(dataset, out, salt_file, numbered, radius, quiet=quiet, json=json)
         return
+    if salt_file is not None:
+        raise ConfigError("--salt-file is what the keys of a blind export are drawn from; it goes with --format blind")
     opened = Dataset(dataset)
     check_outside(out, dataset)
-    if format == "blind":
-        with locked_output(out):
-            blind = export_blind(opened, out, 1 if edition is None else edition, reporter(quiet))
-        if json:
-            print_json({"dataset": str(out), "name": blind.name, "fingerprint": blind.fingerprint}, of_dataset(blind))
-        else:
-            typer.echo(blind.name)
-        return
     if retriever is not None:
         asked = [opened.pair_set(name).name for name in pair_set]
         with locked_output(out):
@@ -153,10 +159,34 @@ def export(
         typer.echo(str(path))
 
 
-def _export_images(dataset: Path, out: Path, radius: float | None, edition: int, *, quiet: bool, json: bool) -> None:
+def _export_pairs(dataset: Path, out: Path, salt_file: Path, edition: int, *, quiet: bool, json: bool) -> None:
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.counts import of_dataset
+    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.core.salt import read_salt
+    from relocbench.evaluation.common.opening import check_outside
+    from relocbench.evaluation.tracking.blind_export import export_blind
+    from relocbench.evaluation.tracking.blind_keys import BlindKeys
+    from relocbench.files import locked_output
+
+    progress = reporter(quiet)
+    keys = BlindKeys(Dataset(dataset), read_salt(salt_file, [dataset, out], progress), edition)
+    check_outside(out, dataset)
+    with locked_output(out):
+        blind = export_blind(keys, out, progress)
+    if json:
+        print_json({"dataset": str(out), "name": blind.name, "fingerprint": blind.fingerprint}, of_dataset(blind))
+    else:
+        typer.echo(blind.name)
+
+
+def _export_images(
+    dataset: Path, out: Path, salt_file: Path, edition: int, radius: float | None, *, quiet: bool, json: bool
+) -> None:
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.datasets.core.salt import read_salt
     from relocbench.errors import ConfigError
-    from relocbench.evaluation.retrieval.blind_export import export_blind_images
+    from relocbench.evaluation.retrieval.blind_export import BlindImages, export_blind_images
     from relocbench.evaluation.retrieval.opening import SetOptions, open_set
     from relocbench.files import locked_output
 
@@ -164,8 +194,9 @@ def _export_images(dataset: Path, out: Path, radius: float | None, edition: int,
         raise ConfigError("--radius is 0, expected metres")
     progress = reporter(quiet)
     asked = open_set(dataset, out, SetOptions(radius_m=radius), progress)
+    keys = BlindImages(asked, read_salt(salt_file, [dataset, out], progress), edition)
     with locked_output(out):
-        file = export_blind_images(asked, dataset, out, edition, progress)
+        file = export_blind_images(keys, out, progress)
     if json:
         queries = sum(task.queries for task in file.tasks.values())
         print_json({"name": file.name, "fingerprint": file.fingerprint}, {"tasks": len(file.tasks), "queries": queries})

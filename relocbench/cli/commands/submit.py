@@ -13,6 +13,7 @@ from relocbench.cli.options import Json, Quiet
 if TYPE_CHECKING:
     from relocbench.evaluation.submission.check import Checked
     from relocbench.evaluation.submission.contract import SubmissionOptions
+    from relocbench.progress import Reporter
 
 FAULTY = 1
 """exit status where a submission has faults; 2 is left to commands that could not look at it"""
@@ -41,6 +42,13 @@ Radius = Annotated[
         help="Of a retriever along drives: distance within which an image is right [default: 25].",
     ),
 ]
+SaltFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Of answers to a blind export, with the dataset that it was made of: the salt that it was made with.",
+    ),
+]
 
 
 def submit_check(
@@ -54,6 +62,7 @@ def submit_check(
     ] = None,
     blind_only: BlindOnly = False,
     radius: Radius = None,
+    salt_file: SaltFile = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -79,7 +88,9 @@ def submit_check(
         return
     if submission is None:
         raise ConfigError("nothing to check: give the folder of a submission, or --new FOLDER for a card to fill in")
-    checked = check_submission(submission, _options(dataset, radius, blind_only=blind_only), reporter(quiet))
+    progress = reporter(quiet)
+    options = _options(submission, dataset, radius, salt_file, progress, blind_only=blind_only)
+    checked = check_submission(submission, options, progress)
     if json:
         print_json(checked.to_dict(), _counts(checked))
     else:
@@ -99,6 +110,7 @@ def leaderboard_add(
     ] = False,
     blind_only: BlindOnly = False,
     radius: Radius = None,
+    salt_file: SaltFile = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -113,7 +125,8 @@ def leaderboard_add(
     from relocbench.evaluation.submission.add import add_submission
     from relocbench.evaluation.submission.check import check_submission
 
-    options, progress = _options(dataset, radius, blind_only=blind_only), reporter(quiet)
+    progress = reporter(quiet)
+    options = _options(submission, dataset, radius, salt_file, progress, blind_only=blind_only)
     checked = check_submission(submission, options, progress)
     if not checked.sound:
         if json:
@@ -144,7 +157,16 @@ def _counts(checked: Checked) -> dict[str, int]:
     return {**found, "suspicions": len(checked.suspicions), **answers}
 
 
-def _options(dataset: list[Path], radius: float | None, *, blind_only: bool) -> SubmissionOptions:
+def _options(
+    submission: Path,
+    dataset: list[Path],
+    radius: float | None,
+    salt_file: Path | None,
+    progress: Reporter,
+    *,
+    blind_only: bool,
+) -> SubmissionOptions:
+    from relocbench.datasets.core.salt import read_salt
     from relocbench.errors import ConfigError
     from relocbench.evaluation.retrieval.opening import SetOptions
     from relocbench.evaluation.submission.contract import SubmissionOptions
@@ -153,7 +175,8 @@ def _options(dataset: list[Path], radius: float | None, *, blind_only: bool) -> 
         raise ConfigError("a submission is checked against what it answers: give --dataset FOLDER")
     if radius == 0:
         raise ConfigError("--radius is 0, expected metres")
-    return SubmissionOptions(tuple(dataset), blind_only, SetOptions(radius_m=radius))
+    salt = None if salt_file is None else read_salt(salt_file, [*dataset, submission], progress)
+    return SubmissionOptions(tuple(dataset), blind_only, SetOptions(radius_m=radius), salt)
 
 
 def _write_template(folder: Path) -> Path:

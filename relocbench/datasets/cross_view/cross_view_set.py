@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 from relocbench.arrays import Image
 from relocbench.datasets.core import images
@@ -56,6 +57,10 @@ class CrossViewSet:
     """notes for the user on empty folders and on classes that are in both train and test"""
     stored_content_id: str = ""
     """content id of a rendered set; empty for other sets, whose images are the same everywhere"""
+    made_by: Mapping[str, Any] = field(default_factory=dict)
+    """how a rendered set was made, as its ``dataset.yaml`` says; empty for other sets"""
+    licence: str = ""
+    """of a rendered set"""
 
     @cached_property
     def fingerprint(self) -> str:

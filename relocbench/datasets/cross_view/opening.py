@@ -99,7 +99,8 @@ def _made_here(path: Path, layout: ViewFolders) -> CrossViewSet:
     content.check_against(path, rows, layout.keys)
     digests = {key: sha256 for key, _, sha256 in rows}
     found = _set(path, file.name, layout, partial(str, file.fingerprint), content.read_conditions(path), digests)
-    return replace(found, stored_content_id=content.content_id_of(file, digests))
+    stored = content.content_id_of(file, digests)
+    return replace(found, stored_content_id=stored, made_by=file.made_by, licence=file.licence)
 
 
 def _set(

@@ -1,82 +1,91 @@
-"""Names of blind exports, and what their keys are drawn from.
+"""Names of blind exports, and what the keys and names in them are drawn from: the salt of whoever makes the export.
 
-Keys follow from the truth of a dataset, which whoever is given the export does not have: the owner computes all keys
-again and keeps no list of them, and nobody else can compute one.
+The owner of the salt computes all of them again and keeps no list. Nobody else can compute one, or learn from one
+whether a guess at the dataset, its recipe or its truth is right.
 """
 
 from __future__ import annotations
 
-import hashlib
-import hmac
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from relocbench.datasets.core.dataset import Dataset
-from relocbench.errors import DatasetError
-from relocbench.files import read_bytes
+from relocbench.datasets.core.salt import SALT_KEY, Salt
+from relocbench.errors import ConfigError, DatasetError
 
-_ID_CHARACTERS = 12
-_NAME = re.compile(r"(?P<dataset>.+)\.blind(?P<edition>[0-9]{1,9})-(?P<id>[0-9a-f]{12})")
+KIND = "blind"
+"""``kind`` in ``made_by`` of a blind export"""
+_ID_CHARACTERS = 16
+_NAME = re.compile(rf"blind(?P<edition>[0-9]{{1,9}})-(?P<id>[0-9a-f]{{{_ID_CHARACTERS}}})")
+_UNSALTED = re.compile(r".+\.blind[0-9]{1,9}-[0-9a-f]{12}")
+_SEEDED = ("synthetic", "cross-view", "photographs")
+"""kinds of datasets whose truth follows from the options, unless a salt went into it"""
 
 
 @dataclass(frozen=True)
 class BlindName:
-    """The name of a blind export, which says what it is of."""
+    """The name of a blind export, which does not say what it is of."""
 
-    dataset: str
-    """name of the dataset, or of the retrieval set, that it was made of"""
     edition: int
     id: str
-    """digest of the dataset's truth and the edition"""
+    """keyed digest of what the dataset contains and of the edition"""
 
     def __str__(self) -> str:
-        return f"{self.dataset}.blind{self.edition}-{self.id}"
+        return f"blind{self.edition}-{self.id}"
 
 
 def blind_name(name: str) -> BlindName | None:
-    """The parts of a blind export's name; None for the name of something else."""
+    """The parts of a blind export's name; None for the name of something else, or of an export without a salt."""
     match = _NAME.fullmatch(name)
-    return None if match is None else BlindName(match["dataset"], int(match["edition"]), match["id"])
+    return None if match is None else BlindName(int(match["edition"]), match["id"])
+
+
+def is_unsalted(name: str) -> bool:
+    """Whether a name is that of a blind export of an earlier version, whose keys followed from the dataset alone."""
+    return _UNSALTED.fullmatch(name) is not None
 
 
 @dataclass(frozen=True)
 class BlindSecret:
-    """What a blind export is drawn from."""
+    """What one edition of the blind export of a dataset, or of a retrieval set, is drawn from."""
 
-    secret: bytes
-    """a digest of the truth and the edition"""
+    salt: Salt
+    kind: str
+    content_id: str
+    """of the dataset or retrieval set: a copy that was built again on another processor has the same"""
+    edition: int
 
-    @classmethod
-    def of(cls, kind: str, edition: int, named: str, truth: Iterable[bytes]) -> BlindSecret:
-        """The secret that follows from the kind of export, the set's name and fingerprint, and its truth."""
-        digest = hashlib.sha256(f"{kind}, edition {edition}\n{named}\n".encode())
-        for part in truth:
-            digest.update(part)
-        return cls(digest.digest())
-
-    def name(self, dataset: str, edition: int) -> BlindName:
-        """What the export of a dataset is called."""
-        return BlindName(dataset, edition, self.digest("name").hex()[:_ID_CHARACTERS])
+    @property
+    def name(self) -> BlindName:
+        """What the export is called."""
+        return BlindName(self.edition, self.digest("name").hex()[:_ID_CHARACTERS])
 
     def digest(self, of: str) -> bytes:
         """(32,) bytes that stand for some words."""
-        return hmac.new(self.secret, of.encode(), hashlib.sha256).digest()
+        return self.salt.digest(f"{self.kind}, edition {self.edition}, of {self.content_id}\n{of}")
+
+    def numbered(self, noun: str, names: Iterable[str]) -> dict[str, str]:
+        """Names, each with the one that it has in the export: the noun and a number, in an order that says nothing."""
+        mixed = sorted(set(names), key=lambda name: self.digest(f"{noun} {name}"))
+        return {name: f"{noun}{number}" for number, name in enumerate(mixed, start=1)}
 
 
-def check_truth(dataset: Dataset) -> None:
-    """Raise DatasetError where the truth of a dataset is withheld, so that keys could be computed by anybody."""
-    withheld = [s.name for s in dataset.pair_sets() if not s.has_truth or not s.evaluated]
-    if withheld:
-        message = f"the truth of '{withheld[0]}' is withheld, and keys of a blind export follow from the truth"
-        raise DatasetError(message, dataset.root)
+def check_salt(salt: Salt, made_by: Mapping[str, Any], name: str, root: Path) -> None:
+    """Check that nobody but the owner of a salt can make a dataset that is asked blind.
 
+    Args:
+        made_by: how the dataset was made, as its ``dataset.yaml`` says.
+        name: of the dataset.
+        root: its folder.
 
-def truth_of(dataset: Dataset) -> Iterator[bytes]:
-    """The truth of a dataset: its pair files, each behind its name.
-
-    The bytes themselves, since digests of pair files stand in published results.
+    Raises:
+        DatasetError: its truth follows from its options, and no salt went into it.
+        ConfigError: it was built with another salt.
     """
-    for name in dataset.pair_set_names:
-        yield f"{name}\n".encode()
-        yield read_bytes(dataset.layout.pair_file(name), "a pair file", DatasetError)
+    if made_by.get("kind") in _SEEDED and SALT_KEY not in made_by:
+        message = f"'{name}' was built without a salt, and whoever guesses its options builds it again"
+        raise DatasetError(f"{message}; build it with --salt-file", root)
+    if made_by.get(SALT_KEY, salt.check) != salt.check:
+        raise ConfigError(f"is another salt than the one that '{name}' was built with", salt.path)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 
 from relocbench.datasets.core.images import png_bytes
-from relocbench.datasets.cross_view import CrossViewSet
+from relocbench.datasets.core.salt import Salt
 from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.evaluation.common.blind_names import BlindName, BlindSecret, blind_name, check_truth, truth_of
+from relocbench.evaluation.common.blind_names import BlindName, BlindSecret, check_salt
 from relocbench.evaluation.common.opening import check_outside
 from relocbench.evaluation.common.results import write_record
 from relocbench.evaluation.retrieval.blind_set import (
@@ -35,28 +33,35 @@ _HELD = {FILE, "images", "images.csv", "tasks"}
 class BlindImages:
     """The keys of one blind export of a retrieval set.
 
-    Along drives they follow from the pair files, across views from which image is of which place: whoever is given the
-    export has neither.
-
     Args:
         opened: the set, with its truth.
+        salt: exports with other salts have other keys, and whoever does not have it cannot compute one.
         edition: exports of other editions have other keys, so that answers to one are not answers to another.
 
     Raises:
-        DatasetError: the truth is withheld.
+        DatasetError: the truth is withheld, or follows from options without a salt.
+        ConfigError: the set was built with another salt.
     """
 
-    def __init__(self, opened: OpenedSet, edition: int = 1) -> None:
+    def __init__(self, opened: OpenedSet, salt: Salt, edition: int = 1) -> None:
         if opened.source is None:
-            raise DatasetError(f"the truth of '{opened.name}' is withheld, and keys of a blind export follow from it")
-        if isinstance(opened.source, StreetPlaces):
-            check_truth(opened.source.dataset)
-        self.opened, self.edition, self._source = opened, edition, opened.source
+            raise DatasetError(f"the truth of '{opened.name}' is withheld, and answers could not be scored")
+        source = opened.source
+        self.root = source.dataset.root if isinstance(source, StreetPlaces) else source.root
+        described = source.dataset.file if isinstance(source, StreetPlaces) else source
+        check_salt(salt, described.made_by, opened.name, self.root)
+        self.opened, self.licence = opened, described.licence
+        self._secret = BlindSecret(salt, "blind export of images 2", opened.content_id, edition)
 
-    @cached_property
+    @property
     def name(self) -> BlindName:
         """What the export is called."""
-        return self._secret.name(self.opened.name, self.edition)
+        return self._secret.name
+
+    @cached_property
+    def tasks(self) -> dict[str, str]:
+        """The tasks of the set -> what they are called."""
+        return self._secret.numbered("task", (task.name for task in self.opened.all_tasks))
 
     def key(self, image: str) -> str:
         """The key of an image, by its name in the set."""
@@ -70,35 +75,21 @@ class BlindImages:
         """Keys of the gallery of a task -> their names in the set."""
         return {self.key(one.key): one.key for one in task.gallery}
 
-    @cached_property
-    def _secret(self) -> BlindSecret:
-        named = f"{self.opened.name} {self.opened.fingerprint}"
-        if isinstance(self._source, StreetPlaces):
-            truth: Iterable[bytes] = truth_of(self._source.dataset)
-        else:
-            truth = (f"{key} {content}\n".encode() for key, content in _labelled(self._source))
-        return BlindSecret.of("relocbench blind export of images 1", self.edition, named, truth)
 
-
-def export_blind_images(opened: OpenedSet, root: Path, out: Path, edition: int, reporter: Reporter) -> BlindSetFile:
+def export_blind_images(keys: BlindImages, out: Path, reporter: Reporter) -> BlindSetFile:
     """Write the images of all tasks of a retrieval set to a folder, blind; an export that was stopped begins anew.
 
     Images are written anew from their pixels, so that no metadata comes with them, and in the order of their keys.
 
-    Args:
-        root: the folder of the dataset.
-
     Raises:
-        DatasetError: the truth is withheld, or an image cannot be read.
-        ConfigError: ``out`` lies inside the dataset or holds something else, or the set is a blind export itself.
+        DatasetError: an image cannot be read.
+        ConfigError: ``out`` lies inside the dataset or holds something else.
     """
-    check_outside(out, root)
-    if blind_name(opened.name) is not None:
-        raise ConfigError(f"'{opened.name}' is a blind export already", root)
-    keys = BlindImages(opened, edition)
+    check_outside(out, keys.root)
     _check_empty(out, str(keys.name))
     views: dict[str, ImageView] = {}
-    for task in opened.all_tasks:
+    tasks = sorted(((keys.tasks[task.name], task) for task in keys.opened.all_tasks), key=lambda named: named[0])
+    for _, task in tasks:
         views |= {keys.key(one.key): one for one in (*task.queries, *task.gallery)}
     lines = [HEADER]
     with reporter.stage("blind export", len(views)) as advance:
@@ -108,16 +99,16 @@ def export_blind_images(opened: OpenedSet, root: Path, out: Path, edition: int, 
             lines.append(f"{key},{sha256_file(path)}")
             advance(1)
     text = "".join(f"{line}\n" for line in lines)
-    sides = {task.name: (sorted(keys.queries(task)), sorted(keys.gallery(task))) for task in opened.all_tasks}
+    sides = {name: (sorted(keys.queries(task)), sorted(keys.gallery(task))) for name, task in tasks}
     for name, (queries, gallery) in sides.items():
         write_text(keys_file(out, name, "queries"), "".join(f"{key}\n" for key in queries))
         write_text(keys_file(out, name, "gallery"), "".join(f"{key}\n" for key in gallery))
     write_text(out / "images.csv", text)
     file = BlindSetFile(
         name=str(keys.name),
-        licence=opened.source.dataset.file.licence if isinstance(opened.source, StreetPlaces) else "",
+        licence=keys.licence,
         fingerprint=fingerprint_of(str(keys.name), text, sides),
-        tasks={task.name: _described(task) for task in opened.all_tasks},
+        tasks={name: _described(task) for name, task in tasks},
     )
     write_record(out / FILE, file)
     return file
@@ -135,25 +126,10 @@ def _check_empty(out: Path, name: str) -> None:
 
 
 def _described(task: RetrievalTask) -> BlindTask:
+    """The counts of a task, and the views that its images are of."""
     return BlindTask(
         queries=len(task.queries),
         gallery=len(task.gallery),
         view_query="+".join(sorted({one.view for one in task.queries})),
         view_gallery="+".join(sorted({one.view for one in task.gallery})),
-        condition_query=task.condition_query,
-        condition_gallery=task.condition_gallery,
     )
-
-
-def _labelled(places: CrossViewSet) -> list[tuple[str, str]]:
-    """Names of all test images, which tell their places, with digests of their content."""
-    shots = [shot for side in (places.queries, places.galleries) for of in side.values() for shot in of]
-    views = {shot.view.key: shot.view for shot in shots}
-    return [(key, _content(places.root, view)) for key, view in sorted(views.items())]
-
-
-def _content(root: Path, view: ImageView) -> str:
-    if view.content:
-        return view.content
-    path = root / view.key
-    return sha256_file(path) if path.is_file() else hashlib.sha256(view.read().tobytes()).hexdigest()

@@ -36,6 +36,7 @@ class BlindTask(Strict):
     view_query: str
     view_gallery: str
     condition_query: str = ""
+    """empty, as the next; earlier versions told them"""
     condition_gallery: str = ""
 
 

@@ -142,8 +142,9 @@ def _tell(checked: Checked, card: Card, places: YamlPlaces) -> None:
     for name, answered in card.datasets.items():
         if not answered.asked_once:
             checked.suspicions.append(f"{name}: was evaluated more than once, as the card says")
+    scored = {of.folder.name: of.resolved.name for of in checked.answered}
     for name in card.datasets:
-        named = re.compile(rf"(?<![\w.+-]){re.escape(name.partition('.blind')[0])}(?![\w+-]|\.\w)")
+        named = re.compile(rf"(?<![\w.+-]){re.escape(scored.get(name, name))}(?![\w+-]|\.\w)")
         seen = [split for split in card.weights.splits_seen if named.search(split)]
         if seen:
             checked.suspicions.append(f"{name}: training or tuning has seen '{seen[0]}', as the card says")

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, TypeVar
 
 from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.salt import Salt
 from relocbench.errors import ConfigError, PredictionError, available
 from relocbench.evaluation.common.blind_names import BlindName
 from relocbench.evaluation.common.results import MethodResults, RunRecord
@@ -35,6 +36,8 @@ class SubmissionOptions:
     """whether only answers to blind exports are taken"""
     retrieval: SetOptions = field(default_factory=SetOptions)
     """which images are right, for lists of images along drives"""
+    salt: Salt | None = None
+    """of answered blind exports, where the datasets are those that they were made of"""
 
 
 @dataclass(kw_only=True)

@@ -160,14 +160,14 @@ class Retrieval(SubmissionTask):
             self._sets[named.name] = named.fingerprint, opened
 
     def read(self, folder: Path, answered: Answered, findings: Findings) -> RankedDataset:
-        resolved = resolve_lists(folder.name, answered.fingerprint, self._sets)
+        resolved = resolve_lists(folder.name, answered.fingerprint, self._sets, self._options.salt)
         check_blind_only(folder, self._options, is_blind=resolved.blind is not None)
         if resolved.blind is not None:
             name, fingerprint = folder.name, answered.fingerprint
         else:
             name, fingerprint = resolved.images.name, resolved.images.fingerprint
         run_beside(folder, RetrievalRun, name, fingerprint, findings)
-        tasks = {task.name: task for task in resolved.images.tasks()}
+        tasks = {resolved.shown(task): task for task in resolved.images.tasks()}
         files = files_of_units(folder, "task", list(tasks), "lists of images (TASK.txt)", findings)
         units = [read_ranked(files[n], t, resolved, findings) if n in files else TaskLists(t) for n, t in tasks.items()]
         return RankedDataset(folder, units, resolved)

@@ -271,15 +271,16 @@ class Tracking(SubmissionTask):
 
     def read(self, folder: Path, answered: Answered, findings: Findings) -> TrackedDataset:
         run = run_beside(folder, RunRecord, folder.name, answered.fingerprint, findings)
-        resolved = resolve(folder.name, answered.fingerprint, "" if run is None else run.question, self._datasets)
+        question = "" if run is None else run.question
+        resolved = resolve(folder.name, answered.fingerprint, question, self._datasets, self._options.salt)
         check_blind_only(folder, self._options, is_blind=resolved.blind is not None)
-        names = resolved.dataset.pair_set_names
-        files = files_of_units(folder, "pair set", names, "predictions (PAIRSET.txt)", findings)
+        asked = {resolved.shown(s): s for s in resolved.dataset.pair_sets()}
+        files = files_of_units(folder, "pair set", list(asked), "predictions (PAIRSET.txt)", findings)
         for path in answer_files(folder, ".csv"):
             if path.stem not in files:
                 findings.fault("has no predictions (.txt) of that name beside it", path)
         units = [
-            read_answered(files[s.name], s, resolved, findings) if s.name in files else PairSetAnswers(s)
-            for s in resolved.dataset.pair_sets()
+            read_answered(files[name], s, resolved, findings) if name in files else PairSetAnswers(s)
+            for name, s in asked.items()
         ]
         return TrackedDataset(folder, units, resolved)

@@ -1,6 +1,6 @@
-"""Keys of a blind export: what images are called where neither time nor order may tell where they were taken.
+"""Keys of a blind export: what drives, cameras and images are called where no name may tell where they were taken.
 
-A key is a whole number, and stands in files where a timestamp stands.
+The key of an image is a whole number, and stands in files where a timestamp stands.
 """
 
 from __future__ import annotations
@@ -8,43 +8,58 @@ from __future__ import annotations
 from functools import cached_property
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.layout import pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.blind_names import BlindName, BlindSecret, check_truth, truth_of
+from relocbench.datasets.core.salt import Salt
+from relocbench.evaluation.common.blind_names import BlindName, BlindSecret, check_salt
 
 
 class BlindKeys:
-    """The keys of one export of a dataset.
+    """The names and keys of one export of a dataset.
 
     Args:
+        salt: exports with other salts have other keys, and whoever does not have it cannot compute one.
         edition: exports of other editions have other keys, so that answers to one are not answers to another.
 
     Raises:
-        DatasetError: the truth of the dataset is withheld, so that keys could be computed by anybody.
+        DatasetError: the truth of the dataset follows from its options, and no salt went into it.
+        ConfigError: the dataset was built with another salt.
     """
 
-    def __init__(self, dataset: Dataset, edition: int = 1) -> None:
+    def __init__(self, dataset: Dataset, salt: Salt, edition: int = 1) -> None:
+        check_salt(salt, dataset.file.made_by, dataset.name, dataset.root)
         self.dataset = dataset
-        self.edition = edition
-        check_truth(dataset)
+        self._secret = BlindSecret(salt, "blind export 2", dataset.content_id, edition)
 
-    @cached_property
+    @property
     def name(self) -> BlindName:
         """What the export is called."""
-        return self._secret.name(self.dataset.name, self.edition)
+        return self._secret.name
 
-    def key(self, traversal: str, timestamp_ns: int) -> int:
-        """The key of the images of one time of a drive, from 0 to 2^62."""
-        return int.from_bytes(self._secret.digest(f"image {traversal} {timestamp_ns}")[:8], "big") >> 2
+    @cached_property
+    def drives(self) -> dict[str, str]:
+        """The drives of all pair sets -> what they are called."""
+        return self._secret.numbered("drive", (n for s in self.dataset.pair_sets() for n in (s.reference, s.query)))
+
+    @cached_property
+    def cameras(self) -> dict[str, str]:
+        """The cameras of all pair sets -> what they are called."""
+        return self._secret.numbered("camera", (s.camera for s in self.dataset.pair_sets()))
+
+    def pair_set(self, pair_set: PairSet) -> str:
+        """What a pair set is called."""
+        drives = self.drives[pair_set.reference], self.drives[pair_set.query]
+        return pair_set_name(*drives, self.cameras[pair_set.camera])
+
+    def key(self, traversal: str, camera: str, timestamp_ns: int) -> int:
+        """The key of an image, from 0 to 2^62."""
+        return int.from_bytes(self._secret.digest(f"image {traversal} {camera} {timestamp_ns}")[:8], "big") >> 2
 
     def pairs(self, pair_set: PairSet) -> dict[PairKey, PairKey]:
         """The evaluated pairs: keys of keyframe and query -> their times."""
+        s = pair_set
         return {
-            (self.key(pair_set.reference, ref), self.key(pair_set.query, query)): (ref, query)
-            for ref, query in pair_set.by_key
+            (self.key(s.reference, s.camera, ref), self.key(s.query, s.camera, query)): (ref, query)
+            for ref, query in s.by_key
         }
-
-    @cached_property
-    def _secret(self) -> BlindSecret:
-        named = f"{self.dataset.name} {self.dataset.fingerprint}"
-        return BlindSecret.of("relocbench blind export 1", self.edition, named, truth_of(self.dataset))

@@ -14,7 +14,7 @@ from command_line import Outcome, relocbench
 from forgery import change_yaml, reseal
 from refusals import assert_names, refused
 from small_dataset import ACROSS, make_small_dataset
-from submissions import change_card, submit
+from submissions import blind_export, change_card, salt_file, submit
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError
@@ -22,7 +22,6 @@ from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.submission import add
 from relocbench.evaluation.submission.check import check_submission
 from relocbench.evaluation.submission.contract import SubmissionOptions
-from relocbench.evaluation.tracking.blind_export import export_blind
 from relocbench.geometry import make_transform
 from relocbench.leaderboard.tracking.load import load_results
 from relocbench.progress import Silent
@@ -35,12 +34,13 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def blind(town: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return export_blind(town, tmp_path_factory.mktemp("blind") / "b", 1, Silent())
+    return blind_export(town, tmp_path_factory.mktemp("blind") / "b")
 
 
 def adding(root: Path, results: Path, *datasets: Dataset, options: tuple[str, ...] = ()) -> Outcome:
     named = [word for dataset in datasets for word in ("-d", dataset.root)]
-    return relocbench("leaderboard", "add", root, "--to", results, *named, "-q", *options)
+    salt = ("--salt-file", salt_file(root.parent))
+    return relocbench("leaderboard", "add", root, "--to", results, *named, "-q", *salt, *options)
 
 
 def row_of(results: Path, town: Dataset, label: str = "my-method") -> MethodResults:
@@ -56,7 +56,8 @@ def test_blind_answers_are_scored_as_the_same_answers_with_times_are(
 ) -> None:
     constant = make_transform(np.eye(3), [0.05, 0.0, -0.12])
     for name, asked in (("real", town), ("blind", blind)):
-        outcome = adding(submit(tmp_path / name, asked, lambda pair: constant), tmp_path / f"r-{name}", town)
+        submitted = submit(tmp_path / name, asked, lambda pair: constant, lambda pair: 0.5)
+        outcome = adding(submitted, tmp_path / f"r-{name}", town)
         assert outcome.status == 0, outcome
     real, through = (row_of(tmp_path / f"r-{name}", town) for name in ("real", "blind"))
     assert through.score_record().pair_sets == real.score_record().pair_sets

@@ -1,4 +1,4 @@
-"""A blind export asks the same and tells no time, no pose and no order."""
+"""A blind export asks the same and tells no time, no pose, no name and no order, and its keys need the salt."""
 
 from __future__ import annotations
 
@@ -7,16 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import relocbench
+from forgery import change_yaml
 from refusals import assert_names, refused
 from small_dataset import ACROSS, make_small_dataset
+from submissions import SALT_TEXT, blind_export, salt, salt_file, submit
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.salt import read_salt
+from relocbench.datasets.core.schema import Condition
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.common.blind_names import blind_name
-from relocbench.evaluation.tracking.blind_export import export_blind
+from relocbench.evaluation.submission.check import check_submission
+from relocbench.evaluation.submission.contract import SubmissionOptions
 from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.geometry import make_transform
 from relocbench.progress import Silent
+
+OTHER_TEXT = "c3" * 32
 
 
 @pytest.fixture(scope="module")
@@ -26,83 +33,175 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def blind(town: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return export_blind(town, tmp_path_factory.mktemp("blind") / "b", 1, Silent())
+    return blind_export(town, tmp_path_factory.mktemp("blind") / "b")
 
 
-def test_the_same_pairs_are_asked_of_the_same_pixels(town: Dataset, blind: Dataset) -> None:
-    keys = BlindKeys(town)
+@pytest.fixture(scope="module")
+def keys(town: Dataset) -> BlindKeys:
+    return BlindKeys(town, salt())
+
+
+def test_the_same_pairs_are_asked_of_the_same_pixels(town: Dataset, blind: Dataset, keys: BlindKeys) -> None:
     assert blind.name == str(keys.name)
+    assert {s.name for s in blind.pair_sets()} == {keys.pair_set(s) for s in town.pair_sets()}
     for pair_set in town.pair_sets():
-        theirs = blind.pair_set(pair_set.name)
+        theirs = blind.pair_set(keys.pair_set(pair_set))
         assert {p.key for p in theirs.evaluated} == set(keys.pairs(pair_set))
-        for shown, (ref, query) in keys.pairs(pair_set).items():
+        for pair in theirs.evaluated:
+            ref, query = keys.pairs(pair_set)[pair.key]
             ours = town.traversal(pair_set.reference).reference(pair_set.camera, ref)
-            reference = blind.traversal(pair_set.reference).reference(pair_set.camera, shown[0])
+            reference = blind.reference(theirs, pair)
             assert np.array_equal(reference.image, ours.image)
             assert np.array_equal(reference.inverse_depth_map, ours.inverse_depth_map)
-            image = blind.traversal(pair_set.query).image(pair_set.camera, shown[1])
+            assert (reference.camera, reference.depth_sigma) == (ours.camera, ours.depth_sigma)
+            image = blind.query(theirs, pair).image
             assert np.array_equal(image, town.traversal(pair_set.query).image(pair_set.camera, query))
 
 
-def test_no_file_tells_a_time_a_pose_or_a_path(town: Dataset, blind: Dataset) -> None:
+def test_no_file_tells_a_time_a_pose_a_name_or_a_path(town: Dataset, blind: Dataset) -> None:
     times = {str(t) for name in town.traversal_names for t in town.traversal(name).timestamps("cam0")}
+    words = {*town.traversal_names, *town.file.splits, "cam0", town.name, "corner", "sunny", "snow", str(town.root)}
     for path in blind.root.rglob("*"):
-        assert path.stem not in times
+        assert times.isdisjoint(path.parts)
+        assert words.isdisjoint(path.relative_to(blind.root).parts)
         if path.suffix in (".csv", ".txt", ".yaml"):
             text = path.read_text()
-            assert not any(time in text for time in times), path
-            assert str(town.root) not in text
-    assert all(not blind.traversal(name).poses for name in blind.traversal_names)
+            assert not any(word in text for word in times | words), path
+    for drive in map(blind.traversal, blind.traversal_names):
+        assert (drive.poses, drive.condition, drive.file.location, drive.file.rate_hz) == ({}, Condition(), "", None)
+        assert np.array_equal(drive.T_rig_cam("camera1"), np.eye(4))
     assert all(p.T_query_ref is None and not p.group for s in blind.pair_sets() for p in s.evaluated)
     assert relocbench("validate", blind.root, "-q").status == 0
 
 
-def test_only_keyframes_have_depth(town: Dataset, blind: Dataset) -> None:
-    keys, pair_set = BlindKeys(town), town.pair_set(ACROSS)
-    winter = blind.traversal(pair_set.query)
-    assert winter.timestamps("cam0") == sorted({keys.key("winter", p.query_timestamp_ns) for p in pair_set.evaluated})
-    assert winter.keyframe_timestamps("cam0") == []
+def test_only_keyframes_have_depth(town: Dataset, blind: Dataset, keys: BlindKeys) -> None:
+    pair_set = town.pair_set(ACROSS)
+    winter, camera = blind.traversal(keys.drives[pair_set.query]), keys.cameras["cam0"]
+    asked = {keys.key("winter", "cam0", p.query_timestamp_ns) for p in pair_set.evaluated}
+    assert winter.timestamps(camera) == sorted(asked)
+    assert winter.keyframe_timestamps(camera) == []
 
 
-def test_keys_need_the_truth_and_differ_by_edition_and_truth(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
-    first, again, second = BlindKeys(town), BlindKeys(Dataset(town.root)), BlindKeys(town, 2)
+def test_keys_need_the_salt_and_differ_by_edition_and_truth(town: Dataset, keys: BlindKeys, tmp_path: Path) -> None:
+    again, second, guess = BlindKeys(Dataset(town.root), salt()), BlindKeys(town, salt(), 2), salt(OTHER_TEXT)
     time = town.traversal("summer").timestamps("cam0")[0]
-    assert first.key("summer", time) == again.key("summer", time)
-    assert first.key("summer", time) != second.key("summer", time)
-    assert first.key("summer", time) != first.key("winter", time)
-    assert first.name != second.name
-    other = make_small_dataset(
-        tmp_path / "other", frames=4, size=(48, 36), pose_fault=make_transform(np.eye(3), [0.2, 0.0, 0.0])
-    )
-    assert BlindKeys(other).name.id != first.name.id
-    with refused(DatasetError, blind.root, None, blind.pair_sets()[0].name, "withheld"):
-        BlindKeys(blind)
+    assert keys.key("summer", "cam0", time) == again.key("summer", "cam0", time)
+    for other in (second, BlindKeys(town, guess)):
+        assert keys.key("summer", "cam0", time) != other.key("summer", "cam0", time)
+        assert keys.name.id != other.name.id
+    assert keys.key("summer", "cam0", time) != keys.key("winter", "cam0", time)
+    fault = make_transform(np.eye(3), [0.2, 0.0, 0.0])
+    moved = make_small_dataset(tmp_path / "other", frames=4, size=(48, 36), pose_fault=fault)
+    assert BlindKeys(moved, salt()).name.id != keys.name.id
 
 
 def test_an_export_goes_on_and_ends_with_the_same_bytes(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
-    export_blind(town, tmp_path / "b", 1, Silent())
+    blind_export(town, tmp_path / "b")
     (tmp_path / "b" / "dataset.yaml").unlink()
     image = next((tmp_path / "b").glob("traversals/*/images/*/*.png"))
     image.write_bytes(image.read_bytes()[:40])
-    assert export_blind(town, tmp_path / "b", 1, Silent()).fingerprint == blind.fingerprint
+    assert blind_export(town, tmp_path / "b").fingerprint == blind.fingerprint
+    with refused(DatasetError, tmp_path / "b", None, "options"):
+        blind_export(town, tmp_path / "b", 2)
 
 
-def test_the_name_says_what_it_is_of() -> None:
-    found = blind_name("town.north.blind12-0123456789ab")
+def test_the_name_is_that_of_an_export() -> None:
+    found = blind_name("blind12-0123456789abcdef")
     assert found is not None
-    assert (found.dataset, found.edition, found.id) == ("town.north", 12, "0123456789ab")
-    assert str(found) == "town.north.blind12-0123456789ab"
-    assert blind_name("town") is blind_name("town.blind1-0123") is None
+    assert (found.edition, found.id, str(found)) == (12, "0123456789abcdef", "blind12-0123456789abcdef")
+    assert blind_name("town") is blind_name("blind1-0123") is blind_name("town.blind1-0123456789ab") is None
+
+
+@pytest.mark.parametrize("made_by", [{"kind": "synthetic"}, {"kind": "cross-view"}, {"kind": "photographs"}])
+def test_what_follows_from_a_seed_is_exported_with_the_salt_that_it_was_built_with(
+    tmp_path: Path, made_by: dict[str, str]
+) -> None:
+    town = make_small_dataset(tmp_path / "ds", frames=4, size=(48, 36))
+    change_yaml(town.root / "dataset.yaml", lambda file: file.update(made_by=made_by))
+    with refused(DatasetError, town.root, None, town.name, "--salt-file"):
+        BlindKeys(Dataset(town.root), salt())
+    change_yaml(town.root / "dataset.yaml", lambda file: file["made_by"].update(salt=salt().check))
+    with refused(ConfigError, salt(OTHER_TEXT).path, None, town.name):
+        BlindKeys(Dataset(town.root), salt(OTHER_TEXT))
+    assert BlindKeys(Dataset(town.root), salt()).name
+
+
+def test_answers_need_the_salt_of_the_export(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
+    root = submit(tmp_path / "s", blind)
+    with refused(ConfigError, "", None, blind.name, "--salt-file"):
+        check_submission(root, SubmissionOptions((town.root,)), Silent())
+    with refused(ConfigError, salt(OTHER_TEXT).path, None, blind.name, town.name):
+        check_submission(root, SubmissionOptions((town.root,), salt=salt(OTHER_TEXT)), Silent())
+
+
+def test_answers_to_an_export_of_an_earlier_version_are_refused_by_name(town: Dataset, tmp_path: Path) -> None:
+    root = submit(tmp_path / "s", town)
+    earlier = f"{town.name}.blind1-0123456789ab"
+    (root / town.name).rename(root / earlier)
+    change_yaml(root / "card.yaml", lambda card: card.update(datasets={earlier: card["datasets"][town.name]}))
+    checked = check_submission(root, SubmissionOptions((town.root,), salt=salt()), Silent())
+    (fault,) = checked.found.faults
+    assert_names(str(fault), root / "card.yaml", fault.line, earlier, "--salt-file")
+
+
+SALTS = {"short": "0" * 31 + "\n", "empty": "", "no text": b"\xff" * 64, "long": "0" * 5000}
+
+
+@pytest.mark.parametrize("content", SALTS.values(), ids=SALTS.keys())
+def test_what_is_no_salt_is_refused_by_file(tmp_path: Path, content: str | bytes) -> None:
+    path = tmp_path / "salt"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with refused(ConfigError, path, None):
+        read_salt(path, [], Silent())
+
+
+def test_a_salt_is_read_without_white_space_and_from_no_folder_that_is_given_away(tmp_path: Path) -> None:
+    path = salt_file(tmp_path)
+    assert read_salt(path, [tmp_path / "other"], Silent()).check == salt().check
+    assert SALT_TEXT not in repr(read_salt(path, [], Silent()))
+    with refused(ConfigError, path, None, str(tmp_path)):
+        read_salt(path, [tmp_path], Silent())
+    with refused(ConfigError, tmp_path / "none", None):
+        read_salt(tmp_path / "none", [], Silent())
+
+
+def test_who_else_can_read_the_salt_is_told(tmp_path: Path) -> None:
+    class Notes(Silent):
+        def __init__(self) -> None:
+            self.notes: list[str] = []
+
+        def note(self, message: str) -> None:
+            self.notes.append(message)
+
+    told = Notes()
+    path = salt_file(tmp_path)
+    read_salt(path, [], told)
+    assert told.notes == []
+    path.chmod(0o644)
+    read_salt(path, [], told)
+    assert [str(path) in note for note in told.notes] == [True]
 
 
 def test_what_cannot_be_exported_is_refused(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
-    with refused(ConfigError, blind.root, None, blind.name, "already"):
-        export_blind(blind, tmp_path / "b", 1, Silent())
+    with refused(DatasetError, blind.root, None, blind.pair_sets()[0].name, "withheld"):
+        blind_export(blind, tmp_path / "b")
     with refused(ConfigError, town.root / "b", None, "--out"):
-        export_blind(town, town.root / "b", 1, Silent())
-    outcome = relocbench("export", "-d", town.root, "-f", "tum", "--edition", 2, "-o", tmp_path / "t")
-    assert (outcome.status, "--format blind" in outcome.complaint) == (2, True)
-    outcome = relocbench("export", "-d", town.root, "-f", "blind", "-m", "x", "-o", tmp_path / "t")
-    assert outcome.status == 2
-    assert_names(outcome.complaint, "", None, "--edition")
+        blind_export(town, town.root / "b")
+    asked = ("export", "-d", town.root, "-o", tmp_path / "t")
+    given = ("--salt-file", salt_file(tmp_path))
+    for options, named in (
+        (("-f", "tum", "--edition", 2), "--format blind"),
+        (("-f", "tum", *given), "--salt-file"),
+        (("-f", "blind"), "--salt-file"),
+        (("-f", "blind", "-m", "x", *given), "--method"),
+    ):
+        outcome = relocbench(*asked, *options)
+        assert outcome.status == 2
+        assert_names(outcome.complaint, "", None, named)
     assert not (tmp_path / "t").exists()
+
+
+def test_files_were_written_in_the_order_of_their_keys(blind: Dataset) -> None:
+    for kind in ("images", "depth"):
+        files = sorted(blind.root.glob(f"traversals/*/{kind}/*/*.png"), key=lambda path: path.stat().st_mtime_ns)
+        assert [int(path.stem) for path in files] == sorted(int(path.stem) for path in files) != []

@@ -15,19 +15,20 @@ from command_line import relocbench
 from forgery import change_yaml
 from refusals import refused
 from repository import ROOT
-from small_dataset import ACROSS, make_small_dataset
+from small_dataset import make_small_dataset
 from small_views import make_small_views
-from submissions import change_card
+from submissions import SALT_TEXT, change_card, salt, salt_file
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.retrieval.blind_export import BlindImages, export_blind_images
-from relocbench.evaluation.retrieval.blind_set import open_blind_set
+from relocbench.evaluation.retrieval.blind_set import BlindSetFile, keys_file, open_blind_set
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
 from relocbench.evaluation.submission.card import TEMPLATE
 from relocbench.files import dump_yaml, load_yaml, parse_yaml
 from relocbench.geometry import make_transform
 from relocbench.progress import Silent
+from relocbench.retrieval import RetrievalTask
 
 HERE = "retrievers_for_tests"
 D2S = "drone-satellite"
@@ -40,12 +41,22 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     make_small_dataset(made / "town", frames=5, size=(24, 18), name="town")
     make_small_views(made / "views", places=5)
     for name in ("town", "views"):
-        export_blind_images(opened(made / name), made / name, made / f"{name}-blind", 1, Silent())
+        export(made / name, made / f"{name}-blind")
+    salt_file(made)
     return made
+
+
+def export(folder: Path, out: Path, edition: int = 1) -> BlindSetFile:
+    return export_blind_images(BlindImages(opened(folder), salt(), edition), out, Silent())
 
 
 def opened(folder: Path) -> OpenedSet:
     return open_set(folder, folder.parent / "out", SetOptions(), Silent())
+
+
+def shown(folder: Path, task: str) -> str:
+    """What a task is called in the export."""
+    return BlindImages(opened(folder), salt()).tasks[task]
 
 
 def submit(to: Path, name: str, fingerprint: str, lists: Path) -> Path:
@@ -75,20 +86,25 @@ def handed_in(root: Path, name: str, to: Path) -> Path:
 
 def check(submission: Path, *datasets: Path, options: tuple[str, ...] = ()) -> tuple[int, str]:
     named = [word for dataset in datasets for word in ("-d", dataset)]
-    outcome = relocbench("submit-check", submission, *named, *options)
+    given = ("--salt-file", datasets[0].parent / f"{SALT_TEXT[:4]}.salt")
+    outcome = relocbench("submit-check", submission, *named, *given, *options)
     return outcome.status, outcome.out + outcome.err
 
 
 def add(submission: Path, dataset: Path, results: Path) -> int:
-    return relocbench("leaderboard", "add", submission, "--to", results, "-d", dataset, "-q").status
+    given = ("--salt-file", dataset.parent / f"{SALT_TEXT[:4]}.salt")
+    return relocbench("leaderboard", "add", submission, "--to", results, "-d", dataset, "-q", *given).status
 
 
 @pytest.mark.parametrize("name", ["town", "views"])
 def test_the_same_images_are_asked_under_keys(root: Path, name: str) -> None:
     asked, (file, tasks) = opened(root / name), open_blind_set(root / f"{name}-blind")
-    keys = BlindImages(asked)
+    keys = BlindImages(asked, salt())
     assert file.name == str(keys.name)
-    for own, shown in zip(asked.all_tasks, tasks, strict=True):
+    assert [task.name for task in tasks] == sorted(keys.tasks.values())
+    for own in asked.all_tasks:
+        (shown,) = (task for task in tasks if task.name == keys.tasks[own.name])
+        assert shown.queries[0].view == own.queries[0].view
         assert [one.key for one in shown.queries] == sorted(keys.queries(own))
         named = {**keys.queries(own), **keys.gallery(own)}
         pixels = {one.key: one.image for one in (*own.queries, *own.gallery)}
@@ -97,56 +113,59 @@ def test_the_same_images_are_asked_under_keys(root: Path, name: str) -> None:
         assert not shown.relevance.indices.size
 
 
+def conditions(task: RetrievalTask) -> tuple[str, str]:
+    return task.condition_query, task.condition_gallery
+
+
 @pytest.mark.parametrize("name", ["town", "views"])
 def test_no_file_tells_a_name_a_place_or_a_path(root: Path, name: str) -> None:
-    images = [one.key for task in opened(root / name).all_tasks for one in (*task.queries, *task.gallery)]
+    asked = opened(root / name)
+    images = [one.key for task in asked.all_tasks for one in (*task.queries, *task.gallery)]
+    words = {asked.name, *(name for task in asked.all_tasks for name in (task.name, *conditions(task)) if name)}
     for path in (root / f"{name}-blind").rglob("*"):
         assert not any(Path(key).stem == path.stem for key in images)
         if path.suffix in (".csv", ".txt", ".yaml"):
             text = path.read_text()
             assert not any(key in text or Path(key).name in text for key in images), path
-            assert str(root) not in text
+            assert not any(word in text for word in (str(root), *words)), path
     order = [path.stem for path in sorted((root / f"{name}-blind" / "images").iterdir())]
     assert len(order) == len(set(images))
 
 
-def test_keys_follow_from_the_truth_and_the_edition(root: Path, tmp_path: Path) -> None:
+def test_keys_follow_from_the_salt_the_truth_and_the_edition(root: Path, tmp_path: Path) -> None:
     asked = opened(root / "views")
-    first, second = BlindImages(asked), BlindImages(asked, 2)
+    first, second, guessed = (BlindImages(asked, *a) for a in ((salt(),), (salt(), 2), (salt("c3" * 32),)))
     image = asked.all_tasks[0].queries[0].key
-    assert first.key(image) == BlindImages(opened(root / "views")).key(image) != second.key(image)
-    assert first.name != second.name
+    assert first.key(image) == BlindImages(opened(root / "views"), salt()).key(image)
+    assert len({first.key(image), second.key(image), guessed.key(image)}) == 3
+    assert len({first.name.id, second.name.id, guessed.name.id}) == 3
     moved = make_small_views(tmp_path / "views", places=5)
     one, other = (moved / "test" / "gallery_satellite" / f"000{k}" / "0.png" for k in (1, 2))
     swapped = one.read_bytes(), other.read_bytes()
     one.write_bytes(swapped[1])
     other.write_bytes(swapped[0])
-    assert BlindImages(opened(moved)).key(image) != first.key(image)
+    assert BlindImages(opened(moved), salt()).key(image) != first.key(image)
     fault = make_transform(np.eye(3), [0.2, 0.0, 0.0])
     town = make_small_dataset(tmp_path / "town", frames=5, size=(24, 18), name="town", pose_fault=fault)
-    assert BlindImages(opened(town.root)).name.id != BlindImages(opened(root / "town")).name.id
+    assert BlindImages(opened(town.root), salt()).name.id != BlindImages(opened(root / "town"), salt()).name.id
     with refused(DatasetError, "", None, str(first.name), "withheld"):
-        BlindImages(opened(root / "views-blind"))
+        BlindImages(opened(root / "views-blind"), salt())
 
 
 def test_an_export_has_the_same_bytes_again_and_takes_nobodys_folder(root: Path, tmp_path: Path) -> None:
-    asked = opened(root / "views")
-    again = export_blind_images(asked, root / "views", tmp_path / "b", 1, Silent())
-    assert again == open_blind_set(root / "views-blind")[0]
-    export_blind_images(asked, root / "views", tmp_path / "b", 1, Silent())  # begun anew over its own files
-    with refused(ConfigError, tmp_path / "b", None, str(BlindImages(asked, 2).name)):
-        export_blind_images(asked, root / "views", tmp_path / "b", 2, Silent())
+    assert export(root / "views", tmp_path / "b") == open_blind_set(root / "views-blind")[0]
+    export(root / "views", tmp_path / "b")  # begun anew over its own files
+    with refused(ConfigError, tmp_path / "b", None, str(BlindImages(opened(root / "views"), salt(), 2).name)):
+        export(root / "views", tmp_path / "b", 2)
     (tmp_path / "c").mkdir()
     (tmp_path / "c" / "thesis.tex").write_text("mine")
     with refused(ConfigError, "", None, "thesis.tex"):
-        export_blind_images(asked, root / "views", tmp_path / "c", 1, Silent())
-    with refused(ConfigError, root / "views-blind", None, str(BlindImages(asked).name), "already"):
-        export_blind_images(opened(root / "views-blind"), root / "views-blind", tmp_path / "d", 1, Silent())
+        export(root / "views", tmp_path / "c")
 
 
 def test_a_changed_export_is_refused_with_the_file(root: Path, tmp_path: Path) -> None:
-    export_blind_images(opened(root / "views"), root / "views", tmp_path / "b", 1, Silent())
-    queries = tmp_path / "b" / "tasks" / f"{D2S}.queries.txt"
+    export(root / "views", tmp_path / "b")
+    queries = keys_file(tmp_path / "b", shown(root / "views", D2S), "queries")
     text = queries.read_text()
     queries.write_text("".join(text.splitlines(keepends=True)[:-1]))
     with refused(DatasetError, "blind.yaml", None, "fingerprint", "images.csv"):
@@ -170,11 +189,11 @@ def test_answers_to_an_export_are_scored_as_the_same_lists_by_name_are(root: Pat
     assert status == 0, told
     assert add(submission, root / name, tmp_path / "r") == 0
     asked = opened(root / name)
-    keys, lists = BlindImages(asked), tmp_path / "named"
+    keys, lists = BlindImages(asked, salt()), tmp_path / "named"
     lists.mkdir()
     for task in asked.all_tasks:
         named = {**keys.queries(task), **keys.gallery(task)}
-        lines = (tmp_path / "lists" / f"{task.name}.txt").read_text().split()
+        lines = (tmp_path / "lists" / f"{keys.tasks[task.name]}.txt").read_text().split()
         pairs = zip(lines[::2], lines[1::2], strict=True)
         (lists / f"{task.name}.txt").write_text("".join(f"{named[q]} {named[k]}\n" for q, k in pairs))
     whose = Dataset(root / name) if name == "town" else asked
@@ -199,7 +218,7 @@ def test_the_board_names_the_export_and_shows_the_card(root: Path, tmp_path: Pat
 
 def test_faults_of_answers_are_named(root: Path, tmp_path: Path) -> None:
     submission = handed_in(root, "views", tmp_path)
-    (path,) = submission.glob(f"*/{D2S}.txt")
+    (path,) = submission.glob(f"*/{shown(root / 'views', D2S)}.txt")
     lines = path.read_text().splitlines()
     real = opened(root / "views").all_tasks[0].queries[0].key
     query, image = lines[0].split()
@@ -214,15 +233,15 @@ def test_faults_of_answers_are_named(root: Path, tmp_path: Path) -> None:
 def test_the_wrong_export_dataset_or_radius_is_named(root: Path, tmp_path: Path) -> None:
     submission = handed_in(root, "town", tmp_path)
     status, told = check(submission, root / "views")
-    assert (status, "it is an export of 'town.places-25m'" in told) == (1, True)
+    assert (status, "is no export of views" in told) == (2, True)
     status, told = check(submission, root / "town", options=("--radius", "10"))
-    assert (status, "--radius chooses" in told) == (1, True)
+    assert (status, "--radius chooses" in told) == (2, True)
     name = open_blind_set(root / "town-blind")[0].name
     other = name[:-1] + ("0" if name[-1] != "0" else "1")
     (submission / name).rename(submission / other)
     change_card(submission, lambda card: card.update(datasets={other: card["datasets"][name]}))
     status, told = check(submission, root / "town")
-    assert (status, "is another export than that of" in told) == (1, True)
+    assert (status, f"'{other}' is no export of town.places-25m" in told) == (2, True)
 
 
 def test_an_export_alone_cannot_score_and_named_answers_are_refused_where_blind_ones_are_due(
@@ -251,20 +270,22 @@ def test_a_retriever_runs_on_an_export_and_its_folder_is_handed_in(root: Path, t
     (submission / file.name / "run.yaml").write_bytes((folder / "run.yaml").read_bytes())
     assert check(submission, root / "views")[0] == 0
     change_yaml(submission / file.name / "run.yaml", lambda run: run.update(fingerprint="ab" * 32))
-    assert "is of views.blind1-" in check(submission, root / "views")[1]
+    assert f"is of {file.name}@" in check(submission, root / "views")[1]
     refused = relocbench("evaluate-retrieval", *asked[1:], "-o", tmp_path / "x", "--radius", 5)
     assert (refused.status, "is a blind export" in refused.complaint) == (2, True)
 
 
 def test_the_command_exports_and_refuses_what_does_not_fit(root: Path, tmp_path: Path) -> None:
-    outcome = relocbench("export", "-d", root / "town", "-f", "blind-images", "--radius", 0.2, "-o", tmp_path / "b")
+    given = ("--radius", 0.2, "--salt-file", root / f"{SALT_TEXT[:4]}.salt")
+    outcome = relocbench("export", "-d", root / "town", "-f", "blind-images", *given, "-o", tmp_path / "b")
     assert outcome.status == 0, outcome
     file, (task,) = open_blind_set(tmp_path / "b")
     assert outcome.out.split()[-1] == file.name
-    assert file.name.startswith("town.places-0.2m.blind1-")
-    assert (task.name, len(task.queries), len(task.gallery)) == (ACROSS, 5, 5)
+    assert file.name != open_blind_set(root / "town-blind")[0].name
+    assert (task.name, len(task.queries), len(task.gallery)) == ("task1", 5, 5)
     assert load_yaml(tmp_path / "b" / "blind.yaml", type(file), "x", DatasetError).licence == file.licence != ""
-    for options in (("-f", "blind", "--radius", 1), ("-f", "blind-images", "-m", "x"), ("-f", "tum", "--edition", 2)):
+    blind = ("-f", "blind-images", *given[2:])
+    for options in (("-f", "blind", "--radius", 1), (*blind, "-m", "x"), blind[:2], ("-f", "tum", "--edition", 2)):
         refused = relocbench("export", "-d", root / "town", *options, "-o", tmp_path / "t")
         assert refused.status == 2, options
     assert not (tmp_path / "t").exists()

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from refusals import refused
 from small_dataset import ACROSS, WITHIN, make_small_dataset
-from submissions import answer, change_card, guess, submit
+from submissions import answer, blind_export, change_card, guess, salt, submit
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.errors import PredictionError
+from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.submission.check import Checked, check_submission
 from relocbench.evaluation.submission.contract import SubmissionOptions
 from relocbench.evaluation.submission.tracked import TrackedDataset
-from relocbench.evaluation.tracking.blind_export import export_blind
+from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.progress import Silent
 
@@ -31,11 +31,12 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def blind(town: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return export_blind(town, tmp_path_factory.mktemp("blind") / "b", 1, Silent())
+    return blind_export(town, tmp_path_factory.mktemp("blind") / "b")
 
 
 def check(root: Path, *datasets: Dataset, blind_only: bool = False) -> Checked:
-    return check_submission(root, SubmissionOptions(tuple(d.root for d in datasets), blind_only), Silent())
+    options = SubmissionOptions(tuple(d.root for d in datasets), blind_only, salt=salt())
+    return check_submission(root, options, Silent())
 
 
 def faults(checked: Checked) -> list[str]:
@@ -168,16 +169,18 @@ def test_another_dataset_version_or_export_is_refused(town: Dataset, blind: Data
     change_card(root, lambda card: card["datasets"][town.name].update(fingerprint="0" * 64))
     assert f"the fingerprint of '{town.name}' is 000000000000, the dataset given has" in faults(check(root, town))[0]
     assert faults(check(root, town))[0].startswith("card.yaml:")
-    second = export_blind(town, tmp_path / "b2", 2, Silent())
+    second = blind_export(town, tmp_path / "b2", 2)
     root = submit(tmp_path / "second", second)
     assert faults(check(root, town)) == []
     forged = second.name.replace("blind2", "blind1")  # keys of edition 2, said to be those of 1
     (root / second.name).rename(root / forged)
     change_card(root, lambda card: card.update(datasets={forged: {"fingerprint": "a" * 64, "asked_once": True}}))
-    assert f"'{forged}' is another export than that of" in faults(check(root, town))[0]
-    (root / forged).rename(root / blind.name)
-    entry = {"fingerprint": blind.fingerprint, "asked_once": True}
-    change_card(root, lambda card: card.update(datasets={blind.name: entry}))
+    with refused(ConfigError, salt().path, None, forged, town.name):
+        check(root, town)
+    first, other = (BlindKeys(town, salt(), n).pair_set(town.pair_set(ACROSS)) for n in (1, 2))
+    answers = (root / forged / f"{other}.txt").read_text()
+    root = submit(tmp_path / "first", blind)
+    (root / blind.name / f"{first}.txt").write_text(answers)
     assert f"not keys of the blind export {blind.name}" in faults(check(root, town))[0]
     change_card(root, lambda card: card["datasets"][blind.name].update(fingerprint="b" * 64))
     assert "is bbbbbbbbbbbb, the dataset given has" in faults(check(root, town, blind))[0]
@@ -186,9 +189,10 @@ def test_another_dataset_version_or_export_is_refused(town: Dataset, blind: Data
 
 def test_real_times_are_refused_where_blind_keys_are_due(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
     root = submit(tmp_path / "s", blind)
-    answer(root / blind.name, town.pair_set(ACROSS))
+    shown = BlindKeys(town, salt()).pair_set(town.pair_set(ACROSS))
+    answer(root / blind.name, town.pair_set(ACROSS)).rename(root / blind.name / f"{shown}.txt")
     found = faults(check(root, town))
-    assert f"{blind.name}/{ACROSS}.txt:1" in found[0]
+    assert f"{blind.name}/{shown}.txt:1" in found[0]
     assert "these are real timestamps, and the card names a blind export" in found[0]
 
 

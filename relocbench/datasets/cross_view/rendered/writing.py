@@ -67,7 +67,7 @@ def write_places(root: Path, places: Sequence[PlaceOfTown]) -> None:
 
 
 def _name(town: DistrictSpec) -> str:
-    return f"{town.split}-{town.seed}"
+    return f"{town.split}-{town.named_seed}"
 
 
 def finish(

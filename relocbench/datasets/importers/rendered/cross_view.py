@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, field_validator
 
+from relocbench.datasets.core.salt import SALT_FILE, salted
 from relocbench.datasets.core.schema import Strict
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import conditions_of, refuse_imaging
@@ -51,6 +52,7 @@ class Options(Strict):
     spacing: float = Field(25.0, ge=10, le=200, description="least distance between places in metres")
     extent: float = Field(350.0, ge=190, le=1000, description="side of a town in metres")
     seed: int = Field(0, ge=0, description="seed of every random choice")
+    salt_file: Path | None = Field(None, description=SALT_FILE)
 
     @field_validator("size", mode="before")
     @classmethod
@@ -75,8 +77,8 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
         sources: must be empty.
 
     Raises:
-        ConfigError: sources are given, a condition is unknown or has a camera of its own, or the towns have too little
-            room for the places.
+        ConfigError: sources are given, a condition is unknown or has a camera of its own, the towns have too little
+            room for the places, or the salt cannot be used.
         DatasetError: ``out`` holds something else.
     """
     from relocbench.datasets.core.writer import DatasetWriter
@@ -96,9 +98,11 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
     named = conditions_of(tuple(dict.fromkeys(options.conditions)), options.factors, None, 0)
     refuse_imaging(named, "cross-view sets")
     factors = {name: condition.factors for name, condition in named.items()}
-    record: dict[str, Any] = {"kind": "cross-view", "sources": [], "options": options.model_dump(mode="json")}
+    asked = options.model_dump(mode="json", exclude={"salt_file"})
+    record: dict[str, Any] = {"kind": "cross-view", "sources": [], "options": asked}
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: f.model_dump(mode="json") for name, f in factors.items()}
+    options = salted(options, options.split, record, out, reporter)
     name = options.name or f"cross-view-{options.split}"
     writer = DatasetWriter(out, name, record, options.licence)
     if writer.complete:
@@ -137,7 +141,7 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
     writing.write_poses(out, photos)
     writing.write_places(out, places)
     made = {
-        "towns": sorted({f"{p.town.split}-{p.town.seed}" for p in places}),
+        "towns": sorted({f"{p.town.split}-{p.town.named_seed}" for p in places}),
         "places": {split: sum(p.town.split == split for p in places) for split in ("train", "test")},
         "images": len(photos),
         "satellite_up": "north" if options.satellite_heading == "north" else "random",

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from relocbench.datasets.core.build_options import ImageSize, ImportOptions, RuleOptions, width_height
+from relocbench.datasets.core.salt import SALT_FILE, salted
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import (
     PRESETS,
@@ -44,7 +45,7 @@ _LAYOUT_OPTIONS = {
 """options of recordings that only some layouts have"""
 _DATASET_OPTIONS = (
     "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
-    "cameras", "size", "distance", "reference", "extras", "elsewhere", "elsewhere_distance",
+    "cameras", "size", "distance", "reference", "extras", "elsewhere", "elsewhere_distance", "salt_file",
 )  # fmt: skip
 
 
@@ -105,6 +106,7 @@ class Options(RuleOptions):
     extras: tuple[ExtraKind, ...] = Field(
         (), description="further images to write to OUT/extras: normals, instance, semantic, changed"
     )
+    salt_file: Path | None = Field(None, description=SALT_FILE)
 
     recording: Literal["robotcar", "kitti", "boreas"] | None = Field(
         None,
@@ -145,8 +147,9 @@ class Options(RuleOptions):
         return self
 
     def recorded(self) -> dict[str, Any]:
-        """The options, without ``imaging`` where cameras are ideal: as earlier versions had it."""
+        """The options without the salt's file, and without ``imaging`` where cameras are ideal: as earlier versions."""
         values = super().recorded()
+        del values["salt_file"]
         if self.imaging == "ideal":
             del values["imaging"]
         return values
@@ -185,7 +188,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         sources: must be empty.
 
     Raises:
-        ConfigError: sources are given, or a condition or sweep is unknown.
+        ConfigError: sources are given, a condition or sweep is unknown, or the salt cannot be used.
     """
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.core.writer import DatasetWriter
@@ -209,6 +212,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         del record["options"][name]
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
+    options = salted(options, options.split, record, out, reporter)
     splits = SPLITS if options.split == "all" else (options.split,)
     varied = options.imaging == "varied"
     own = drive_cameras(splits, conditions, options.traversals, seed=options.seed, varied=varied)

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import Field, model_validator
 
 from relocbench.datasets.core.build_options import ImageSize, ImportOptions, width_height
+from relocbench.datasets.core.salt import SALT_FILE, salted
 from relocbench.datasets.moved_views.kinds import SURFACES, WORDS, Change, SurfaceKind
 from relocbench.execution import Run
 from relocbench.files import fitting_name
@@ -56,6 +57,7 @@ class Options(ImportOptions):
         0.1, ge=0, lt=1, description="share of each folder's photographs in the split 'validation', by name before test"
     )
     test: float = Field(0.0, ge=0, lt=1, description="share of each folder's photographs in the split 'test', the last")
+    salt_file: Path | None = Field(None, description=SALT_FILE)
 
     @model_validator(mode="after")
     def _something_of_each(self) -> Self:
@@ -64,6 +66,10 @@ class Options(ImportOptions):
             if not values or len(set(values)) != len(values):
                 raise ValueError(f"{name} must hold at least one, and each once")
         return self
+
+    def recorded(self) -> dict[str, Any]:
+        """The options without the salt's file."""
+        return self.model_dump(mode="json", exclude={"salt_file"})
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -80,12 +86,13 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.moved_views.drawing import least_size
 
     assert isinstance(options, Options)
-    recipe = _recipe(options)
-    folders = find_photographs(sources, least_size(recipe.size), reporter)
+    folders = find_photographs(sources, least_size(width_height(options.size)), reporter)
     splits = divided(folders, options.validation, options.test)
-    options.check_conditions([t for s in splits for t in (s, *(query_traversal(s, c) for c in recipe.changes))])
+    options.check_conditions([t for s in splits for t in (s, *(query_traversal(s, c) for c in options.changes))])
     # A folder whose photographs have changed is another dataset, which a resumed build must not mix with the first.
     record = configuration("photographs", sources, options) | {"photographs": digest_of(folders)}
+    options = salted(options, "photographs", record, out, reporter)
+    recipe = _recipe(options)
     titles = "-".join(source.resolve().name for source in sources)
     writer = DatasetWriter(out, options.name or fitting_name(f"photographs_{titles}"), record, options.licence)
     job = Build(writer, options, reporter, run)

@@ -61,10 +61,10 @@ class TraversalPlan:
         return TraversalFile(
             name=self.name,
             condition=self.condition.label,
-            location=f"procedural town, {self.split} district, seed {self.place.seed}",
+            location=f"procedural town, {self.split} district, seed {self.place.named_seed}",
             rate_hz=RATE_HZ,
             cameras=entries,
-            source=f"rendered, seed {self.place.seed}",
+            source=f"rendered, seed {self.place.named_seed}",
         )
 
     def frames(self, camera: str, cameras: Cameras) -> PosedFrames:

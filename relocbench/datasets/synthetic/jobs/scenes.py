@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from relocbench.arrays import Array, Mask
+from relocbench.datasets.core.salt import without_salt
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs.latest import latest, latest_renderer
@@ -26,6 +27,11 @@ class DistrictSpec:
     seed: int
     split: str
     extent_m: float
+
+    @property
+    def named_seed(self) -> int:
+        """The seed as files name it, without what a salt adds."""
+        return without_salt(self.seed)
 
 
 def district(place: DistrictSpec) -> District:
