@@ -13,7 +13,6 @@ from calibration import CAMERA, same_place
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.metrics import pose_errors
-from relocbench.metrics.statistics.intervals import Difference
 from relocbench.tracking import Query, Reference
 
 POSITION_M, ANGLE_DEG, LARGEST_DEG = 0.25, 2.0, 0.5
@@ -92,13 +91,6 @@ def kept(path: Path, make: Callable[[], Iterable[Answer]]) -> list[Answer]:
         part.rename(path)
     read = map(json.loads, path.read_text().splitlines())
     return [Answer(**{**line, "conditions": tuple(line["conditions"])}) for line in read]
-
-
-def in_percent(found: Difference) -> str:
-    """A difference of shares with its interval."""
-    interval = found.interval
-    said = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]" if interval else "[too few pairs]"
-    return f"{100 * found.mean:+.1f} {said}"
 
 
 def _errors(pose: Array, truth: Array) -> tuple[float, float]:

@@ -5,7 +5,8 @@ with each weights file from three priors: the keyframe's own pose (the identity)
 in a random direction, and the truth, and by default along the road from there too; ``gn-net`` starts from the
 keyframe's pose, along the road and from its own matches. Printed is how many answers are within 0.25 m and 2 degrees,
 by the light and the distance of the keyframe: means over districts, and the difference to the first weights with its
-95 % interval. Other trackers (``-m``) stand beside them.
+95 % interval; a star marks those that are significant with one error rate for all of a table. Other trackers (``-m``)
+stand beside them.
 
 The answers of a weights file are kept in ``--scratch`` under its SHA-256; when it is run again, only what is missing is
 made.
@@ -30,7 +31,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from answers import Answer, in_percent, kept, questions
+from answers import Answer, kept, questions
 from calibration import VALIDATION, build_district, made_by
 
 from baselines.feature_cache import FeatureCache
@@ -40,7 +41,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import se3_exp
 from relocbench.methods import parse_method
-from relocbench.metrics.statistics.intervals import paired_difference
+from relocbench.metrics import controlled, in_points, paired_difference
 
 KEYFRAME, ASIDE, TRUTH, MATCHES = "the keyframe's pose", "as far, elsewhere", "the truth", "its matches too"
 STARTS = (KEYFRAME, ASIDE, TRUTH, MATCHES)
@@ -165,16 +166,14 @@ def table(name: str, answers: Mapping[str, Mapping[int, Sequence[Answer]]], chos
         f"from {MATCHES}, less {first} |\n|---|---|---|---|---|---|---|"
     )
     told: dict[str, Any] = {"pairs": pairs}
+    compared = [(name, start) for name, start in right if name != first and start in (KEYFRAME, MATCHES)]
+    less = controlled([paired_difference(right[each], right[first, each[1]], roads=seeds) for each in compared])
+    texts = dict(zip(compared, map(in_points, less), strict=True))
     for weights in answers:
         means = {start: 100 * float(np.mean([d.mean() for d in right[w, start]])) for w, start in right if w == weights}
-        less = [
-            in_percent(paired_difference(right[weights, start], right[first, start], roads=seeds))
-            if weights != first and start in means
-            else ""
-            for start in (KEYFRAME, MATCHES)
-        ]
         cells = [f"{means[start]:.1f}" if start in means else "" for start in STARTS]
-        print(f"| {weights} | {' | '.join([*cells, *less])} |")
+        cells += [texts.get((weights, start), "") for start in (KEYFRAME, MATCHES)]
+        print(f"| {weights} | {' | '.join(cells)} |")
         told[weights] = means
     return told
 

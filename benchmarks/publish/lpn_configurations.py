@@ -56,7 +56,16 @@ from relocbench.evaluation.retrieval.rescoring import RetrievalTruth
 from relocbench.evaluation.retrieval.score import checked_answers, scores_of
 from relocbench.files import write_text
 from relocbench.methods.trainers import chosen_options, trainer_named
-from relocbench.metrics import LEVEL, Difference, Interval, crossed_difference, mean_interval, per_group
+from relocbench.metrics import (
+    LEVEL,
+    Difference,
+    Interval,
+    controlled,
+    crossed_difference,
+    in_points,
+    mean_interval,
+    per_group,
+)
 from relocbench.pages import render
 
 FLOORS = ("random", "colour-histogram", "orb-bow")
@@ -245,18 +254,20 @@ def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], tes
 
 
 def differences_to_first(rows: Sequence[Row]) -> Differences:
-    """How far each trained system is ahead of ``lpn`` at the same places with the same seeds; empty without ``lpn``."""
+    """How far each trained system is ahead of ``lpn`` at the same places with the same seeds; empty without ``lpn``.
+
+    One error rate holds for all differences together.
+    """
     first = next((row for row in rows if row.name == FIRST), None)
     others = [row for row in rows if row.seeds and row is not first]
     if first is None:
         return {}
-    return {
-        row.name: {
-            d: {m: crossed_difference(row.by_seed_and_place(d, m), first.by_seed_and_place(d, m)) for m in COMPARED}
-            for d in DIRECTIONS
-        }
-        for row in others
-    }
+    cells = [(row, d, m) for row in others for d in DIRECTIONS for m in COMPARED]
+    found = [crossed_difference(row.by_seed_and_place(d, m), first.by_seed_and_place(d, m)) for row, d, m in cells]
+    out: Differences = {row.name: {d: {} for d in DIRECTIONS} for row in others}
+    for (row, d, m), difference in zip(cells, controlled(found), strict=True):
+        out[row.name][d][m] = difference
+    return out
 
 
 def page(
@@ -292,7 +303,7 @@ def page(
         first=FIRST,
         seeds=len(given.seed),
         compared=[f"{d} {m}" for d in DIRECTIONS for m in COMPARED],
-        ahead=[(name, [_told(of[d][m]) for d in DIRECTIONS for m in COMPARED]) for name, of in ahead.items()],
+        ahead=[(name, [in_points(of[d][m]) for d in DIRECTIONS for m in COMPARED]) for name, of in ahead.items()],
         scatter=scatter_to_first(rows) if len(given.seed) > 1 else [],
         order=order_of(rows) if len(given.seed) > 1 else None,
         ends=ends,
@@ -326,7 +337,7 @@ def _values_of_trained(rows: Sequence[Row]) -> dict[str, Array]:
 
 
 def _pair(pair: Pair) -> tuple[str, str, str, str]:
-    return pair.first, pair.second, f"{pair.apart:+.2f}", _told(pair.difference)
+    return pair.first, pair.second, f"{pair.apart:+.2f}", in_points(pair.difference)
 
 
 def ends_of(given: argparse.Namespace) -> list[tuple[str, str, str, str]]:
@@ -382,14 +393,6 @@ def _cell(mean: float, deviation: float) -> str:
     return f"{mean:.2f}" if np.isnan(deviation) else f"{mean:.2f} ± {deviation:.2f}"
 
 
-def _told(difference: Difference) -> str:
-    interval = difference.interval
-    if interval is None:
-        return f"{100 * difference.mean:+.2f}"
-    star = " *" if difference.significant else ""
-    return f"{100 * difference.mean:+.2f} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]{star}"
-
-
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
     """The results on one test set, for the last line."""
     return {
@@ -412,7 +415,7 @@ def _plain(difference: Difference) -> dict[str, float | bool | None]:
         "mean": round(100 * difference.mean, 2),
         "low": None if interval is None else round(100 * interval.low, 2),
         "high": None if interval is None else round(100 * interval.high, 2),
-        "told_apart": difference.significant,
+        "significant": difference.significant,
     }
 
 

@@ -1,4 +1,4 @@
-"""How far the order of trained systems follows another one's, and what keeps systems from being told apart.
+"""How far the order of trained systems follows another one's, and what keeps their differences from being significant.
 
 Systems are trained with S seeds each and asked at the same P places. The agreement of two orders is Kendall's tau
 ("A new measure of rank correlation", Biometrika 1938): of all pairs of systems, the share in the same order minus the
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.metrics import LEVEL, Difference, crossed_difference
+from relocbench.metrics import LEVEL, Difference, controlled, crossed_difference
 
 _DRAWS = 2000
 
@@ -46,14 +46,14 @@ class Pair(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """All pairs of systems that the other order tells apart."""
+    """All pairs of systems that differ in the other order."""
 
     same: list[Pair]
-    """told apart here, in the same order"""
+    """significantly different here, in the same order"""
     opposite: list[Pair]
-    """told apart here, in the opposite order"""
+    """significantly different here, in the opposite order"""
     open: list[Pair]
-    """not told apart here"""
+    """without a significant difference here"""
 
 
 class Scatter(NamedTuple):
@@ -95,20 +95,21 @@ def agreement(values: Mapping[str, Array], other: Mapping[str, float]) -> Agreem
 
 
 def pairs(values: Mapping[str, Array], other: Mapping[str, float]) -> Pairs:
-    """Each pair of systems that differ in ``other``, by what is told of it here; arguments as of :func:`agreement`."""
-    out = Pairs([], [], [])
+    """Each pair of systems that differ in ``other``, by whether they differ here, with one error rate for all pairs.
+
+    Arguments are those of :func:`agreement`.
+    """
+    listed = []
     for a, b in combinations([name for name in values if name in other], 2):
         if other[a] == other[b]:
             continue
         first, second = (a, b) if other[a] > other[b] else (b, a)
-        difference = crossed_difference(values[first], values[second])
-        pair = Pair(first, second, other[first] - other[second], difference)
-        if not difference.significant:
-            out.open.append(pair)
-        elif difference.mean > 0:
-            out.same.append(pair)
-        else:
-            out.opposite.append(pair)
+        listed.append((first, second, other[first] - other[second]))
+    differences = controlled([crossed_difference(values[first], values[second]) for first, second, _ in listed])
+    out = Pairs([], [], [])
+    for names, difference in zip(listed, differences, strict=True):
+        kind = out.open if not difference.significant else out.same if difference.mean > 0 else out.opposite
+        kind.append(Pair(*names, difference))
     return out
 
 

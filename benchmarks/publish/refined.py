@@ -4,7 +4,8 @@ Pairs of one place are drawn in each district as for the calibration (``calibrat
 from the pose that another tracker finds, on its coarsest level or on finer ones alone (``prior_level``; 0 is the finest
 map). Where the other tracker fails, nothing is aligned and all rows fail. Printed are, for all pairs and for those of
 one drive and of different conditions, how many are within 0.25 m and 2 degrees, r_auc@0.5deg, and by how much both
-exceed the start's own, with intervals by districts.
+exceed the start's own, with intervals by districts. A star marks the differences that are significant with one error
+rate for all of a table.
 
 Datasets (those of ``calibration.py``) and answers are kept in ``--scratch``; when it is run again, only what is missing
 is made.
@@ -25,14 +26,14 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from answers import Answer, in_percent, kept, questions
+from answers import Answer, kept, questions
 from calibration import VALIDATION, build_district, made_by
 
 from baselines.feature_pnp import OrbPnp, SiftPnp
 from baselines.gn_net.tracker import ONE_START, GnNetFromPrior
 from baselines.learned_pnp import AlikedPnp
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.metrics.statistics.intervals import paired_difference
+from relocbench.metrics import controlled, in_points, paired_difference
 
 STARTS: Mapping[str, Callable[[], Any]] = {"orb-pnp": OrbPnp, "sift-pnp": SiftPnp, "aliked-pnp": AlikedPnp}
 LEVELS = {"coarsest": None, "2": 2, "1": 1, "0": 0}
@@ -105,17 +106,18 @@ def table(name: str, answers: Mapping[int, Sequence[Answer]]) -> dict[str, Any]:
         "| begins on | right, % | r_auc@0.5deg | right, less the start | r_auc, less the start |\n|---|---|---|---|---|"
     )
     told: dict[str, Any] = {"pairs": pairs}
+    both = [
+        {row: [np.array([getattr(a, what) for a in d]) for d in by_row[row]] for row in rows}
+        for what in ("right", "area")
+    ]
+    aligned = [(row, values) for row in LEVELS for values in both]
+    less = controlled([paired_difference(values[row], values[ALONE], roads=seeds) for row, values in aligned])
+    texts = {ALONE: ["", ""]} | {row: [] for row in LEVELS}
+    for (row, _), difference in zip(aligned, less, strict=True):
+        texts[row].append(in_points(difference))
     for row in rows:
-        right, area = (
-            {which: [np.array([getattr(a, what) for a in d]) for d in by_row[which]] for which in (ALONE, row)}
-            for what in ("right", "area")
-        )
-        means = [100 * float(np.mean([d.mean() for d in values[row]])) for values in (right, area)]
-        less = ["", ""]
-        if row != ALONE:
-            found = [paired_difference(values[row], values[ALONE], roads=seeds) for values in (right, area)]
-            less = [in_percent(difference) for difference in found]
-        print(f"| {row} | {means[0]:.1f} | {means[1]:.1f} | {less[0]} | {less[1]} |")
+        means = [100 * float(np.mean([d.mean() for d in values[row]])) for values in both]
+        print(f"| {row} | {means[0]:.1f} | {means[1]:.1f} | {' | '.join(texts[row])} |")
         told[row] = {"right": means[0], "r_auc": means[1]}
     return told
 

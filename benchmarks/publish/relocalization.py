@@ -32,7 +32,7 @@ from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.score import FAILURES, RANKING, per_query
 from relocbench.leaderboard.common.by_query import load_board
 from relocbench.leaderboard.relocalization.board import RELOCALIZATION, Pipeline, PipelineBoard
-from relocbench.metrics import Difference, paired_difference
+from relocbench.metrics import Difference, controlled, in_points, paired_difference
 
 CONDITIONS = ("WetNoon", "SoftRainNoon", "Overcast", "Night")
 """the condition of the map first"""
@@ -54,8 +54,9 @@ def main() -> None:
         rows = _rows(page / "relocalization.csv")
         ahead = _ahead(board)
     print(_table(rows))
+    print("percentage points, with 95 % intervals; *: significant with one error rate for all of this list")
     for (tracker, retriever), difference in ahead.items():
-        print(f"{tracker}: {ORACLE} less {retriever}, {RANKING}: {_told(difference)}")
+        print(f"{tracker}: {ORACLE} less {retriever}, {RANKING}: {in_points(difference)}")
     print(json.dumps({"benchmark": "relocalization", "chains": rows, "oracle_less": _plain(ahead)}))
 
 
@@ -150,7 +151,7 @@ def _ahead(board: PipelineBoard) -> dict[tuple[str, str], Difference]:
                     roads.append(of.title)
         if a:
             out[tracker, retriever] = paired_difference(a, b, roads=roads)
-    return out
+    return dict(zip(out, controlled(list(out.values())), strict=True))
 
 
 def _values(pipeline: Pipeline | None, task: str) -> np.ndarray:
@@ -169,12 +170,6 @@ def _table(rows: list[dict[str, Any]]) -> str:
             f"| {row['retriever']} | {row['tracker']} | {row['top']} | {row['queries']} | {' | '.join(cells)} |"
         )
     return "\n".join(lines)
-
-
-def _told(difference: Difference) -> str:
-    text = f"{100 * difference.mean:+.1f} points"
-    interval = difference.interval
-    return text if interval is None else f"{text} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]"
 
 
 def _plain(ahead: dict[tuple[str, str], Difference]) -> dict[str, list[float | None]]:

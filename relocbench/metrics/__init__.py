@@ -69,6 +69,8 @@ from relocbench.metrics.statistics.intervals import (
     median_interval,
     paired_difference,
 )
+from relocbench.metrics.statistics.multiplicity import controlled
+from relocbench.metrics.statistics.points import in_points
 from relocbench.metrics.statistics.ranks import generator, rank_with_ties
 from relocbench.metrics.statistics.roads import by_place
 
@@ -102,11 +104,13 @@ __all__ = [
     "chance_level",
     "chance_recall",
     "check_single_positive_tables",
+    "controlled",
     "count_at_least",
     "crossed_difference",
     "exact_scores",
     "families_of",
     "generator",
+    "in_points",
     "infinite_where_failed",
     "matching_quality",
     "mean_interval",

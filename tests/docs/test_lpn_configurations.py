@@ -129,7 +129,7 @@ def test_only_systems_whose_difference_exceeds_places_and_seeds_are_told_apart()
         "mean": 20.0,
         "low": pytest.approx(100 * expected.interval.low, abs=0.01) if expected.interval else None,
         "high": pytest.approx(100 * expected.interval.high, abs=0.01) if expected.interval else None,
-        "told_apart": True,
+        "significant": True,
     }
     assert page.differences_to_first([better, unsure]) == {}
 
@@ -137,7 +137,7 @@ def test_only_systems_whose_difference_exceeds_places_and_seeds_are_told_apart()
 def test_one_seed_tells_nothing_apart() -> None:
     ahead = page.differences_to_first([row("lpn", run([0.0] * 60)), row("better", run([1.0] * 60))])
     summary = page.summary_of_differences(ahead)["better"][D]["R@1"]
-    assert summary == {"mean": 100.0, "low": None, "high": None, "told_apart": False}
+    assert summary == {"mean": 100.0, "low": None, "high": None, "significant": False}
 
 
 def test_the_page_has_intervals_and_differences(
@@ -176,10 +176,10 @@ def test_the_page_has_intervals_and_differences(
     assert text.count("95 % by places |") == 2
     (line,) = (line for line in text.splitlines() if line.startswith("| global-average |") and "[" in line)
     difference = last["difference_to_lpn"]["views"]["global-average"][D]["R@1"]
-    assert line.split("|")[2].strip().startswith(f"{difference['mean']:+.2f} [{difference['low']:+.1f}, ")
+    assert line.split("|")[2].strip().startswith(f"{difference['mean']:+.1f} [{difference['low']:+.1f}, ")
     assert {*last["percent"]["views"]} == {"global-average", "lpn", *page.FLOORS}
     assert set(last["difference_to_lpn"]["views"]) == {"global-average"}
-    assert "The 4 intervals are not corrected for their number" in text
+    assert "with one error rate for all 4 of this table" in text
     for lines in (part for part in text.split("\n\n") if part.startswith("| system")):
         assert len({line.count("|") for line in lines.splitlines()}) == 1
 
@@ -190,8 +190,8 @@ def test_the_page_compares_only_where_there_is_something_to_compare(places: Path
     asked = argparse.Namespace(train=[to_learn_from], settings=[], backbone_weights=None, seed=[0])
     for rows in ([base, other], [other]):
         text = page.page(rows, page.differences_to_first(rows), asked, open_cross_view(places), chance)
-        told = "A single seed does not tell how much trainings scatter: nothing is told apart." in text
-        assert told == ("| other | +100.00 | +100.00 | +100.00 | +100.00 |" in text) == (base in rows)
+        told = "A single seed does not tell how much trainings scatter: no difference is significant." in text
+        assert told == ("| other | +100.0 | +100.0 | +100.0 | +100.0 |" in text) == (base in rows)
         assert "degrees of freedom" not in text
 
 

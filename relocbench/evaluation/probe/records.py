@@ -13,6 +13,7 @@ from relocbench.datasets.core.schema import Fingerprint, FolderName
 from relocbench.errors import PredictionError
 from relocbench.evaluation.tables.schema import COUNT, TEXT, Kind, Record, Schema, TableRow
 from relocbench.files import load_yaml
+from relocbench.metrics import LEVEL, Difference, Interval, in_points
 
 
 def _share(row: TableRow, name: str) -> float:
@@ -117,6 +118,14 @@ class StartShares(Record):
     keyframe_less_random: Annotated[float | None, DECIMAL]
     low: Annotated[float | None, DECIMAL]
     high: Annotated[float | None, DECIMAL]
+
+    @property
+    def ahead_text(self) -> str:
+        """``keyframe_less_random`` in percentage points, as people read it; empty where it is not known."""
+        if self.keyframe_less_random is None:
+            return ""
+        interval = None if self.low is None or self.high is None else Interval(self.low, self.high, LEVEL)
+        return in_points(Difference(self.keyframe_less_random, interval))
 
 
 SHARES, RADII, STARTS = Schema(SharePoint), Schema(Radii), Schema(StartShares)

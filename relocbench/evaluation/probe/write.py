@@ -13,7 +13,7 @@ from relocbench.evaluation.probe.starts import KINDS, StartLine
 from relocbench.evaluation.probe.table import ACROSS, SAME, Line
 from relocbench.evaluation.probe.tally import UNITS, What
 from relocbench.files import dump_yaml, write_bytes, write_text
-from relocbench.metrics import Interval, Radius, Ratio
+from relocbench.metrics import Interval, Radius, Ratio, controlled, in_points
 from relocbench.pages import render
 
 Numbers = tuple[list[str], list[list[str]]]
@@ -82,17 +82,12 @@ def _section(what: What, lines: Sequence[Line]) -> dict[str, object]:
 
 def _start_table(starts: Sequence[StartLine]) -> Numbers:
     header = ["conditions", "method", "pairs", "keyframe's pose", "mirrored", "random", "keyframe's pose less random"]
+    ahead = controlled([s.ahead for s in starts])
     rows = [
-        [s.conditions, s.method, str(s.pairs), *(f"{100 * s.shares[kind]:.1f}" for kind in KINDS), _ahead_text(s)]
-        for s in starts
+        [s.conditions, s.method, str(s.pairs), *(f"{100 * s.shares[kind]:.1f}" for kind in KINDS), in_points(of)]
+        for s, of in zip(starts, ahead, strict=True)
     ]
     return header, rows
-
-
-def _ahead_text(start: StartLine) -> str:
-    text = f"{100 * start.ahead.mean:+.1f}"
-    interval = start.ahead.interval
-    return text if interval is None else f"{text} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]"
 
 
 def _radius_table(what: What, lines: Sequence[Line], methods: Sequence[str]) -> Numbers:

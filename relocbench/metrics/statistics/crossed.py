@@ -34,7 +34,14 @@ from numpy.typing import ArrayLike
 
 from relocbench.arrays import Array
 from relocbench.metrics.statistics.effective_size import MIN_EFFECTIVE
-from relocbench.metrics.statistics.intervals import LEVEL, Difference, Interval, paired_difference, with_two_pairs
+from relocbench.metrics.statistics.intervals import (
+    LEVEL,
+    Difference,
+    Interval,
+    paired_difference,
+    two_sided_p,
+    with_two_pairs,
+)
 
 
 def crossed_difference(a: ArrayLike, b: ArrayLike) -> Difference:
@@ -79,10 +86,12 @@ def crossed_difference(a: ArrayLike, b: ArrayLike) -> Difference:
     spread += of_residuals**2 / ((places - 1) * (seeds - 1))
     freedom = min(max(variance**2 / spread, seeds - 1), places - 1)
     half = float(stdtrit(freedom, (1 + LEVEL) / 2)) * math.sqrt(variance)
-    by_places = paired_difference([by_place], [np.zeros(places)], independent=True).interval
-    assert by_places is not None
-    low, high = min(adjusted - half, by_places.low), max(adjusted + half, by_places.high)
-    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL))
+    by_places = paired_difference([by_place], [np.zeros(places)], independent=True)
+    assert by_places.interval is not None
+    assert by_places.p is not None
+    low, high = min(adjusted - half, by_places.interval.low), max(adjusted + half, by_places.interval.high)
+    p = max(two_sided_p(adjusted, math.sqrt(variance), freedom), by_places.p)
+    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL), p)
 
 
 def _variance_of_residuals(difference: Array) -> float:

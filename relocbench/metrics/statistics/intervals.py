@@ -29,8 +29,8 @@ the degrees of freedom of the roads (Korn and Graubard, the same).
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -68,12 +68,20 @@ class Difference:
 
     mean: float
     interval: Interval | None
-    """None when there are too few effective pairs for one"""
+    """for this difference alone; None when there are too few effective pairs for one"""
+    p: float | None = field(default=None, compare=False)
+    """one minus the largest level at which the interval would exclude 0; None without an interval"""
+    by_road: Mapping[Hashable, float] = field(default_factory=dict, compare=False)
+    """the difference on each road"""
+    adjusted_p: float | None = field(default=None, compare=False)
+    """the p value over all differences of a page (:func:`relocbench.metrics.statistics.multiplicity.controlled`)"""
 
     @property
     def significant(self) -> bool:
-        """Whether the interval excludes 0."""
-        return self.interval is not None and self.interval.excludes(0.0)
+        """Whether the interval excludes 0, and the adjusted p value is small where there is one."""
+        if self.interval is None or not self.interval.excludes(0.0):
+            return False
+        return self.adjusted_p is None or self.adjusted_p <= 1 - self.interval.level
 
 
 def mean_interval(
@@ -181,16 +189,22 @@ def paired_difference(
     mean = mean_of_means(difference)
     if size is None:
         return Difference(mean, None)
-    low, high = _by_students_t(difference, size)
+    low, high, p = _by_students_t(difference, size)
     if mean > 0:
         high = max(high, mean + _beyond(won, lost, size))
     elif mean < 0:
         low = min(low, mean - _beyond(lost, won, size))
-    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL))
+    names = [None] if roads is None else list(dict.fromkeys(roads))
+    by_name = dict(zip(names, (float(x.mean()) for x in difference), strict=True))
+    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL), p, by_name)
 
 
-def _by_students_t(difference: Sequence[Array], size: float) -> tuple[float, float]:
-    """The bounds of the mean of roads' series by t over their stretches with two added pairs, and over the roads."""
+def _by_students_t(difference: Sequence[Array], size: float) -> tuple[float, float, float]:
+    """The bounds of the mean of roads' series by t over their stretches with two added pairs, and over the roads.
+
+    Returns:
+        the lower and the upper bound, and the p value of no difference.
+    """
     from scipy.special import stdtrit
 
     mean = mean_of_means(difference)
@@ -198,7 +212,20 @@ def _by_students_t(difference: Sequence[Array], size: float) -> tuple[float, flo
     adjusted, variance = with_two_pairs(mean, _variance_of_one(difference), largest, size)
     half = float(stdtrit(size - 1, (1 + LEVEL) / 2)) * math.sqrt(variance)
     between = _between_roads(difference, LEVEL)
-    return min(adjusted - half, mean - between), max(adjusted + half, mean + between)
+    p = max(
+        two_sided_p(adjusted, math.sqrt(variance), size - 1),
+        two_sided_p(mean, _error_between(difference), len(difference) - 1),
+    )
+    return min(adjusted - half, mean - between), max(adjusted + half, mean + between), p
+
+
+def two_sided_p(mean: float, standard_error: float, freedom: float) -> float:
+    """The p value of a mean of zero by Student's t; 0 where there is a mean without an error."""
+    from scipy.special import stdtr
+
+    if standard_error == 0:
+        return 0.0 if mean else 1.0
+    return 2 * float(stdtr(freedom, -abs(mean) / standard_error))
 
 
 def _beyond(won: Sequence[Array], lost: Sequence[Array], size: float) -> float:
@@ -290,7 +317,7 @@ def _draws(series: Sequence[Array], size: float, level: float) -> float:
     p, roads = _share(series), len(series)
     along = _variance_of_one(series) / (size - 1) + _UNSEEN * (p**2 + (1 - p) ** 2) / size**2
     of_stretches = max(draws(along, size - 1), size)
-    between = float(np.var([x.mean() for x in series], ddof=1)) / roads if roads >= MANY_ROADS else 0.0
+    between = _error_between(series) ** 2
     return min(of_stretches, draws(between, roads - 1)) if between > 0 and 0 < p < 1 else of_stretches
 
 
@@ -302,12 +329,17 @@ def _variance_of_one(sets: Sequence[Array]) -> float:
 
 def _between_roads(roads: Sequence[Array], level: float) -> float:
     """Half the width of Student's t interval over the means of the roads' series; 0 where the roads are few."""
-    if len(roads) < MANY_ROADS:
-        return 0.0
     from scipy.special import stdtrit
 
-    spread = float(np.std([v.mean() for v in roads], ddof=1))
-    return float(stdtrit(len(roads) - 1, (1 + level) / 2)) * spread / math.sqrt(len(roads))
+    error = _error_between(roads)
+    return float(stdtrit(len(roads) - 1, (1 + level) / 2)) * error if error else 0.0
+
+
+def _error_between(roads: Sequence[Array]) -> float:
+    """The standard error of the mean of the roads' means by their spread; 0 where the roads are few."""
+    if len(roads) < MANY_ROADS:
+        return 0.0
+    return float(np.std([v.mean() for v in roads], ddof=1)) / math.sqrt(len(roads))
 
 
 def _clopper_pearson(share: float, draws: float, level: float) -> tuple[float, float]:

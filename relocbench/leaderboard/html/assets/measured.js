@@ -104,10 +104,9 @@
 
   function drawStarts(starts, several) {
     $("probe-starts-section").hidden = !starts.length;
-    const share = (value) => number(value, "share"), signed = (value) => (value > 0 ? "+" : "") + share(value);
-    fill("probe-starts", ["method", ...(several ? ["probe"] : []), "conditions", "pairs", "from the keyframe's pose, %", "mirrored, %", "random, %", "keyframe's pose less random, %"],
-      starts.map((s) => [s.method, ...(several ? [s.folder] : []), s.conditions, String(s.pairs), share(s.keyframe), share(s.mirrored), share(s.random),
-        signed(s.ahead) + (s.low === null || s.high === null ? "" : ` [${signed(s.low)}, ${signed(s.high)}]`)]));
+    const share = (value) => number(value, "share");
+    fill("probe-starts", ["method", ...(several ? ["probe"] : []), "conditions", "pairs", "from the keyframe's pose, %", "mirrored, %", "random, %", "keyframe's pose less random, points"],
+      starts.map((s) => [s.method, ...(several ? [s.folder] : []), s.conditions, String(s.pairs), share(s.keyframe), share(s.mirrored), share(s.random), s.ahead]));
   }
 
   /** A table of texts, the first of each row being a name. */

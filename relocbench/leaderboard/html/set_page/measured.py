@@ -47,7 +47,7 @@ def probes_of(dataset: DatasetBoard) -> list[ProbeTables]:
 
 _CURVE = ("method", "what", "level", "conditions", "criterion", "unit", "pairs")
 _START = {name: name for name in ("method", "conditions", "pairs", *KINDS)}
-_START |= {"ahead": "keyframe_less_random", "low": "low", "high": "high"}
+_START["ahead"] = "ahead_text"
 
 
 def probe_payload(probe: ProbeTables) -> dict[str, Any]:
