@@ -23,7 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Indices
 from relocbench.metrics.statistics.intervals import MANY_ROADS, Difference
 
 _PATTERNS = 2**13
@@ -54,9 +54,9 @@ def _by_signs(differences: Sequence[Difference], seed: int) -> Array:
     roads = list(dict.fromkeys(road for difference in differences for road in difference.by_road))
     # A road that a difference does not have counts for nothing in it.
     of_roads = np.array([[difference.by_road.get(road, 0.0) for road in roads] for difference in differences])
-    p = np.stack([_shares_at_least(np.abs(row)) for row in of_roads @ _signs(len(roads), seed)])
+    p: Array = np.stack([_shares_at_least(np.abs(row)) for row in of_roads @ _signs(len(roads), seed)])
     order = np.argsort(p[:, 0], kind="stable")
-    smallest = np.minimum.accumulate(p[order[::-1]], axis=0)[::-1]  # of each difference and those that follow it
+    smallest: Array = np.minimum.accumulate(p[order[::-1]], axis=0)[::-1]  # of each difference and those that follow it
     out = np.empty(len(differences))
     out[order] = np.maximum.accumulate((smallest <= smallest[:, :1] + 1e-12).mean(axis=1))
     return out
@@ -65,11 +65,11 @@ def _by_signs(differences: Sequence[Difference], seed: int) -> Array:
 def _signs(roads: int, seed: int) -> Array:
     """(roads, patterns) the signs of the roads; the first pattern has no minus, and no road 0 has one."""
     if 2 ** (roads - 1) <= _PATTERNS:
-        bits = np.arange(2 ** (roads - 1)) << 1 >> np.arange(roads)[:, None]
-        out: Array = 1.0 - 2.0 * (bits & 1)
-        return out
-    out = np.random.default_rng(seed).choice([-1.0, 1.0], (roads, _PATTERNS))
-    out[:, 0] = 1.0
+        bits: Indices = np.arange(2 ** (roads - 1)) << 1 >> np.arange(roads)[:, None]
+    else:
+        bits = np.random.default_rng(seed).integers(2, size=(roads, _PATTERNS))
+        bits[:, 0] = 0
+    out: Array = 1.0 - 2.0 * (bits & 1)
     return out
 
 
