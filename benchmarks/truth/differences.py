@@ -162,9 +162,7 @@ def main() -> None:
     print(f"\n{len(low)} cells below {LEAST:.0%}, drawn again with {AGAIN} times as many drives\n")
     for cell, count in zip(low, again, strict=True):
         _print_cell(cell, count)
-    print(
-        f"\npages of {METHODS - 1} equal methods that have any star; and a difference of {100 * WORSE:g} points is found\n"
-    )
+    print(f"\npages of {METHODS - 1} equal methods: those with any star; how often one worse by {WORSE:g} is found\n")
     print(
         f"{'rho':>5}{'common':>8}{'district':>9}{'shared':>8}{'share':>7}{'each alone':>12}{'one rate':>10}{'found':>8}"
     )
