@@ -21,6 +21,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.errors import MethodError
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
 from relocbench.evaluation.tables.records import ALL, NUMBERS, ErrorTable, MatchingRow, PairErrors
 from relocbench.evaluation.tables.schema import write_rows
@@ -31,6 +32,7 @@ from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import TOTALS, Board, DatasetEntry
 from relocbench.leaderboard.tracking.tables import make_board
 from relocbench.leaderboard.tracking.write import write_pages
+from relocbench.methods.discovery import MethodSpec
 
 Rows = list[dict[str, str]]
 _KEY = ("dataset", "pair_set", "split", "group", "method")
@@ -68,7 +70,7 @@ def _errors(path: Path) -> dict[tuple[str, str, str], ErrorTable]:
     found: dict[tuple[str, str, str], list[PairErrors]] = defaultdict(list)
     for row in _read(path):
         key = int(row["ref_timestamp_ns"]), int(row["query_timestamp_ns"])
-        numbers = [float(row[name]) if row[name] else None for name in NUMBERS]
+        numbers = [float(row[name]) if row.get(name) else None for name in NUMBERS]
         place = row["dataset"], row["pair_set"], row["method"]
         found[place].append(PairErrors(*key, row["group"], row["status"], *numbers))  # type: ignore[arg-type]
     return {place: ErrorTable.of(rows) for place, rows in found.items()}
@@ -178,11 +180,20 @@ def _method(
         isolated={"yes": True, "no": False}.get(row["isolated"]),
         uses_times=row["uses_times"] == "yes",
         made_elsewhere=row["made_elsewhere"] == "yes",
+        assumes=_assumes(MethodSpec(row["method"], row["target"], parameters)),
     )
     own = {name: errors[place[0], name, place[1]] for name in pair_sets if (place[0], name, place[1]) in errors}
     matched = {name: matching[place[0], name, place[1]] for name in own if (place[0], name, place[1]) in matching}
     missing = {name: "not run" for name in pair_sets if name not in own}
     return Method(row["method"], run, own, missing, matching=matched, rescored=row["rescored"] == "yes")
+
+
+def _assumes(spec: MethodSpec) -> str:
+    """What a method says that it assumes with these parameters; empty where there is no such method today."""
+    try:
+        return spec.assumes()
+    except MethodError:
+        return ""
 
 
 def _compare(board: Board, published: Rows) -> list[list[str]]:

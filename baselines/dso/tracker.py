@@ -19,7 +19,7 @@ from baselines.alignment.matching import DSO_PATTERN, MatchSettings, match_pixel
 from baselines.alignment.shared.depth_map import LevelPoints, coarse_points
 from baselines.alignment.shared.pyramid import Level, image_pyramid
 from baselines.alignment.shared.selection import choose_points
-from baselines.alignment.shared.starts import moved_along, small_rotations
+from baselines.alignment.shared.starts import ALONG_THE_ROAD, moved_along, small_rotations
 from baselines.calibration import DSO, DSO_MULTISTART, Calibration
 from baselines.correlation import GreyImage, correlations
 from baselines.options import Finite
@@ -94,6 +94,11 @@ class Dso:
     def __post_init__(self) -> None:
         self.settings = Settings(self.huber, self.cutoff, self.cutoff_levels, affine=self.affine)
         self.turns = tuple(np.deg2rad(self.turns_deg))
+
+    @classmethod
+    def assumes(cls, **parameters: Any) -> str:
+        """What is assumed of how cameras move, shown behind the method's name."""
+        return ALONG_THE_ROAD if parameters["along"] else ""
 
     def prepare(self, reference: Reference) -> DsoReference:
         """Choose points and propagate them to all levels.

@@ -23,7 +23,7 @@ from baselines.alignment.shared.damping import DSO_DAMPING
 from baselines.alignment.shared.levels import ABANDON_FACTOR
 from baselines.alignment.shared.pyramid import Level, image_pyramid, level_camera, require_pinhole
 from baselines.alignment.shared.selection import choose_points
-from baselines.alignment.shared.starts import Start, moved_along, small_rotations
+from baselines.alignment.shared.starts import ALONG_THE_ROAD, Start, moved_along, small_rotations
 from baselines.calibration import GN_NET, Calibration
 from baselines.device import to_device
 from baselines.feature_cache import FeatureCache
@@ -168,6 +168,12 @@ class GnNet:
         weights = self.weights
         net = weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
         self.net = to_device(net.for_tracking(), self.device)
+
+    @classmethod
+    def assumes(cls, **parameters: Any) -> str:
+        """What is assumed of how cameras move, shown behind the method's name."""
+        given = parameters["prior_level"] is not None and parameters.get("start") is not None
+        return ALONG_THE_ROAD if parameters["along"] and not given else ""
 
     @classmethod
     def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:

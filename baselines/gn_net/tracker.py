@@ -58,6 +58,11 @@ class GnNetPnp(GnNet):
 
     min_agreement: Share = MIN_AGREEMENT_PNP
 
+    @classmethod
+    def assumes(cls, **_: Any) -> str:
+        """Nothing: there are no starts."""
+        return ""
+
     def _find(
         self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Start
     ) -> TrackResult:

@@ -22,13 +22,15 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from relocbench.errors import MethodError, available, cut, hint, quoted
+from relocbench.errors import MethodError, available, cut, hint, one_line, quoted
 from relocbench.files import YamlFault, check_distinct, check_label, first_fault, parse_yaml_setting, sha256_file
 from relocbench.methods.lookup import call_third_party, entry_points_of, load_dotted
 from relocbench.methods.parameters import Parameter, parameters_of_factory
 
 SUBPROCESS = "subprocess:"
 START = "start"
+MOST_ASSUMED = 60
+"""characters of what a method says that it assumes"""
 """the setting that names the tracker whose pose another one starts from"""
 
 
@@ -104,6 +106,19 @@ class MethodSpec:
         if self.target.startswith(SUBPROCESS):
             return bool(self.parameters.get("uses_times", False))
         return _declares(self.target, self.kind, "uses_times")
+
+    def assumes(self) -> str:
+        """What the method says that it assumes of how cameras move: a few words, or nothing. Raises MethodError.
+
+        Its class says so by a class method ``assumes`` that gets all parameters, if it has one; what a tracker assumes
+        from whose pose it starts is assumed, too.
+        """
+        tell = getattr(method_class(self.target, self.kind), "assumes", None)
+        own = ""
+        if callable(tell):
+            own = call_third_party(f"what '{self.label}' assumes cannot be read", lambda: tell(**self.parameters))
+        before = self.start.assumes() if self.start else ""
+        return one_line(", ".join(dict.fromkeys(filter(None, (own, before)))), MOST_ASSUMED)
 
     def files(self) -> dict[str, str]:
         """The SHA-256 of each file that affects the answers, by name: a file may change while its path does not.

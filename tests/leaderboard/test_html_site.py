@@ -101,7 +101,9 @@ def test_words_behind_names_stand_on_every_page_and_are_explained(boards: Boards
     assert boards.tracking is not None
     dataset = boards.tracking.datasets[0]
     elsewhere = [
-        replace(m, run=m.run.model_copy(update={"made_elsewhere": True})) if m.label == "good" else m
+        replace(m, run=m.run.model_copy(update={"made_elsewhere": True, "assumes": "it <b>sails</b>"}))
+        if m.label == "good"
+        else m
         for m in dataset.entry.methods
     ]
     board = make_board([replace(dataset.entry, methods=tuple(elsewhere))])
@@ -110,6 +112,8 @@ def test_words_behind_names_stand_on_every_page_and_are_explained(boards: Boards
     assert all(mark in (tmp_path / name).read_text() for name in ("index.html", "method-good.html", "reading.html"))
     (payload,) = (tmp_path / "data" / "sets").glob("*.js")
     assert '"made elsewhere"' in payload.read_text()
+    assumed = '<span class="tag">it &lt;b&gt;sails&lt;/b&gt;</span>'
+    assert all(assumed in (tmp_path / name).read_text() for name in ("index.html", "method-good.html"))
 
 
 def test_chance_stands_below_retrievers(boards: Boards) -> None:

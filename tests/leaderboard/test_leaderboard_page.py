@@ -25,6 +25,7 @@ from relocbench.leaderboard.tracking.front_page import front_page
 from relocbench.leaderboard.tracking.marks import level_with_identity
 from relocbench.leaderboard.tracking.method import evaluate_command
 from relocbench.metrics import Difference, Interval
+from relocbench.pages.markdown import escaped
 
 
 def page_of(results: MadeResults, out: Path) -> str:
@@ -81,6 +82,12 @@ def test_medians_of_one_pair_set_have_intervals(one_set: MadeResults, tmp_path: 
     assert interval is not None
     assert value is not None
     assert interval.low <= value <= interval.high
+
+
+def test_what_a_method_assumes_stands_behind_its_name(one_set: MadeResults, tmp_path: Path) -> None:
+    one_set.add("sails", {WINTER: made(2, 100, 0.3)}, assumes="a *calm* sea")
+    page = page_of(one_set, tmp_path / "out")
+    assert page.count(f"sails ({escaped('a *calm* sea')})") >= 2
 
 
 def test_a_method_no_better_than_the_identity_is_named(one_set: MadeResults, tmp_path: Path) -> None:

@@ -89,6 +89,24 @@ def test_a_start_of_a_start_and_files_of_both() -> None:
     assert set(parse_method("a=dso", ("start=gn-net",)).files()) == {"start.weights"}
 
 
+@pytest.mark.parametrize(
+    ("method", "settings", "assumed"),
+    [
+        ("gn-net", (), True),
+        ("gn-net", ("along=[]",), False),
+        ("gn-net-from-prior", ("start=orb-pnp",), True),
+        ("gn-net-from-prior", ("start=orb-pnp", "prior_level=0"), False),
+        ("gn-net-pnp", (), False),
+        ("lm-net", (), False),
+        ("dso", (), False),
+        ("dso", ("along=[2.0]",), True),
+        ("dso", ("start=gn-net",), True),
+    ],
+)
+def test_a_tracker_says_whether_it_starts_along_the_road(method: str, settings: tuple[str, ...], assumed: bool) -> None:
+    assert parse_method(method, settings).assumes() == ("starts along the road" if assumed else "")
+
+
 def test_a_program_that_starts_from_what_uses_times_uses_them() -> None:
     program = "p=subprocess:python3 -c pass"
     assert not parse_method(program, ("start=identity",)).uses_times()

@@ -14,6 +14,9 @@ from relocbench.geometry import make_transform, rotation_from_quaternion, se3_ex
 SMALL_ROTATION = 0.02
 """quaternion component before normalising: 2.3, 3.2 and 4.0 degrees about one, two and three axes"""
 
+ALONG_THE_ROAD = "starts along the road"
+"""what trackers assume of how cameras move that try them"""
+
 
 class Start(NamedTuple):
     """A pose that an alignment starts from."""

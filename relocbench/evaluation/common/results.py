@@ -32,6 +32,7 @@ from relocbench.files import (
     remove_parts,
     write_text,
 )
+from relocbench.methods.discovery import MOST_ASSUMED
 
 PREDICTIONS = "predictions:"
 """prefix of the target of predictions that were made elsewhere"""
@@ -96,6 +97,8 @@ class RunRecord(Strict):
     parameters: dict[str, Any] = Field(default_factory=dict)
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files that affect the answers, such as weights, by parameter"""
+    assumes: str = Field(default="", max_length=MOST_ASSUMED)
+    """what the method says that it assumes of how cameras move, in a few words"""
     seed: int | None = None
     dataset: FolderName
     fingerprint: Fingerprint

@@ -26,6 +26,7 @@ def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
         "target": spec.target,
         "parameters": json.loads(json.dumps(dict(spec.parameters), default=str)),
         "files": spec.files(),
+        "assumes": spec.assumes(),
         "seed": seed,
         "versions": {**versions(), "method": distribution_version(spec.target, spec.kind)},
         "machine": machine(),

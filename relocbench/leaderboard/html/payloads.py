@@ -113,7 +113,7 @@ def marks_of(method: Method) -> list[str]:
         marks.insert(0, "timestamp-only baseline")
     elif method.run.uses_times:
         marks.insert(0, "uses times")
-    return marks
+    return [*marks, *filter(None, [method.run.assumes])]
 
 
 def _finest(sigma: float | None) -> float | None:

@@ -68,6 +68,11 @@ class Pipeline:
         return self.run.tracker_run is not None and self.run.tracker_run.uses_times
 
     @property
+    def assumes(self) -> str:
+        """What the tracker says that it assumes of how cameras move."""
+        return "" if self.run.tracker_run is None else self.run.tracker_run.assumes
+
+    @property
     def is_ranked(self) -> bool:
         """Whether the pipeline is ranked: one that knows the truth or sees times is not."""
         return not (self.knows_truth or self.uses_times)

@@ -144,8 +144,9 @@ def _table(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable, 
     of_retriever, of_tracker = keys.index(RETRIEVER), keys.index(TRACKER)
     for cells, row in zip(rows, table.rows, strict=True):
         cells[of_retriever] = _name(cells[of_retriever])
-        times = ["(uses times)"] if row.method.uses_times else []
-        cells[of_tracker] = " ".join([_name(cells[of_tracker]), *times, *_signs(row, table)])
+        words = ["(uses times)"] if row.method.uses_times else []
+        words += [f"({escaped(row.method.assumes)})"] if row.method.assumes else []
+        cells[of_tracker] = " ".join([_name(cells[of_tracker]), *words, *_signs(row, table)])
     return table_text(heads, rows, left=left)
 
 

@@ -38,6 +38,8 @@ def name(row: Row) -> str:
         words.append("(timestamp-only baseline)")
     elif row.method.run.uses_times:
         words.append("(uses times)")
+    if row.method.run.assumes:
+        words.append(f"({escaped(row.method.run.assumes)})")
     return " ".join([*words, *(["(missing)"] if row.missing else []), *signs(row.method)])
 
 

@@ -48,7 +48,8 @@ def _one(results: ByCondition, heads: list[str], names: list[str], cells: list[l
 
 def _name(line: Line) -> str:
     label = f"*{escaped(line.label)}*" if line.baseline else escaped(line.label)
-    return " ".join([label, *signs(*line.methods)])
+    assumed = dict.fromkeys(method.run.assumes for method in line.methods if method.run.assumes)
+    return " ".join([label, *(f"({escaped(words)})" for words in assumed), *signs(*line.methods)])
 
 
 def _head(results: ByCondition, column: Column, link: str) -> str:

@@ -89,7 +89,8 @@ class PipelinePages(QueryPages[PipelineSet, PipelineTask, Pipeline, PipelineTrut
             "knows the truth": row.method.knows_truth,
             "uses times": row.method.uses_times,
         }
-        return [*(word for word, applies in known.items() if applies), *marks_of_pipeline(row, table)]
+        words = [word for word, applies in known.items() if applies]
+        return [*words, *marks_of_pipeline(row, table), *filter(None, [row.method.assumes])]
 
     def involves(self, method: Pipeline, label: str) -> bool:
         return label in (method.run.retriever, method.run.tracker)
