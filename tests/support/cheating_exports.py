@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components, shortest_path
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
@@ -104,3 +105,25 @@ def truth_of(dataset: Dataset, salt: Salt, name: str) -> dict[tuple[int, int], A
         assert pose is not None
         found[shown] = pose
     return found
+
+
+def orders_by_pairs(pairs: Sequence[Pair]) -> list[list[int]]:
+    """The images of each connected part of the graph of pairs, in an order along the road that the graph tells.
+
+    By classical multidimensional scaling of the numbers of pairs between any two images, in one dimension.
+    """
+    keys = sorted({key for pair in pairs for key in pair.key})
+    row = {key: index for index, key in enumerate(keys)}
+    linked = np.zeros((len(keys), len(keys)))
+    for pair in pairs:
+        linked[row[pair.key[0]], row[pair.key[1]]] = 1
+    parts, part = connected_components(linked, directed=False)
+    orders = []
+    for one in range(parts):
+        inside = np.nonzero(part == one)[0]
+        squares = shortest_path(linked[np.ix_(inside, inside)], directed=False, unweighted=True) ** 2
+        centred = squares - squares.mean(axis=0)
+        scaled = -0.5 * (centred - centred.mean(axis=1, keepdims=True))
+        place = np.linalg.eigh(scaled)[1][:, -1]
+        orders.append([keys[inside[index]] for index in np.argsort(place)])
+    return orders

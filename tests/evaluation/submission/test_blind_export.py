@@ -13,7 +13,7 @@ from small_dataset import ACROSS, make_small_dataset
 from submissions import SALT_TEXT, blind_export, salt, salt_file, submit
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.salt import read_salt
+from relocbench.datasets.core.salt import read_salt, without_salt
 from relocbench.datasets.core.schema import Condition
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.common.blind_names import blind_name
@@ -163,6 +163,12 @@ def test_a_salt_is_read_without_white_space_and_from_no_folder_that_is_given_awa
         read_salt(path, [tmp_path], Silent())
     with refused(ConfigError, tmp_path / "none", None):
         read_salt(tmp_path / "none", [], Silent())
+
+
+def test_a_seed_becomes_another_by_salt_split_and_seed_and_is_named_as_before() -> None:
+    seeds = [of.seed(split, n) for of in (salt(), salt(OTHER_TEXT)) for split in ("train", "test") for n in (0, 1)]
+    assert len({seed >> 64 for seed in seeds}) == len(seeds)
+    assert [without_salt(seed) for seed in seeds] == [0, 1] * 4
 
 
 def test_who_else_can_read_the_salt_is_told(tmp_path: Path) -> None:
