@@ -14,7 +14,6 @@ from typing import Literal, Self, TypeVar
 
 from relocbench.errors import ConfigError
 from relocbench.execution.calling import messages_to_stderr, pin_threads
-from relocbench.execution.cluster import run_on_cluster
 from relocbench.execution.descendants import end_descendants
 from relocbench.execution.limits import (
     IN_A_ROW,
@@ -132,6 +131,8 @@ def run_units(
         Exception: whatever ``function`` raises, immediately; units that have finished have written their output.
     """
     if run.scheduler is not None:
+        from relocbench.execution.cluster import run_on_cluster
+
         yield from run_on_cluster(function, units, run.scheduler)
     elif run.workers <= 1 or len(units) <= 1:
         yield from _run_here(function, units)
@@ -161,6 +162,8 @@ def run_limited(
         Exception: whatever ``function`` raises, immediately.
     """
     if run.scheduler is not None:
+        from relocbench.execution.cluster import run_on_cluster
+
         died = Loss(None, "death", "lost by two workers of the cluster", workers=2)
         yield from run_on_cluster(function, list(units), run.scheduler, lambda unit: on_loss(unit, died))
     elif run.workers <= 0:

@@ -13,7 +13,7 @@ each optionally preceded by the label that its results are kept under (``dso-fas
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
@@ -24,7 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from relocbench.errors import MethodError, available, cut, hint, one_line, quoted
 from relocbench.files import YamlFault, check_distinct, check_label, first_fault, parse_yaml_setting, sha256_file
-from relocbench.methods.lookup import call_third_party, entry_points_of, load_dotted
+from relocbench.methods.lookup import OUR_METHODS, call_third_party, entry_points_of, load_dotted
 from relocbench.methods.parameters import Parameter, parameters_of_factory
 
 SUBPROCESS = "subprocess:"
@@ -152,7 +152,7 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: M
         MethodError: an unknown method, one of another kind, an unknown parameter, a value of the wrong type, or a
             required parameter that is missing.
     """
-    label, target = _split_label(text, kind)
+    label, target = split_label(text, kind)
     known = {p.name: p for p in parameters_of(target, kind)}
     noun = kind.noun
     chosen: dict[str, Any] = {}
@@ -217,15 +217,22 @@ def _declares(target: str, kind: MethodKind, name: str) -> bool:
 
 
 def parse_methods(
-    texts: Sequence[str], settings: Sequence[str] = (), seed: int = 0, kind: MethodKind = TRACKERS
+    texts: Sequence[str],
+    settings: Sequence[str] = (),
+    seed: int = 0,
+    kind: MethodKind = TRACKERS,
+    parse: Callable[[str, Sequence[str], int, MethodKind], MethodSpec] = parse_method,
 ) -> list[MethodSpec]:
     """Parse several methods with one list of settings.
+
+    Args:
+        parse: parses one of them.
 
     Raises:
         MethodError: as :func:`parse_method`; also a label that two methods share, or a setting for a label that no
             method has.
     """
-    specs = [parse_method(text, settings, seed, kind) for text in texts]
+    specs = [parse(text, settings, seed, kind) for text in texts]
     labels = [spec.label for spec in specs]
     for label in labels:
         if labels.count(label) > 1:
@@ -260,7 +267,7 @@ def method_class(target: str, kind: MethodKind = TRACKERS) -> Any:
     points = installed_methods(kind)
     if target not in points:
         for other in KINDS:
-            if other is not kind and target in installed_methods(other):
+            if other != kind and target in installed_methods(other):
                 raise MethodError(
                     f"'{target}' is {other.made}, not {kind.made}; evaluate it with `relocbench {other.command}`"
                 )
@@ -274,7 +281,7 @@ def method_class(target: str, kind: MethodKind = TRACKERS) -> Any:
 
 def target_of(text: str) -> str:
     """The ``TARGET`` of ``[LABEL=]TARGET``. Raises MethodError."""
-    return _split_label(text, TRACKERS)[1]
+    return split_label(text, TRACKERS)[1]
 
 
 def kind_of(target: str) -> MethodKind:
@@ -330,7 +337,17 @@ def _distributions() -> Mapping[str, list[str]]:
     return metadata.packages_distributions()
 
 
-def _split_label(text: str, kind: MethodKind) -> tuple[str, str]:
+def is_ours(target: str, kind: MethodKind = TRACKERS) -> bool:
+    """Whether importing a target runs no code but relocbench's own, nor does a program or a name that is unknown."""
+    if target.startswith(SUBPROCESS):
+        return True
+    point = installed_methods(kind).get(target)
+    path = target if ":" in target or point is None else point.value
+    return ":" not in path or path.partition(":")[0].partition(".")[0] in (OUR_METHODS, "relocbench")
+
+
+def split_label(text: str, kind: MethodKind = TRACKERS) -> tuple[str, str]:
+    """The label and the target of ``[LABEL=]TARGET``. Raises MethodError."""
     label, separator, target = text.partition("=")
     if separator and ":" not in label and " " not in label and "/" not in label:
         if not target:

@@ -10,6 +10,8 @@ import gc
 import inspect
 import json
 import os
+import pwd
+import secrets
 import socket
 import struct
 import sys
@@ -210,15 +212,34 @@ class Forger:
 class NoteTaker:
     """Leaves a note wherever a program keeps files, and looks for notes of others."""
 
+    _NAME = f"note-{secrets.token_hex(4)}"
+
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
         places = [Path("~").expanduser(), Path(tempfile.gettempdir())]
         places += [Path(os.environ[name]) for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME")]
-        mine = f"note-{os.getpid()}"
-        found = sorted(str(path) for place in places for path in place.glob("note-*") if path.name != mine)
+        places += [Path.cwd(), Path(__file__).parent, Path("/dev/shm"), Path(pwd.getpwuid(os.getuid()).pw_dir)]
+        found = sorted(str(path) for place in places for path in place.glob("note-*") if path.name != self._NAME)
         for place in places:
-            place.mkdir(parents=True, exist_ok=True)
-            (place / mine).touch()
+            with suppress(OSError):
+                place.mkdir(parents=True, exist_ok=True)
+                (place / self._NAME).touch()
         return TrackResult(np.eye(4), info={"found": found, "places": list(map(str, places))})
+
+
+class DiskReader:
+    """Knows where the dataset is, and answers with the true poses that it finds there.
+
+    Args:
+        place: the dataset's folder, spelt backwards.
+    """
+
+    def __init__(self, place: str) -> None:
+        files = Path(place[::-1]).glob("pairs/*.txt")
+        lines = [line.split() for path in files for line in path.read_text().splitlines() if line[:1].isdigit()]
+        self.poses = [[float(word) for word in line[2:9]] for line in lines]
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult(np.eye(4), info={"found": self.poses})
 
 
 class Trilaterator:

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.errors import MethodError, RelocbenchError
-from relocbench.methods import SUBPROCESS, TRACKERS, MethodKind, MethodSpec, parse_methods
+from relocbench.methods import SUBPROCESS, MethodSpec
 
 _LONGEST = 4096
 _MOST_WORDS = 1000
@@ -21,19 +21,6 @@ _MOST_ENTRIES = 1000
 """of a folder that are looked at"""
 _BETWEEN = re.compile(r"[\s:;,=|&<>\"'`\[\](){}]+")
 """what may stand around a path in a longer text: a list of paths, JSON, a command line"""
-
-
-def blind_methods(
-    dataset: Dataset, texts: Sequence[str], settings: Sequence[str], seed: int, kind: MethodKind = TRACKERS
-) -> list[MethodSpec]:
-    """The methods that a user names, with their parameters.
-
-    Raises:
-        MethodError: as :func:`~relocbench.methods.parse_methods` and :func:`check_blind`.
-    """
-    specs = parse_methods(texts, settings, seed, kind)
-    check_blind(specs, dataset.root)
-    return specs
 
 
 def check_blind(specs: Sequence[MethodSpec], root: Path) -> None:

@@ -111,6 +111,8 @@ class RunRecord(Strict):
     workers: int | None = None
     isolated: bool | None = None
     """whether the method ran in a process without dataset and truth; None where that is not known"""
+    sandbox: str = ""
+    """what kept its process from the rest of the system: namespaces, bubblewrap or none; empty if that is not known"""
     uses_times: bool = False
     """whether the method was shown the times of images, as it declared to need"""
     made_elsewhere: bool = False

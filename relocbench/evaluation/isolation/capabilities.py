@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from relocbench.evaluation.isolation.guard import guarded
+from relocbench.evaluation.isolation.guard import capabilities
+from relocbench.evaluation.isolation.tracker import IsolatedTracker
 from relocbench.evaluation.isolation.worker import CONSTRUCTOR
-from relocbench.execution import MANY_TIMES, Loss, Run, run_limited, step
+from relocbench.execution import MANY_TIMES, Loss, Run, Sandbox, run_limited, step
 from relocbench.methods import SUBPROCESS, MethodSpec, method_class
+from relocbench.methods.discovery import is_ours
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ def capabilities_of(spec: MethodSpec, run: Run) -> Capabilities:
     """
     if spec.target.startswith(SUBPROCESS):
         return Capabilities()
-    target = method_class(spec.target)
-    return _capabilities_of_object(target) if isinstance(target, type) else _made(spec, run)
+    target = method_class(spec.target) if is_ours(spec.target) else None
+    return Capabilities(*capabilities(target)) if isinstance(target, type) else _made(spec, run)
 
 
 def construction_fault(spec: MethodSpec, run: Run) -> str:
@@ -41,20 +43,20 @@ def construction_fault(spec: MethodSpec, run: Run) -> str:
 
 def _made(spec: MethodSpec, run: Run) -> Capabilities:
     one = Run(min(run.workers, 1), limits=run.limits)
-    found = run_limited(_make, [spec], one, on_loss=_lost)
+    found = run_limited(_make, [(spec, run.in_subprocess, run.sandbox_hiding())], one, on_loss=_lost)
     return next(capabilities for _, capabilities in found)
 
 
-def _make(spec: MethodSpec) -> Capabilities:
+def _make(made: tuple[MethodSpec, bool, Sandbox]) -> Capabilities:
+    spec, isolated, sandbox = made
     with step(CONSTRUCTOR, times=MANY_TIMES):
-        return _capabilities_of_object(spec.create())
+        if not isolated:
+            return Capabilities(*capabilities(spec.create()))
+        tracker = IsolatedTracker(spec, sandbox)
+    tracker.close()
+    return Capabilities(tracker.declared.match, tracker.declared.prior)
 
 
-def _capabilities_of_object(target: object) -> Capabilities:
-    match = guarded(lambda: callable(getattr(target, "match", None)))[0] is True
-    return Capabilities(match, guarded(lambda: bool(getattr(target, "uses_prior", False)))[0] is True)
-
-
-def _lost(spec: MethodSpec, loss: Loss) -> Capabilities:
+def _lost(made: tuple[MethodSpec, bool, Sandbox], loss: Loss) -> Capabilities:
     died = "the worker process died " if loss.kind == "death" else ""
     return Capabilities(fault=f"{CONSTRUCTOR}: {died}{f'({loss.words})' if died else loss.words}")

@@ -88,6 +88,12 @@ def implements(method: Any, protocol: Any) -> bool:
     return bool(guarded(lambda: isinstance(method, protocol))[0])
 
 
+def capabilities(method: Any) -> tuple[bool, bool]:
+    """Whether a tracker, or its class, can match single pixels, and whether it starts from a prior."""
+    match = guarded(lambda: callable(getattr(method, "match", None)))[0] is True
+    return match, guarded(lambda: bool(getattr(method, "uses_prior", False)))[0] is True
+
+
 def neighbours_of(tracker: Any) -> tuple[int, str | None]:
     """The number of frames on each side of a keyframe that a tracker requests; and what is wrong with its request."""
     value, crash = guarded(lambda: getattr(tracker, "neighbours", 0))

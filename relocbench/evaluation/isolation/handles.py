@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from relocbench.arrays import Array
 from relocbench.evaluation.isolation.answers import CheckedAnswer, ask, checked_pixels
-from relocbench.evaluation.isolation.guard import batch_of, guarded, implements, neighbours_of
+from relocbench.evaluation.isolation.guard import batch_of, capabilities, guarded, implements, neighbours_of
 from relocbench.evaluation.isolation.views import read_only
 from relocbench.tracking import Query, Reference, SupportsLevelMatching, SupportsPrepare
 
@@ -32,6 +32,10 @@ class Declared:
     """frames that it requests on each side of a keyframe"""
     fault: str = ""
     """what is wrong with these numbers; empty if nothing is"""
+    match: bool = False
+    """it finds single pixels"""
+    prior: bool = False
+    """it starts from a pose that it is given"""
 
 
 class TrackerHandle(Protocol):
@@ -73,7 +77,10 @@ class LocalTracker:
     @property
     def declared(self) -> Declared:
         batch, batch_fault = batch_of(self._tracker)
-        return Declared(batch, self._levels, self._neighbours, self._neighbours_fault or batch_fault or "")
+        match, prior = capabilities(self._tracker)
+        return Declared(
+            batch, self._levels, self._neighbours, self._neighbours_fault or batch_fault or "", match, prior
+        )
 
     def prepare(self, keyframe: Reference) -> str | None:
         self._reference = keyframe

@@ -33,17 +33,18 @@ def main(descriptor: int) -> None:
     serve(descriptor, _made)
 
 
-def serve(descriptor: int, make: Callable[[MethodSpec, Connection], tuple[object, dict[str, Any]]]) -> None:
+def serve(descriptor: int, make: Callable[[Any, Connection], tuple[object, dict[str, Any]]]) -> None:
     """Make a method and answer requests about it until the socket's other end is closed.
 
     Args:
-        make: returns an object whose methods are named as the requests, and what the method declares of itself.
+        make: by what is sent first, which has the method's ``label``, returns an object whose methods are named as the
+            requests, and what the method declares of itself.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pin_threads()
     connection = Connection(socket.socket(fileno=descriptor))
     try:
-        spec: MethodSpec = connection.request()
+        spec = connection.request()
         try:
             handler, declared = make(spec, connection)
         except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.isolation.framing import FramingFault, receive_answer, send_request
 from relocbench.execution import SIGNALLED, Sandbox, ScratchFolder, end_descendants, shared_folders
-from relocbench.methods import MethodSpec, keeper
+from relocbench.methods import keeper
 
 Arrays = list[NDArray[np.floating]]
 
@@ -49,7 +49,7 @@ class MethodProcess:
     it sends what is no answer to the question, this process ends with the status ``EX_PROTOCOL``.
 
     Args:
-        spec: the method, which the child makes.
+        spec: the method, which the child makes: an object that can be pickled and has its ``label``.
         module: the module whose ``main`` the child runs.
         sandbox: where the child runs.
 
@@ -57,7 +57,7 @@ class MethodProcess:
         MethodError: the method cannot be made.
     """
 
-    def __init__(self, spec: MethodSpec, module: str, sandbox: Sandbox) -> None:
+    def __init__(self, spec: Any, module: str, sandbox: Sandbox) -> None:
         self._connection, theirs = socket.socketpair()
         scratch = ScratchFolder()
         environment = scratch.environment()

@@ -97,4 +97,5 @@ def _declared(values: dict[str, Any]) -> Declared:
         batch, neighbours = max(1, int(declared.batch)), max(0, int(declared.neighbours))
     except (TypeError, ValueError):
         raise MethodError(f"{FORGED} when it started") from None
-    return Declared(min(batch, MOST_QUERIES), bool(declared.levels), neighbours, one_line(declared.fault))
+    fault, match, prior = one_line(declared.fault), bool(declared.match), bool(declared.prior)
+    return Declared(min(batch, MOST_QUERIES), bool(declared.levels), neighbours, fault, match, prior)

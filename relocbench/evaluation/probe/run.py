@@ -15,7 +15,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.blindness import blind_methods
+from relocbench.evaluation.common.foreign import blind_methods
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import ExecutionOptions
 from relocbench.evaluation.common.results import first_crash
@@ -116,6 +116,7 @@ class ProbeReport:
         }
 
 
+@kept_workers()
 def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
     """Probe methods and write ``probe.csv``, ``radii.csv``, ``probe.md``, ``probe.yaml`` and the plots.
 
@@ -123,11 +124,10 @@ def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
         RelocbenchError: a bad dataset, method or option, or nothing that can be probed.
     """
     dataset = open_for_evaluation(options.dataset, options.out)
-    specs = blind_methods(dataset, options.methods, options.set, options.seed)
+    specs = blind_methods(dataset.root, options.methods, options.set, options.seed, options.run)
     asked = chosen_pairs(dataset, options)
     dataset.require_images([pair_set for pair_set, _ in asked], "there are no pixels to probe")
-    with kept_workers():
-        return _probe(dataset, specs, asked, options, reporter)
+    return _probe(dataset, specs, asked, options, reporter)
 
 
 def _probe(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,6 +14,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError, available, cut
 from relocbench.evaluation.common.blindness import check_blind
+from relocbench.evaluation.common.foreign import parse_apart
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import EvaluationOptions, ExecutionOptions
 from relocbench.evaluation.common.results import PREDICTIONS, MethodResults
@@ -43,7 +44,7 @@ from relocbench.evaluation.retrieval.records import set_results
 from relocbench.evaluation.retrieval.score import unanswered
 from relocbench.execution import kept_workers
 from relocbench.files import check_label
-from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec
+from relocbench.methods import RETRIEVERS, TRACKERS, MethodKind, MethodSpec
 from relocbench.methods.discovery import parse_method, setting_label
 from relocbench.progress import Reporter
 
@@ -134,6 +135,7 @@ class RelocalizationReport:
         }
 
 
+@kept_workers()
 def evaluate_pipelines(options: RelocalizationOptions, reporter: Reporter) -> RelocalizationReport:
     """Run and score every retriever with every tracker, and with the trivial baseline, the first keyframe's pose.
 
@@ -141,14 +143,14 @@ def evaluate_pipelines(options: RelocalizationOptions, reporter: Reporter) -> Re
         RelocbenchError: a bad dataset, method, option or list.
     """
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
-    retrievers, trackers = parse_pipeline(options.retriever, options.methods, options.set, options.seed)
+    parse = partial(parse_apart, root=options.dataset, run=options.run)
+    retrievers, trackers = parse_pipeline(options.retriever, options.methods, options.set, options.seed, parse)
     check_blind([*(one for one in retrievers if not isinstance(one, str)), *trackers], options.dataset)
     basins = _basins(options, trackers, reporter)
     dataset = open_for_evaluation(options.dataset, options.out)
     places = SetOptions(options.split, options.pair_sets, positives="pairs")
     tasks = pipeline_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
-    with kept_workers():
-        return _evaluate(options, dataset, tasks, retrievers, trackers, basins, reporter)
+    return _evaluate(options, dataset, tasks, retrievers, trackers, basins, reporter)
 
 
 def _evaluate(
@@ -245,7 +247,11 @@ def _folder(results: PipelineSetResults, run: PipelineRun) -> PipelineResults:
 
 
 def parse_pipeline(
-    retrievers: Sequence[str], trackers: Sequence[str], settings: Sequence[str], seed: int
+    retrievers: Sequence[str],
+    trackers: Sequence[str],
+    settings: Sequence[str],
+    seed: int,
+    parse: Callable[[str, Sequence[str], int, MethodKind], MethodSpec] = parse_method,
 ) -> tuple[list[MethodSpec | str], list[MethodSpec]]:
     """Parse retrievers and trackers, in the order given.
 
@@ -258,8 +264,8 @@ def parse_pipeline(
     for setting in settings:
         if setting_label(setting) is None:
             raise ConfigError(f"--set {cut(setting)}: say for which method, as LABEL.key=value")
-    of_retrievers = [_retriever(text, settings, seed) for text in retrievers]
-    of_trackers = [parse_method(text, settings, seed, TRACKERS) for text in trackers]
+    of_retrievers = [_retriever(text, settings, seed, parse) for text in retrievers]
+    of_trackers = [parse(text, settings, seed, TRACKERS) for text in trackers]
     labels = [*map(label_of, of_retrievers), *(spec.label for spec in of_trackers)]
     floors = [one for one in of_retrievers if one == ORACLE]
     for label in labels:
@@ -278,12 +284,17 @@ def parse_pipeline(
     return of_retrievers, of_trackers
 
 
-def _retriever(text: str, settings: Sequence[str], seed: int) -> MethodSpec | str:
+def _retriever(
+    text: str,
+    settings: Sequence[str],
+    seed: int,
+    parse: Callable[[str, Sequence[str], int, MethodKind], MethodSpec],
+) -> MethodSpec | str:
     label, separator, target = text.partition("=")
     if text == ORACLE:
         return text
     if not target.startswith(PREDICTIONS) and not text.startswith(PREDICTIONS):
-        return parse_method(text, settings, seed, RETRIEVERS)
+        return parse(text, settings, seed, RETRIEVERS)
     try:
         if not separator or text.startswith(PREDICTIONS):
             raise ValueError("rankings made elsewhere need a label")

@@ -9,7 +9,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from relocbench.datasets.pairs.street_places import Positives
-from relocbench.evaluation.common.blindness import check_blind
+from relocbench.evaluation.common.foreign import blind_methods
 from relocbench.evaluation.common.options import AnswerOptions, LimitOptions
 from relocbench.evaluation.common.predictions import predictions_label
 from relocbench.evaluation.common.results import first_crash
@@ -21,7 +21,7 @@ from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord,
 from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
 from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion, unanswered
 from relocbench.execution import Run, kept_workers
-from relocbench.methods import RETRIEVERS, parse_methods
+from relocbench.methods import RETRIEVERS
 from relocbench.progress import Reporter
 
 KEEP = 100
@@ -99,6 +99,7 @@ class RetrievalReport:
         }
 
 
+@kept_workers()
 def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> RetrievalReport:
     """Run the retrievers and score their answers.
 
@@ -106,8 +107,8 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
         RelocbenchError: a bad dataset, method, option or prediction.
     """
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
-    specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed, RETRIEVERS)
-    check_blind(specs, options.dataset)
+    named = [] if options.predictions else options.methods
+    specs = blind_methods(options.dataset, named, options.set, options.seed, options.run, RETRIEVERS)
     opened = open_set(options.dataset, options.out, _set_options(options), reporter)
     results = set_results(options.out, opened)
     left_out: list[tuple[str, str]] = []
@@ -116,22 +117,21 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
         folders = [import_rankings(opened, opened.chosen, options.predictions, label, results)]
         write_set_record(results, opened, opened.chosen)
     else:
-        with kept_workers():
-            done, left_out = run_each(
-                specs,
-                lambda spec: run_retriever(
-                    opened,
-                    opened.chosen,
-                    spec,
-                    results,
-                    keep=options.keep,
-                    overwrite=options.overwrite,
-                    run=options.run,
-                    hidden=(options.dataset,),
-                    seed=options.seed,
-                    reporter=reporter,
-                ),
-            )
+        done, left_out = run_each(
+            specs,
+            lambda spec: run_retriever(
+                opened,
+                opened.chosen,
+                spec,
+                results,
+                keep=options.keep,
+                overwrite=options.overwrite,
+                run=options.run,
+                hidden=(options.dataset,),
+                seed=options.seed,
+                reporter=reporter,
+            ),
+        )
         folders = [folder for _, folder in done]
         write_set_record(results, opened, opened.chosen)
     record = results.record

@@ -13,7 +13,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.blindness import blind_methods
+from relocbench.evaluation.common.foreign import blind_methods
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import AnswerOptions, ExecutionOptions
 from relocbench.evaluation.common.predictions import predictions_label
@@ -95,6 +95,7 @@ class Report:
         }
 
 
+@kept_workers()
 def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     """Run the trackers and score their answers.
 
@@ -105,7 +106,7 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     pair_sets = _chosen(dataset, options)
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     named = [name for name in options.methods if name != CLOCK]
-    specs = [] if options.predictions else blind_methods(dataset, named, options.set, options.seed)
+    specs = [] if options.predictions else blind_methods(dataset.root, named, options.set, options.seed, options.run)
     pictured = _check_images(dataset, pair_sets, specs)
     results = dataset_results(options.out, dataset)
     left_out: list[tuple[str, str]] = []
@@ -115,15 +116,12 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
         write_dataset_record(results, dataset)
     else:
         write_dataset_record(results, dataset)
-        with kept_workers():
-            if pictured:
-                done, left_out = run_each(
-                    specs, lambda spec: _run(dataset, pair_sets, spec, results, options, reporter)
-                )
-            else:
-                done = [(spec, run_identity(dataset, pair_sets, spec, results)) for spec in specs]
-            if options.matching and pictured:
-                _match(dataset, pair_sets, done, options, reporter)
+        if pictured:
+            done, left_out = run_each(specs, lambda spec: _run(dataset, pair_sets, spec, results, options, reporter))
+        else:
+            done = [(spec, run_identity(dataset, pair_sets, spec, results)) for spec in specs]
+        if options.matching and pictured:
+            _match(dataset, pair_sets, done, options, reporter)
         folders = [folder for _, folder in done]
         if CLOCK in options.methods:
             folders.append(run_clock(dataset, pair_sets, results))

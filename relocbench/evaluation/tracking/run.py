@@ -104,7 +104,13 @@ def run_method(
         for pair_set in pair_sets:
             _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, visibility, seed, advance)
     begun = folder.run_record()
-    of_all = {"start": begun.start, "end": now(), "isolated": bool(begun.isolated and record.isolated)}
+    sandbox = record.sandbox if begun.sandbox == record.sandbox else ""
+    of_all = {
+        "start": begun.start,
+        "end": now(),
+        "isolated": bool(begun.isolated and record.isolated),
+        "sandbox": sandbox,
+    }
     write_record(folder.run_yaml, record.model_copy(update=of_all))
     return folder
 
@@ -252,6 +258,7 @@ def new_record(dataset: Dataset, spec: MethodSpec, run: Run, visibility: Visibil
         fingerprint=dataset.fingerprint,
         question=dataset.content_id,
         isolated=visibility.isolated,
+        sandbox=visibility.sandbox.kind,
         uses_times=visibility.times,
         **made_by(spec, run.workers, seed),
     )

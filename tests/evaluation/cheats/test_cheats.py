@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import socket
+import sys
 from contextvars import Context
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_
 from relocbench.evaluation.tables.records import OFFSETS_PX, Answer, read_answers, read_errors, read_matching
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.execution.sandbox import NONE, working_sandbox
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec, parse_method, parse_methods
 from relocbench.progress import Silent
@@ -68,8 +70,14 @@ CHEATS = {
     "note-a": "NoteTaker",
     "note-b": "NoteTaker",
     "order": "Order",
+    "disk": "DiskReader",
 }
 SETTINGS = ("patch.how=patch", "stopwatch.how=clock")
+
+
+def backwards(dataset: Dataset) -> str:
+    """Where the dataset is, so that no check of parameters sees it."""
+    return f"disk.place={str(dataset.root)[::-1]}"
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +85,13 @@ def asked(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[st
     """All cheats, by label, asked in one run, and the identity after them; with workers of their own, which end."""
     methods = [f"{label}={HERE}:{name}" for label, name in CHEATS.items()]
     folders = Context().run(
-        evaluate, dataset, tmp_path_factory.mktemp("asked"), *methods, "orb-pnp", "identity", set=SETTINGS
+        evaluate,
+        dataset,
+        tmp_path_factory.mktemp("asked"),
+        *methods,
+        "orb-pnp",
+        "identity",
+        set=(*SETTINGS, backwards(dataset)),
     )
     return {folder.label: folder for folder in folders}
 
@@ -87,6 +101,26 @@ def test_who_looks_elsewhere_finds_nothing(asked: dict[str, MethodResults], labe
     assert [json.loads(answer.info)["found"] for answer in answers(asked[label])] == [[]] * len(answers(asked[label]))
     assert errors(asked[label]) == errors(asked["identity"])
     assert asked[label].run_record().isolated is True
+
+
+def test_who_knows_where_the_truth_lies_on_the_disk_finds_nothing_there(
+    asked: dict[str, MethodResults], dataset: Dataset, tmp_path: Path
+) -> None:
+    if working_sandbox() == NONE:
+        pytest.skip("no sandbox works on this system: the disk can be read")
+    assert all(json.loads(answer.info)["found"] == [] for answer in answers(asked["disk"]))
+    assert asked["disk"].run_record().sandbox == working_sandbox()
+    (cheat,) = evaluate(dataset, tmp_path, f"disk={HERE}:DiskReader", sandbox="none", set=(backwards(dataset),))
+    assert all(len(json.loads(answer.info)["found"]) > 6 for answer in answers(cheat)), "it finds what there is"
+    assert cheat.run_record().sandbox == NONE
+
+
+def test_a_module_that_changes_the_evaluator_when_it_is_imported_changes_nothing(
+    asked: dict[str, MethodResults], dataset: Dataset, tmp_path: Path
+) -> None:
+    (cheat,) = evaluate(dataset, tmp_path, "cheat=patching_trackers:Patcher")
+    assert errors(cheat) == errors(asked["identity"])
+    assert "patching_trackers" not in sys.modules
 
 
 @pytest.mark.thorough
@@ -302,8 +336,10 @@ def test_nothing_is_remembered_from_one_pair_set_to_the_next(dataset: Dataset, t
     across, within = (
         [json.loads(answer.info) for answer in read_answers(cheat.answers(name)).values()] for name in (ACROSS, WITHIN)
     )
-    assert [info["found"] for info in across + within] == [[]] * len(across + within)
-    homes = [{place for info in told for place in info["places"]} for told in (across, within)]
+    homes = [{place for info in told for place in info["places"][:5]} for told in (across, within)]
+    found = {Path(path) for info in across + within for path in info["found"]}
+    assert not [path for path in found if str(path.parent) in homes[0] | homes[1]]
+    assert working_sandbox() == NONE or not found, "nor in places that methods share"
     assert homes[0].isdisjoint(homes[1]), "each set has a process and folders of its own"
 
 
@@ -328,10 +364,13 @@ def test_who_fits_a_pose_to_all_starts_gains_as_documented_and_is_found_by_check
 
 def test_notes_in_home_caches_and_temporary_files_are_not_found_by_the_next(asked: dict[str, MethodResults]) -> None:
     told = [json.loads(answer.info) for label in ("note-a", "note-b") for answer in answers(asked[label])]
-    assert [info["found"] for info in told] == [[]] * len(told)
-    places = {place for info in told for place in info["places"]}
-    assert len(places) == 2 * 5, "each method has folders of its own"
-    assert not any(Path(place).exists() for place in places), "they are gone when the methods are"
+    own = {place for info in told for place in info["places"][:5]}
+    assert len(own) == 2 * 5, "each method has folders of its own"
+    assert not any(Path(place).exists() for place in own), "they are gone when the methods are"
+    found = {Path(path) for info in told for path in info["found"]}
+    assert not [path for path in found if str(path.parent) in own]
+    if working_sandbox() != NONE:
+        assert not found, "nor in places that methods share"
 
 
 def test_from_several_starts_of_one_pixel_the_pixel_would_be_found() -> None:

@@ -1,0 +1,137 @@
+"""Methods of other packages: configured without importing them where answers are scored.
+
+Whatever a module does when it is imported, it could do to the evaluator: read the truth, or replace the functions that
+score. Modules of others are therefore imported in a process of a method only, which reports the parameters and what
+else has to be known before a run.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from relocbench.errors import MethodError
+from relocbench.evaluation.common.blindness import check_blind
+from relocbench.evaluation.isolation.isolated_process import Connection, serve
+from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess
+from relocbench.execution import MANY_TIMES, Loss, Run, Sandbox, run_limited, step
+from relocbench.methods import TRACKERS, MethodKind, MethodSpec, parse_method, parse_methods
+from relocbench.methods.discovery import START, is_ours, split_label
+
+_MODULE = "relocbench.evaluation.common.foreign"
+
+
+@dataclass(frozen=True)
+class _Configuration:
+    """What a user gives of one method, and in whose sandbox it is read."""
+
+    label: str
+    """the method as the user names it, for messages"""
+    settings: tuple[str, ...]
+    seed: int
+    kind: MethodKind
+    sandbox: Sandbox
+
+    def parse(self) -> MethodSpec:
+        return parse_method(self.label, self.settings, self.seed, self.kind)
+
+
+@dataclass(frozen=True)
+class _Reported:
+    """What the process of a method reports of it, of the right types and else unchecked."""
+
+    parameters: dict[str, Any]
+    uses_times: bool
+    files: dict[str, str]
+
+
+@dataclass(frozen=True)
+class ForeignSpec(MethodSpec):
+    """A method whose module this process never imports; its parameters are plain values, to be shown."""
+
+    configuration: _Configuration | None = None
+    times: bool = False
+    digests: Mapping[str, str] = field(default_factory=dict)
+
+    def create(self) -> Any:
+        assert self.configuration is not None
+        return self.configuration.parse().create()
+
+    def uses_times(self) -> bool:
+        return self.times
+
+    def files(self) -> dict[str, str]:
+        return dict(self.digests)
+
+
+def blind_methods(
+    root: Path, texts: Sequence[str], settings: Sequence[str], seed: int, run: Run, kind: MethodKind = TRACKERS
+) -> list[MethodSpec]:
+    """The methods that a user names, with their parameters, none of which names the dataset.
+
+    Args:
+        root: the dataset's folder.
+        run: where the methods will run.
+
+    Raises:
+        MethodError: as :func:`~relocbench.methods.parse_methods` and
+            :func:`~relocbench.evaluation.common.blindness.check_blind`.
+        ConfigError: there must be a sandbox, and this system has none.
+    """
+    specs = parse_methods(texts, settings, seed, kind, partial(parse_apart, root=root, run=run))
+    check_blind(specs, root)
+    return specs
+
+
+def parse_apart(text: str, settings: Sequence[str], seed: int, kind: MethodKind, *, root: Path, run: Run) -> MethodSpec:
+    """As :func:`~relocbench.methods.parse_method`, but what is not ours is imported in a process of its own.
+
+    Raises:
+        MethodError: as there; also a module that ends its process or exceeds a limit when it is imported.
+        ConfigError: there must be a sandbox, and this system has none.
+    """
+    starts = [value for key, _, value in (s.partition("=") for s in settings) if key.rpartition(".")[2] == START]
+    label, target = split_label(text, kind)
+    if not run.in_subprocess or all(is_ours(each, kind) for each in (target, *starts)):
+        return parse_method(text, settings, seed, kind)
+    configuration = _Configuration(text, tuple(settings), seed, kind, run.sandbox_hiding(root))
+    one = Run(1, limits=run.limits)
+    found: _Reported | Loss
+    ((_, found),) = run_limited(_reported, [configuration], one, on_loss=_loss)
+    if isinstance(found, Loss):
+        raise MethodError(f"{kind.noun} '{text}' cannot be imported: {found.words}")
+    return ForeignSpec(label, target, found.parameters, kind, configuration, found.uses_times, found.files)
+
+
+def _loss(configuration: _Configuration, loss: Loss) -> _Reported | Loss:
+    return loss
+
+
+def _reported(configuration: _Configuration) -> _Reported | Loss:
+    """Ask a process of the method, from a worker."""
+    with step("import", times=MANY_TIMES):
+        process = MethodProcess(configuration, _MODULE, configuration.sandbox)
+    process.close()
+    try:
+        reported = _Reported(**process.declared)
+    except TypeError:
+        raise MethodError(f"{configuration.kind.noun} '{configuration.label}': {FORGED}") from None
+    right = isinstance(reported.parameters, dict) and isinstance(reported.files, dict)
+    if not right or type(reported.uses_times) is not bool or {*map(type, reported.files.values())} - {str}:
+        raise MethodError(f"{configuration.kind.noun} '{configuration.label}': {FORGED}")
+    return reported
+
+
+def main(descriptor: int) -> None:
+    """Report what a method needs, over a socket, in a process of its own."""
+    serve(descriptor, _made)
+
+
+def _made(configuration: _Configuration, connection: Connection) -> tuple[object, dict[str, Any]]:
+    spec = configuration.parse()
+    parameters = json.loads(json.dumps(dict(spec.parameters), default=str))
+    return object(), asdict(_Reported(parameters, spec.uses_times(), spec.files()))
