@@ -14,13 +14,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from relocbench.errors import MethodError
+from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.isolation.isolated_process import Connection, serve
 from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess
 from relocbench.execution import MANY_TIMES, Loss, Run, Sandbox, run_limited, step
 from relocbench.methods import TRACKERS, MethodKind, MethodSpec, parse_method, parse_methods
-from relocbench.methods.discovery import START, is_ours, split_label
+from relocbench.methods.discovery import MOST_ASSUMED, START, is_ours, split_label
 
 _MODULE = "relocbench.evaluation.common.foreign"
 
@@ -46,6 +46,7 @@ class _Reported:
 
     parameters: dict[str, Any]
     uses_times: bool
+    assumes: str
     files: dict[str, str]
 
 
@@ -55,6 +56,7 @@ class ForeignSpec(MethodSpec):
 
     configuration: _Configuration | None = None
     times: bool = False
+    assumed: str = ""
     digests: Mapping[str, str] = field(default_factory=dict)
 
     def create(self) -> Any:
@@ -63,6 +65,9 @@ class ForeignSpec(MethodSpec):
 
     def uses_times(self) -> bool:
         return self.times
+
+    def assumes(self) -> str:
+        return self.assumed
 
     def files(self) -> dict[str, str]:
         return dict(self.digests)
@@ -104,7 +109,8 @@ def parse_apart(text: str, settings: Sequence[str], seed: int, kind: MethodKind,
     ((_, found),) = run_limited(_reported, [configuration], one, on_loss=_loss)
     if isinstance(found, Loss):
         raise MethodError(f"{kind.noun} '{text}' cannot be imported: {found.words}")
-    return ForeignSpec(label, target, found.parameters, kind, configuration, found.uses_times, found.files)
+    facts = found.uses_times, one_line(found.assumes)[:MOST_ASSUMED], found.files
+    return ForeignSpec(label, target, found.parameters, kind, configuration, *facts)
 
 
 def _loss(configuration: _Configuration, loss: Loss) -> _Reported | Loss:
@@ -121,7 +127,12 @@ def _reported(configuration: _Configuration) -> _Reported | Loss:
     except TypeError:
         raise MethodError(f"{configuration.kind.noun} '{configuration.label}': {FORGED}") from None
     right = isinstance(reported.parameters, dict) and isinstance(reported.files, dict)
-    if not right or type(reported.uses_times) is not bool or {*map(type, reported.files.values())} - {str}:
+    if (
+        not right
+        or type(reported.uses_times) is not bool
+        or type(reported.assumes) is not str
+        or {*map(type, reported.files.values())} - {str}
+    ):
         raise MethodError(f"{configuration.kind.noun} '{configuration.label}': {FORGED}")
     return reported
 
@@ -134,4 +145,4 @@ def main(descriptor: int) -> None:
 def _made(configuration: _Configuration, connection: Connection) -> tuple[object, dict[str, Any]]:
     spec = configuration.parse()
     parameters = json.loads(json.dumps(dict(spec.parameters), default=str))
-    return object(), asdict(_Reported(parameters, spec.uses_times(), spec.files()))
+    return object(), asdict(_Reported(parameters, spec.uses_times(), spec.assumes(), spec.files()))
