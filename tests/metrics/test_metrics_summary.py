@@ -27,6 +27,7 @@ from relocbench.metrics import (
     risk_coverage_area,
     spread_over_seeds,
     summarize,
+    summarize_scores,
 )
 
 some_errors = arrays(np.float64, st.integers(1, 40), elements=st.one_of(st.floats(0, 3), st.just(np.inf), st.just(0.5)))
@@ -140,6 +141,31 @@ def test_mean_metrics_are_the_mean_of_their_per_pair_values() -> None:
         assert values.shape == (57,)
         assert np.all((values >= 0) & (values <= 1))
         assert metric.compute(PairScores(errors)) == np.mean(values)
+
+
+def test_recall_by_overlap_and_by_change_of_scale_counts_a_pair_on_an_end_with_the_easier_ones() -> None:
+    errors = errors_of([0.1, 0.1, 0.9, np.inf, 0.1, 0.1])
+    overlap = np.array([1.0, 0.5, 0.5, 0.2, np.nan, 0.0])
+    scale = np.array([1.0, 1.15, 1.4, 1.41, 1.8, np.nan])
+    summary = summarize_scores(PairScores(errors, overlap=overlap, scale_change=scale))
+    found = {
+        name.removeprefix("recall_").partition("@")[0]: (summary[name], metric_named(name).over)
+        for name in summary.values
+        if name.startswith(("recall_overlap", "recall_scale"))
+    }
+    assert {name: value for name, (value, _) in found.items()} == {
+        "overlap_to_0.1": 1.0,
+        "overlap_0.1_to_0.2": None,
+        "overlap_0.2_to_0.5": 0.0,
+        "overlap_over_0.5": 2 / 3,
+        "scale_to_1.15": 1.0,
+        "scale_1.15_to_1.4": 0.0,
+        "scale_1.4_to_1.8": 0.5,
+        "scale_over_1.8": None,
+    }
+    over = {name: count(PairScores(errors, overlap=overlap)) for name, (_, count) in found.items() if count is not None}
+    assert [over[name] for name in found] == [1, 0, 1, 3, 0, 0, 0, 0]
+    assert {summarize(errors)[m.name] for m in METRICS if m.over is not None} == {None}
 
 
 def test_identity_scores_on_close_pairs_and_must_be_read_against() -> None:

@@ -15,6 +15,7 @@ from relocbench.datasets.core.intrinsics import INTRINSICS_COLUMNS, parse_intrin
 from relocbench.datasets.core.pairfile import (
     AXIS_COLUMNS,
     POSE_LINE,
+    SCALE_COLUMNS,
     TABLE_COLUMNS,
     PairKey,
     PoseLine,
@@ -178,7 +179,7 @@ def read_pair_table(path: Path, findings: Findings) -> dict[PairKey, TableRow]:
             if (ref, query) in rows:
                 raise DatasetError(f"pair {ref} {query} occurs again", path, number)
             numbers: dict[str, float | None] = {}
-            for name in [*_PAIR_NUMBERS, *(c for c in AXIS_COLUMNS if c in values)]:
+            for name in [*_PAIR_NUMBERS, *(c for c in AXIS_COLUMNS + SCALE_COLUMNS if c in values)]:
                 numbers[name] = None
                 with findings.catching():
                     numbers[name] = (

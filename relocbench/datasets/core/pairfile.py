@@ -44,7 +44,10 @@ TABLE_COLUMNS = (
 )  # fmt: skip
 AXIS_COLUMNS = ("sigma_along_m", "sigma_across_m", "sigma_height_m")
 """further columns, present if known for any pair"""
-_NUMBERS = ("overlap", "sigma_translation_m", "sigma_rotation_deg", *AXIS_COLUMNS)
+SCALE_COLUMNS = ("scale_change",)
+"""the same"""
+_HEADERS = tuple(TABLE_COLUMNS + axes + scale for axes in ((), AXIS_COLUMNS) for scale in ((), SCALE_COLUMNS))
+_NUMBERS = ("overlap", "sigma_translation_m", "sigma_rotation_deg", *AXIS_COLUMNS, *SCALE_COLUMNS)
 ELSEWHERE = "elsewhere"
 """the group of pairs whose keyframe and query show different places; reserved for them"""
 
@@ -90,6 +93,8 @@ class Pair:
     sigma_across_m: float | None = None
     """the same to the side"""
     sigma_height_m: float | None = None
+    scale_change: float | None = None
+    """median change of scale of what the query sees of the reference, 1 or more"""
 
     @property
     def axis_sigmas(self) -> tuple[float | None, float | None, float | None]:
@@ -257,25 +262,33 @@ def pose_line_fields(line: PoseLine) -> list[str]:
 def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> None:
     """Write the accepted pairs to the nine-column file and all pairs, with everything known, to the table.
 
-    Where the truth of a pair of different places is withheld, groups and overlaps of the whole set are left blank: they
-    would tell which pairs these are.
+    Where the truth of a pair is withheld, so are its overlap and change of scale. Where that of a pair of different
+    places is, all of the set's are left blank, and its groups: they would tell which pairs these are.
     """
     hidden = any(p.is_negative and p.T_query_ref is None for p in pairs)
     by_axis = any(s is not None for p in pairs for s in p.axis_sigmas)
+    seen = [
+        (None, None) if hidden or (p.accepted and p.T_query_ref is None) else (p.overlap, p.scale_change) for p in pairs
+    ]
+    scaled = any(scale_change is not None for _, scale_change in seen)
     rows = (
         [
             *p.key,
             "" if hidden else p.group,
-            *map(_number, (distance_m, angle_deg, None if hidden else p.overlap)),
+            *map(_number, (distance_m, angle_deg, overlap)),
             *map(_number, (p.sigma_translation_m, p.sigma_rotation_deg)),
             p.source,
             "true" if p.accepted else "false",
             p.reason,
             *(map(_number, p.axis_sigmas) if by_axis else ()),
+            *([_number(scale_change)] if scaled else ()),
         ]
-        for p, (distance_m, angle_deg) in zip(pairs, distances_and_angles(pairs), strict=True)
+        for p, (distance_m, angle_deg), (overlap, scale_change) in zip(
+            pairs, distances_and_angles(pairs), seen, strict=True
+        )
     )
-    write_table(pair_table, TABLE_COLUMNS + AXIS_COLUMNS if by_axis else TABLE_COLUMNS, rows)
+    further = (AXIS_COLUMNS if by_axis else ()) + (SCALE_COLUMNS if scaled else ())
+    write_table(pair_table, TABLE_COLUMNS + further, rows)
     accepted = [p for p in pairs if p.accepted]
     write_text(pair_file, _pose_text([p.key for p in accepted], [p.T_query_ref for p in accepted], TRUTH_DECIMALS))
 
@@ -315,7 +328,7 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
     for number, row in rows:
         if len(row) != len(columns):
             raise DatasetError(f"expected {len(columns)} columns, found {len(row)}", pair_table, number)
-        field = dict.fromkeys(AXIS_COLUMNS, "") | dict(zip(columns, row, strict=True))
+        field = dict.fromkeys(AXIS_COLUMNS + SCALE_COLUMNS, "") | dict(zip(columns, row, strict=True))
         key = (
             parse_timestamp(field["ref_timestamp_ns"], pair_table, number, DatasetError),
             parse_timestamp(field["query_timestamp_ns"], pair_table, number, DatasetError),
@@ -343,7 +356,7 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
                 field["source"],
                 accepted,
                 field["reason"],
-                *(value[name] for name in AXIS_COLUMNS),
+                *(value[name] for name in AXIS_COLUMNS + SCALE_COLUMNS),
             )
         )
     for key in lines:
@@ -353,11 +366,10 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
 
 
 def table_columns(header: Sequence[str], pair_table: Path) -> tuple[str, ...]:
-    """The columns named by a table's first line. Raises DatasetError if they are neither of the two known sets."""
-    for columns in (TABLE_COLUMNS, TABLE_COLUMNS + AXIS_COLUMNS):
-        if tuple(header) == columns:
-            return columns
-    wanted = f"expected the columns {','.join(TABLE_COLUMNS)}[,{','.join(AXIS_COLUMNS)}]"
+    """The columns named by a table's first line. Raises DatasetError if they are none of the known sets."""
+    if tuple(header) in _HEADERS:
+        return tuple(header)
+    wanted = f"expected the columns {','.join(TABLE_COLUMNS)}[,{','.join(AXIS_COLUMNS)}][,{','.join(SCALE_COLUMNS)}]"
     raise DatasetError(wanted, pair_table, 1)
 
 

@@ -29,4 +29,4 @@ def exact_correspondences(
     seen = seen_at(surface, camera, camera, T_query_ref, uv_query[inside])
     # Not a number, where a ray meets nothing, is not the same either.
     visible[inside] = np.linalg.norm(seen - pixels[inside], axis=1) <= _SAME_PX
-    return exact_pair(camera, pixels, depth, uv_query, inside, visible, count, rng)
+    return exact_pair(camera, pixels, depth, uv_query, inside, visible, count, rng, camera, T_query_ref)

@@ -66,6 +66,8 @@ class PairCorrespondences:
     """share of the reference's pixels with depth that the query sees"""
     sigma_px: Array | None = None
     """(N,) one standard deviation of the query's pixel, if that of the pose is known"""
+    scale_change: float | None = None
+    """the median change of scale of what the query sees, 1 or more; None where it sees nothing"""
 
     def __len__(self) -> int:
         return len(self.depth_ref)
@@ -95,11 +97,38 @@ def pair_correspondences(
     inside = np.nonzero(seen.inside)[0]
     rows = inside[spread_sample(points.uv[inside], reference.camera, count, rng)]
     chosen, sigma = points.take(rows), None
+    known = points.take(seen.visible)
+    scale = scale_change(known.uv, known.depth, reference.camera, query.camera, T_query_ref)
     if sigma_pose is not None:
         sigma = pixel_sigma(chosen, reference.camera, query.camera, T_query_ref, *sigma_pose)
     return PairCorrespondences(
-        chosen.uv, chosen.depth, seen.uv_query[rows], seen.visible[rows], seen.check[rows], overlap, sigma
+        chosen.uv, chosen.depth, seen.uv_query[rows], seen.visible[rows], seen.check[rows], overlap, sigma, scale
     )
+
+
+def scale_change(
+    pixels: Array, depth: Array, camera_ref: Camera, camera_query: Camera, T_query_ref: Array
+) -> float | None:
+    """The median change of scale of surface points between keyframe and query.
+
+    A patch at the distance d from a camera of focal length f (the geometric mean of fx and fy) is seen at the scale
+    f / d. With ``s = (f_query / d_query) / (f_ref / d_ref)`` of each point it is ``exp(median |log s|)``: the same
+    whether the query is nearer or farther by a factor, and whichever of the two images is the keyframe. Distances are
+    those from the camera's centre, so that a camera that only turns changes no scale.
+
+    Args:
+        pixels, depth: (N, 2) and (N,) metres along z, of the points that both cameras see.
+
+    Returns:
+        1 or more; None without points.
+    """
+    points, known = lift(camera_ref, pixels, depth)
+    if not known.any():
+        return None
+    before = np.linalg.norm(points[known], axis=1)
+    after = np.linalg.norm(apply(T_query_ref, points[known]), axis=1)
+    focal = np.sqrt((camera_query.fx * camera_query.fy) / (camera_ref.fx * camera_ref.fy))
+    return float(np.exp(np.median(np.abs(np.log(focal * before / after)))))
 
 
 def spread_sample(pixels: Array, camera: Camera, count: int, rng: np.random.Generator) -> Indices:
@@ -137,10 +166,13 @@ def exact_pair(
     visible: Mask,
     count: int,
     rng: np.random.Generator,
+    camera_query: Camera,
+    T_query_ref: Array,
 ) -> PairCorrespondences:
-    """A pair whose truth is exact: the overlap of all sampled pixels, and up to ``count`` of those ``inside``.
+    """A pair whose truth is exact: what the query sees of all sampled pixels, and up to ``count`` of those ``inside``.
 
     Args:
+        camera: of the keyframe.
         pixels, depth, uv_query: (N, 2), (N,) and (N, 2) of the sampled pixels that have depth.
         inside, visible: (N,) whether the query's image holds the point, and whether nothing hides it.
     """
@@ -148,7 +180,10 @@ def exact_pair(
     rows = candidates[spread_sample(pixels[candidates], camera, count, rng)]
     check = np.full(len(rows), CHECKS.index("both"), dtype=np.int8)
     overlap = float(np.mean(visible)) if len(visible) else 0.0
-    return PairCorrespondences(pixels[rows], depth[rows], uv_query[rows], visible[rows], check, overlap)
+    scale = scale_change(pixels[visible], depth[visible], camera, camera_query, T_query_ref)
+    return PairCorrespondences(
+        pixels[rows], depth[rows], uv_query[rows], visible[rows], check, overlap, scale_change=scale
+    )
 
 
 _STEP = 1e-4

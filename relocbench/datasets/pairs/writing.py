@@ -1,4 +1,4 @@
-"""Writing the pairs of a pair set, with their overlap and correspondences."""
+"""Writing the pairs of a pair set, with their overlap, change of scale and correspondences."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ def _sigma_pose(pair: Pair) -> tuple[float, float] | None:
 
 
 def write_pair_set(job: Build[ImportOptions], reference: str, query: str, camera: str, pairs: Sequence[Pair]) -> None:
-    """Write a pair set with the overlap of each pair and, if the options want any, a file of correspondences.
+    """Write a pair set with what the query of each pair sees and, if the options want any, a file of correspondences.
 
     The traversals must have been written before. Pairs of poses alone, and pairs that are rejected, have no pose or
-    show different places, get neither overlap nor correspondences. A set that an earlier run of the same build has
-    finished is kept unchanged.
+    show different places, get no overlap, no change of scale and no correspondences. A set that an earlier run of the
+    same build has finished is kept unchanged.
     """
     layout, count = job.writer.layout, job.options.correspondences
     name = pair_set_name(reference, query, camera)
@@ -91,18 +91,18 @@ def write_measured(
     with_correspondences: bool,
     sigma: bool = False,
 ) -> None:
-    """Write a pair set: first its correspondences, if wanted, and last its pairs with the measured overlaps.
+    """Write a pair set: first its correspondences, if wanted, and last its pairs with what was measured of them.
 
     Args:
         pairs: all pairs of the set, sorted by their keys.
         measured: results for some or all of the pairs, which are consumed one at a time.
         sigma: as in :func:`write_correspondences`.
     """
-    overlaps: dict[PairKey, float] = {}
+    seen: dict[PairKey, tuple[float, float | None]] = {}
 
     def noted() -> Iterator[tuple[PairKey, PairCorrespondences]]:
         for key, found in measured:
-            overlaps[key] = found.overlap
+            seen[key] = found.overlap, found.scale_change
             yield key, found
 
     if with_correspondences:
@@ -112,7 +112,10 @@ def write_measured(
     else:
         for _ in noted():
             pass
-    complete = [replace(p, overlap=overlaps.get(p.key, p.overlap)) for p in pairs]
+    complete = []
+    for pair in pairs:
+        overlap, scale_change = seen.get(pair.key, (pair.overlap, pair.scale_change))
+        complete.append(replace(pair, overlap=overlap, scale_change=scale_change))
     pairfile.write_pairs(layout.pair_file(name), layout.pair_table(name), complete)
 
 

@@ -190,9 +190,13 @@ class PairErrors(PairRecord):
     """virtual correspondence reprojection error, as a share of the image's diagonal; unknown without a camera"""
     travelled_m: Annotated[float | None, NUMBER] = None
     """metres that the query's drive had travelled by then"""
+    overlap: Annotated[float | None, NUMBER] = None
+    """share of the keyframe's pixels with depth that the query sees"""
+    scale_change: Annotated[float | None, NUMBER] = None
+    """median change of scale of what it sees, 1 or more"""
 
 
-ERRORS = Schema(PairErrors, added_later=2)
+ERRORS = Schema(PairErrors, added_later=4)
 NUMBERS = ERRORS.columns[4:]
 _ERRORS, _OPTIONAL = NUMBERS[:3], NUMBERS[3:]
 _MAY_BE_INFINITE = [*range(len(_ERRORS)), NUMBERS.index("vcre")]
@@ -302,6 +306,8 @@ class ErrorTable(Sequence[PairErrors]):
             confidence=self.column("confidence"),
             vcre=self.column("vcre"),
             travelled_m=self.column("travelled_m"),
+            overlap=self.column("overlap"),
+            scale_change=self.column("scale_change"),
             query_ns=self.keys[:, 1],
         )
 

@@ -150,6 +150,8 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
                 sigma_rotation_deg=pair.sigma_rotation_deg,
                 vcre=vcre,
                 travelled_m=pair_set.query_traversal.travelled_m.get(pair.query_timestamp_ns),
+                overlap=pair.overlap,
+                scale_change=pair.scale_change,
             )
         )
     return ErrorTable.of(rows)

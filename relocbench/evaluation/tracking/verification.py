@@ -43,6 +43,10 @@ _COPY = (1e-6, 1e-3)
 """The same where the truth is that of a copy of the dataset, whose poses are equal to a millionth."""
 
 
+_SEEN = ("overlap", "scale_change")
+"""What is measured by rays or in depth images, of which copies may have other pixels."""
+
+
 def faults_of_record(
     folder: MethodResults, run: RunRecord, scores: ScoreRecord, again: str
 ) -> Iterator[PredictionError]:
@@ -159,7 +163,7 @@ def rescored(
             folder.scores_yaml,
         )
     errors = score_pair_set(pair_set, folder).by_time()
-    difference = _first_difference(rows, errors, _COPY if copy else _SAME)
+    difference = _first_difference(rows, errors, *((_COPY, _SEEN) if copy else (_SAME, ())))
     if difference is not None:
         raise PredictionError(
             f"does not follow from predictions and truth: {difference}; {again}", folder.errors(pair_set.name)
@@ -167,15 +171,17 @@ def rescored(
     return errors
 
 
-def _first_difference(claimed: ErrorTable, computed: ErrorTable, tolerance: tuple[float, float]) -> str | None:
-    """The first pair on which two tables differ, in words; None where they agree."""
+def _first_difference(
+    claimed: ErrorTable, computed: ErrorTable, tolerance: tuple[float, float], but: Sequence[str]
+) -> str | None:
+    """The first pair on which two tables differ other than in the columns ``but``, in words; None where they agree."""
     if not np.array_equal(claimed.keys, computed.keys):
         return f"the table has {len(claimed)} pairs, of which some are not among the {len(computed)} of the dataset"
     relative, absolute = tolerance
     differs = ~np.isclose(claimed.numbers, computed.numbers, rtol=relative, atol=absolute, equal_nan=True)
-    for name in ERRORS.added_later:
-        # A table of an earlier version says nothing about it: what was computed here is shown.
-        differs[NUMBERS.index(name)] &= not np.isnan(claimed.column(name)).all()
+    # A table of an earlier version says nothing about what was added later: what was computed here is shown.
+    lacking = [name for name in ERRORS.added_later if np.isnan(claimed.column(name)).all()]
+    differs[[NUMBERS.index(name) for name in (*lacking, *but)]] = False
     words = [(c, f) for c, f in zip(claimed.groups, computed.groups, strict=True)]
     status = claimed.status_index != computed.status_index
     group = np.array([c != f for c, f in words], dtype=bool)

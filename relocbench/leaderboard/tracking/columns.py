@@ -85,7 +85,9 @@ def _metric(board: Board, metric: Metric) -> list[TrackingColumn]:
         definition=metric.description,
         higher_is_better=metric.higher_is_better,
     )
-    return [column, *(bounds_columns([name]) if metric in board.with_interval else [])]
+    pairs: TrackingColumn = Column(f"{name}_pairs", lambda line: line.table.over[name])
+    bounds = bounds_columns([name]) if metric in board.with_interval else []
+    return [column, *bounds, *([pairs] if metric.over is not None else [])]
 
 
 def _seconds(line: TrackingLine) -> str:

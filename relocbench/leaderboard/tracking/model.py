@@ -124,6 +124,8 @@ class Table:
     """number of pairs whose ground truth was rejected; known only of whole pair sets"""
     medians: Mapping[str, float | None]
     """distance_m and angle_deg of the pairs, sigma_translation_m and sigma_rotation_deg of the ground truth"""
+    over: Mapping[str, int]
+    """number of pairs of metrics that are over some of the pairs"""
     finer: frozenset[str]
     """metrics with a threshold finer than the ground truth allows"""
     rows: tuple[Row, ...]

@@ -137,7 +137,11 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
 def _more(table: Table) -> str:
     """The measures that are folded away, one a line and methods side by side; empty where no method has any."""
     known = [m for m in shown_in("more") if any(row.values[m.name] is not None for row in table.rows)]
-    lines = [[plain_heading(m), *(cell(m, row, table, interval=False) for row in table.rows)] for m in known]
+    over = {m.name: f" ({table.over[m.name]} pairs)" for m in known if m.over is not None}
+    lines = [
+        [plain_heading(m) + over.get(m.name, ""), *(cell(m, row, table, interval=False) for row in table.rows)]
+        for m in known
+    ]
     return table_text(["measure", *(name(row) for row in table.rows)], lines, left=1) if lines else ""
 
 

@@ -107,6 +107,7 @@ def _table(entry: DatasetEntry, plan: Plan, metric: Metric, seed: int) -> Table:
         pairs=sum(record.pairs for record in records) if whole else sum(map(len, asked)),
         rejected=sum(record.rejected for record in records) if whole else None,
         medians=_medians(asked),
+        over=_over(asked),
         finer=_finer(entry, plan.units),
         rows=tuple(rows),
         seeds=tuple(_seed_rows(rows)),
@@ -126,6 +127,11 @@ def _medians(asked: Sequence[ErrorTable]) -> dict[str, float | None]:
         known = values[~np.isnan(values)]
         out[name] = float(np.median(known)) if known.size else None
     return out
+
+
+def _over(asked: Sequence[ErrorTable]) -> dict[str, int]:
+    """The number of pairs of metrics that are over some of them."""
+    return {m.name: sum(m.over(rows.scores) for rows in asked) for m in METRICS if m.over is not None}
 
 
 def _finer(entry: DatasetEntry, names: Sequence[str]) -> frozenset[str]:

@@ -30,6 +30,8 @@ class Metric:
     """the value over all pairs; None when its inputs (seconds, confidence, cameras) were not given"""
     per_pair: Callable[[PoseErrors], Array] | None = None
     """(N,) values whose plain mean is the metric, for metrics that are such a mean: the bootstrap resamples them"""
+    over: Callable[[PairScores], int] | None = None
+    """the number of pairs that the metric is over, where it is not over all; tables show it beside the value"""
     translation_threshold_m: float | None = None
     rotation_threshold_deg: float | None = None
     shown: frozenset[Place] = frozenset()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,10 @@ PRECISIONS_PERCENT: tuple[int, ...] = (95, 99)
 """the precision of the answers that are kept, where the share that can be kept is measured"""
 VCRE_THRESHOLD = 0.1
 """of the image's diagonal, as in Map-free relocalization, whose images have a diagonal of 900 px"""
+OVERLAPS: tuple[float, ...] = (-math.inf, 0.1, 0.2, 0.5, math.inf)
+"""ends of the ranges of overlap whose pairs are counted apart; a range includes its lower end"""
+SCALE_CHANGES: tuple[float, ...] = (-math.inf, 1.15, 1.4, 1.8, math.inf)
+"""the same of the change of scale; a range includes its upper end"""
 STRETCHES: tuple[int, ...] = (2, 5, 10)
 """numbers of wrong queries in a row from which a stretch is counted"""
 RUNS: tuple[int, ...] = (3, 5)
@@ -263,6 +269,42 @@ def _median_vcre() -> Metric:
     return _of_vcre("median_vcre", description, lambda vcre, _: float(np.median(vcre)), higher_is_better=False)
 
 
+def _recall_where(
+    column: str, name: str, words: str, low: float, high: float, inside: Callable[[Array], Mask]
+) -> Metric:
+    """The recall over the pairs whose value in a column lies in a range; a value that is not known lies in none."""
+    metres, degrees = CORRECT
+    ends = f"to_{high:g}" if low == -math.inf else f"over_{low:g}" if high == math.inf else f"{low:g}_to_{high:g}"
+
+    def compute(scores: PairScores) -> float | None:
+        rows = inside(scores.column(column))
+        return float(np.mean(within(scores.errors, metres, degrees)[rows])) if rows.any() else None
+
+    return Metric(
+        f"recall_{name}_{ends}@({metres:g}m,{degrees:g}deg)",
+        "share",
+        True,
+        f"share of the pairs with {words} with translation_error_m <= {metres:g} and rotation_error_deg <= "
+        f"{degrees:g}; nothing without such a pair",
+        compute,
+        over=lambda scores: int(np.count_nonzero(inside(scores.column(column)))),
+        translation_threshold_m=metres,
+        rotation_threshold_deg=degrees,
+    )
+
+
+def _recall_by_overlap(low: float, high: float) -> Metric:
+    parts = (f"overlap >= {low:g}" if low > 0 else "", f"overlap < {high:g}" if high < 1 else "")
+    words = " and ".join(filter(None, parts))
+    return _recall_where("overlap", "overlap", words, low, high, lambda v: (low <= v) & (v < high))
+
+
+def _recall_by_scale(low: float, high: float) -> Metric:
+    parts = (f"change of scale > {low:g}" if low > 1 else "", f"change of scale <= {high:g}" if high < math.inf else "")
+    words = " and ".join(filter(None, parts))
+    return _recall_where("scale_change", "scale", words, low, high, lambda v: (low < v) & (v <= high))
+
+
 def _of_drives(
     name: str, unit: str, higher_is_better: bool, description: str, value: Callable[[list[Drive]], float | None]
 ) -> Metric:
@@ -350,6 +392,8 @@ METRICS: tuple[Metric, ...] = (
     *(_shown(_lost_queries(least), "more") for least in STRETCHES),
     *(_shown(_lost_stretches(least), "more") for least in STRETCHES),
     *(_shown(_run_recall(length), "more") for length in RUNS),
+    *(_shown(_recall_by_overlap(*ends), "more") for ends in pairwise(OVERLAPS)),
+    *(_shown(_recall_by_scale(*ends), "more") for ends in pairwise(SCALE_CHANGES)),
     _confidence_area(*CORRECT),
     _shown(_risk_coverage_area(), "confidence"),
     _shown(_wrong_of_answered(), "confidence"),

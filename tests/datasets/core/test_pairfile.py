@@ -15,6 +15,7 @@ from relocbench.datasets.checks.faults import Findings, read_pair_table
 from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.pairfile import (
     AXIS_COLUMNS,
+    SCALE_COLUMNS,
     TABLE_COLUMNS,
     Pair,
     PoseLine,
@@ -148,6 +149,22 @@ def test_a_table_keeps_what_nine_columns_cannot_and_rejected_pairs_stay_out_of_t
     assert back[0].distance_m == pytest.approx(np.sqrt(5.25))
     assert back[0].angle_deg == pytest.approx(90.0)
     assert back[2].distance_m is None
+
+
+def test_a_change_of_scale_is_kept_where_it_is_known_and_hidden_with_the_truth(tmp_path: Path) -> None:
+    known = [replace(p, overlap=0.5, scale_change=1.25) for p in PAIRS]
+    pair_file, table = write(tmp_path, known)
+    assert table.read_text().splitlines()[0] == ",".join(TABLE_COLUMNS + SCALE_COLUMNS)
+    assert [(p.overlap, p.scale_change) for p in read_pairs(pair_file, table)] == [
+        (0.5, 1.25),
+        (0.5, 1.25),
+        (None, None),
+    ]
+    found = Findings()
+    read_pair_table(table, found)
+    assert not found.faults
+    both = [replace(p, sigma_along_m=0.03) for p in known]
+    assert [(p.sigma_along_m, p.scale_change) for p in read_pairs(*write(tmp_path, both))][:2] == [(0.03, 1.25)] * 2
 
 
 def test_sigmas_by_axis_are_kept_where_they_are_known(tmp_path: Path) -> None:

@@ -14,10 +14,15 @@ from refusals import refused
 
 from relocbench.arrays import Array, Floats, Mask
 from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
-from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences, spread_sample
+from relocbench.datasets.pairs.correspondences import (
+    PairCorrespondences,
+    pair_correspondences,
+    scale_change,
+    spread_sample,
+)
 from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, reference_z_buffer, see, warp
 from relocbench.errors import DatasetError
-from relocbench.geometry import Camera, invert, make_transform, se3_exp
+from relocbench.geometry import Camera, invert, make_transform, se3_exp, so3_exp
 from relocbench.tracking import KeyframePoints, Reference
 
 PINHOLE = Camera("pinhole", 160, 120, 120.0, 120.0, 79.5, 59.5)
@@ -136,7 +141,40 @@ def test_overlap_is_the_share_of_the_reference_that_the_query_sees() -> None:
     T_query_ref = make_transform(np.eye(3), [-2.96, 0, 0])
     found = pair_correspondences(reference, T_query_ref, DepthView(PINHOLE), 100, np.random.default_rng(0))
     assert found.overlap == pytest.approx(124 / 160, abs=1e-9)
+    assert found.scale_change is not None
+    assert 1.0 < found.scale_change < 1.1
     assert len(found) == 100
+
+
+@pytest.mark.parametrize(
+    ("camera", "T_query_ref", "expected"),
+    [
+        (PINHOLE, make_transform(np.eye(3), [0, 0, -5.0]), 2.0),  # from 10 m to 5 m
+        (PINHOLE, make_transform(np.eye(3), [0, 0, 10.0]), 2.0),  # from 10 m to 20 m
+        (PINHOLE.scaled(1.5), np.eye(4), 1.5),
+        (PINHOLE.scaled(2.0), make_transform(np.eye(3), [0, 0, 10.0]), 1.0),
+        (PINHOLE, make_transform(so3_exp([0.0, 0.4, 0.0]), np.zeros(3)), 1.0),
+    ],
+)
+def test_a_change_of_scale_is_of_distance_and_focal_length_and_not_of_direction(
+    camera: Camera, T_query_ref: Array, expected: float
+) -> None:
+    centre = np.array([[PINHOLE.cx, PINHOLE.cy]])
+    assert scale_change(centre, np.array([10.0]), PINHOLE, camera, T_query_ref) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_change_of_scale_is_the_median_and_the_same_both_ways() -> None:
+    T_query_ref = se3_exp(np.array([0.3, -0.2, -1.5, 0.02, 0.05, -0.01]))
+    rng = np.random.default_rng(4)
+    points = np.column_stack([rng.uniform(20, 140, (51, 2)), rng.uniform(4, 20, 51)])
+    there, depth, valid = warp(points, PINHOLE, RADTAN, T_query_ref)
+    assert valid.all()
+    forth = scale_change(points[:, :2], points[:, 2], PINHOLE, RADTAN, T_query_ref)
+    back = scale_change(there, depth, RADTAN, PINHOLE, invert(T_query_ref))
+    assert forth == pytest.approx(back, rel=1e-6)
+    each = [scale_change(p[None, :2], p[2:], PINHOLE, RADTAN, T_query_ref) for p in points]
+    assert forth == pytest.approx(float(np.median(np.array(each, dtype=np.float64))))
+    assert scale_change(points[:0, :2], points[:0, 2], PINHOLE, RADTAN, T_query_ref) is None
 
 
 def test_samples_are_spread_and_repeatable() -> None:

@@ -45,6 +45,14 @@ SCORES = {
         "lost_stretches_of_10@(0.25m,2deg)": 0.0,
         "run_recall_3@(0.25m,2deg)": 0.5,
         "run_recall_5@(0.25m,2deg)": 0.5,
+        "recall_overlap_to_0.1@(0.25m,2deg)": 1.0,
+        "recall_overlap_0.1_to_0.2@(0.25m,2deg)": 1.0,
+        "recall_overlap_0.2_to_0.5@(0.25m,2deg)": 0.5,
+        "recall_overlap_over_0.5@(0.25m,2deg)": 0.0,
+        "recall_scale_to_1.15@(0.25m,2deg)": 1.0,
+        "recall_scale_1.15_to_1.4@(0.25m,2deg)": 1.0,
+        "recall_scale_1.4_to_1.8@(0.25m,2deg)": 0.0,
+        "recall_scale_over_1.8@(0.25m,2deg)": 0.0,
         "confidence_auc_pr@(0.25m,2deg)": 0.2984126984126984,
         "aurc@(0.25m,2deg)": 0.4949206349206349,
         "wrong_of_answered@(0.25m,2deg)": 0.4444444444444444,
@@ -68,7 +76,14 @@ def scores() -> dict[str, float | int | None]:
     seconds, confidence = 0.1 + 0.1 * steps.astype(np.float64), np.cos(steps.astype(np.float64))
     vcre = reprojection_errors(off @ truth, truth, Camera("pinhole", 96, 72, 240.0, 240.0, 47.5, 35.5), steps < 9)
     all_known = PairScores(
-        errors, seconds, confidence, vcre, travelled_m=1.5 * steps.astype(np.float64), query_ns=10**9 * steps
+        errors,
+        seconds,
+        confidence,
+        vcre,
+        travelled_m=1.5 * steps.astype(np.float64),
+        overlap=0.08 * steps.astype(np.float64),
+        scale_change=1 + 0.1 * steps.astype(np.float64),
+        query_ns=10**9 * steps,
     )
     return summarize_scores(all_known).to_dict()
 

@@ -239,8 +239,8 @@ def test_the_floor_of_times_is_not_fitted_to_them(dataset: Dataset, plain: Datas
 def test_withheld_truth_does_not_say_which_pairs_they_are(tmp_path: Path) -> None:
     withheld = make_small_dataset(tmp_path / "d", frames=8, elsewhere=COUNT, truth=False)
     pair_set = withheld.pair_set(ACROSS)
-    assert {(p.group, p.overlap, p.source, p.distance_m) for p in pair_set.evaluated} == {
-        ("", None, pair_set.evaluated[0].source, None)
+    assert {(p.group, p.overlap, p.scale_change, p.source, p.distance_m) for p in pair_set.evaluated} == {
+        ("", None, None, pair_set.evaluated[0].source, None)
     }
     assert len(pair_set.pairs) == len(pair_set.evaluated)
     assert relocbench("validate", withheld.root).status == 0

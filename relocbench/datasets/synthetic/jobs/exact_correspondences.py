@@ -88,4 +88,4 @@ def exact_correspondences(
     rays, _ = camera.unproject(pixels)
     visible = inside.copy()
     visible[inside] = query.sees(apply(reference.T_world_cam, (rays * depth[:, None])[inside]))
-    return exact_pair(camera, pixels, depth, uv_query, inside, visible, count, rng)
+    return exact_pair(camera, pixels, depth, uv_query, inside, visible, count, rng, query.camera, T_query_ref)
