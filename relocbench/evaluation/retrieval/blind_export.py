@@ -39,18 +39,13 @@ class BlindImages:
         edition: exports of other editions have other keys, so that answers to one are not answers to another.
 
     Raises:
-        DatasetError: the truth is withheld, or follows from options without a salt.
-        ConfigError: the set was built with another salt.
+        DatasetError: the truth is withheld.
     """
 
     def __init__(self, opened: OpenedSet, salt: Salt, edition: int = 1) -> None:
         if opened.source is None:
             raise DatasetError(f"the truth of '{opened.name}' is withheld, and answers could not be scored")
-        source = opened.source
-        self.root = source.dataset.root if isinstance(source, StreetPlaces) else source.root
-        described = source.dataset.file if isinstance(source, StreetPlaces) else source
-        check_salt(salt, described.made_by, opened.name, self.root)
-        self.opened, self.licence = opened, described.licence
+        self.opened, self.source, self.salt = opened, opened.source, salt
         self._secret = BlindSecret(salt, "blind export of images 2", opened.content_id, edition)
 
     @property
@@ -82,10 +77,14 @@ def export_blind_images(keys: BlindImages, out: Path, reporter: Reporter) -> Bli
     Images are written anew from their pixels, so that no metadata comes with them, and in the order of their keys.
 
     Raises:
-        DatasetError: an image cannot be read.
-        ConfigError: ``out`` lies inside the dataset or holds something else.
+        DatasetError: an image cannot be read, or the truth follows from options without a salt.
+        ConfigError: ``out`` lies inside the dataset or holds something else, or the set was built with another salt.
     """
-    check_outside(out, keys.root)
+    source = keys.source
+    root = source.dataset.root if isinstance(source, StreetPlaces) else source.root
+    described = source.dataset.file if isinstance(source, StreetPlaces) else source
+    check_salt(keys.salt, described.made_by, keys.opened.name, root)
+    check_outside(out, root)
     _check_empty(out, str(keys.name))
     views: dict[str, ImageView] = {}
     tasks = sorted(((keys.tasks[task.name], task) for task in keys.opened.all_tasks), key=lambda named: named[0])
@@ -106,7 +105,7 @@ def export_blind_images(keys: BlindImages, out: Path, reporter: Reporter) -> Bli
     write_text(out / "images.csv", text)
     file = BlindSetFile(
         name=str(keys.name),
-        licence=keys.licence,
+        licence=described.licence,
         fingerprint=fingerprint_of(str(keys.name), text, sides),
         tasks={name: _described(task) for name, task in tasks},
     )

@@ -16,7 +16,7 @@ from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.errors import DatasetError
-from relocbench.evaluation.common.blind_names import KIND
+from relocbench.evaluation.common.blind_names import KIND, check_salt
 from relocbench.evaluation.common.opening import check_outside
 from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.geometry import Camera
@@ -31,10 +31,12 @@ def export_blind(keys: BlindKeys, out: Path, reporter: Reporter) -> Dataset:
     There are no poses, hence no neighbours of keyframes; no conditions, places and rigs; no groups and sigmas of pairs.
 
     Raises:
-        DatasetError: the truth is withheld, there are no images, or ``out`` holds something else.
-        ConfigError: ``out`` lies inside the dataset.
+        DatasetError: the truth is withheld, or follows from options without a salt; there are no images, or ``out``
+            holds something else.
+        ConfigError: ``out`` lies inside the dataset, or the dataset was built with another salt.
     """
     dataset = keys.dataset
+    check_salt(keys.salt, dataset.file.made_by, dataset.name, dataset.root)
     check_outside(out, dataset.root)
     dataset.require_images(
         dataset.pair_sets(), "a blind export would hold keys alone, and nobody could tell of which frames they are"

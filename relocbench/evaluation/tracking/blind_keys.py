@@ -12,7 +12,7 @@ from relocbench.datasets.core.layout import pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.salt import Salt
-from relocbench.evaluation.common.blind_names import BlindName, BlindSecret, check_salt
+from relocbench.evaluation.common.blind_names import BlindName, BlindSecret
 
 
 class BlindKeys:
@@ -21,15 +21,10 @@ class BlindKeys:
     Args:
         salt: exports with other salts have other keys, and whoever does not have it cannot compute one.
         edition: exports of other editions have other keys, so that answers to one are not answers to another.
-
-    Raises:
-        DatasetError: the truth of the dataset follows from its options, and no salt went into it.
-        ConfigError: the dataset was built with another salt.
     """
 
     def __init__(self, dataset: Dataset, salt: Salt, edition: int = 1) -> None:
-        check_salt(salt, dataset.file.made_by, dataset.name, dataset.root)
-        self.dataset = dataset
+        self.dataset, self.salt = dataset, salt
         self._secret = BlindSecret(salt, "blind export 2", dataset.content_id, edition)
 
     @property

@@ -119,11 +119,13 @@ def test_what_follows_from_a_seed_is_exported_with_the_salt_that_it_was_built_wi
     town = make_small_dataset(tmp_path / "ds", frames=4, size=(48, 36))
     change_yaml(town.root / "dataset.yaml", lambda file: file.update(made_by=made_by))
     with refused(DatasetError, town.root, None, town.name, "--salt-file"):
-        BlindKeys(Dataset(town.root), salt())
+        blind_export(Dataset(town.root), tmp_path / "b")
+    change_yaml(town.root / "dataset.yaml", lambda file: file["made_by"].update(salt=salt(OTHER_TEXT).check))
+    with refused(ConfigError, salt().path, None, town.name):
+        blind_export(Dataset(town.root), tmp_path / "b")
+    assert not (tmp_path / "b").exists()
     change_yaml(town.root / "dataset.yaml", lambda file: file["made_by"].update(salt=salt().check))
-    with refused(ConfigError, salt(OTHER_TEXT).path, None, town.name):
-        BlindKeys(Dataset(town.root), salt(OTHER_TEXT))
-    assert BlindKeys(Dataset(town.root), salt()).name
+    assert blind_export(Dataset(town.root), tmp_path / "b").name
 
 
 def test_answers_need_the_salt_of_the_export(town: Dataset, blind: Dataset, tmp_path: Path) -> None:
