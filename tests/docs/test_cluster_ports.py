@@ -11,12 +11,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import check_docs
 import pytest
 from repository import DOCS, ROOT
-from tutorial_pages import check_docs, environment
+from tutorial_pages import environment
 
-psutil = pytest.importorskip("psutil", reason="Dask brings it")
+psutil: Any = pytest.importorskip("psutil", reason="Dask brings it")
 pytest.importorskip("distributed")
 
 COMMANDS = re.compile(r"^(?:dask|openssl) .+", re.MULTILINE)
@@ -99,6 +101,6 @@ def listening(pid: int) -> set[str]:
     return {connection.laddr.ip for connection in found if connection.status == psutil.CONN_LISTEN}
 
 
-def family(pid: int) -> list[psutil.Process]:
+def family(pid: int) -> list[Any]:
     parent = psutil.Process(pid)
     return [parent, *parent.children(recursive=True)]
