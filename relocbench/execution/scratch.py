@@ -11,6 +11,7 @@ import fcntl
 import os
 import secrets
 import shutil
+import subprocess
 import tempfile
 import weakref
 from collections.abc import Mapping
@@ -105,11 +106,19 @@ def sweep() -> None:
             try:
                 if os.fstat(descriptor).st_uid == os.geteuid():
                     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # an owner that lives holds it
-                    shutil.rmtree(path, ignore_errors=True)
+                    _remove_tree(path)
             finally:
                 os.close(descriptor)
 
 
 def _remove(path: Path, descriptor: int) -> None:
-    shutil.rmtree(path, ignore_errors=True)
+    _remove_tree(path)
     os.close(descriptor)
+
+
+def _remove_tree(path: Path) -> None:
+    """Remove what a method has left, as far as that can be removed."""
+    try:
+        shutil.rmtree(path, ignore_errors=True)
+    except RecursionError:  # folders in folders, a thousand deep
+        subprocess.run(["rm", "-rf", "--", path], check=False, stderr=subprocess.DEVNULL)

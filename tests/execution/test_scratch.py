@@ -42,6 +42,17 @@ def test_it_is_removed_with_its_owner(base: Path) -> None:
     assert list(base.iterdir()) == []
 
 
+def test_folders_in_folders_a_thousand_deep_are_removed(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = ScratchFolder()
+    monkeypatch.chdir(folder.path)
+    for _ in range(1500):
+        os.mkdir("f")  # noqa: PTH102  the whole path is too long to be named
+        os.chdir("f")
+    os.chdir(base)
+    folder.remove()
+    assert list(base.iterdir()) == []
+
+
 def test_one_that_a_killed_process_left_is_removed_by_the_next_and_a_living_ones_is_not(base: Path) -> None:
     owner = subprocess.Popen([sys.executable, "-c", OWNER], stdout=subprocess.PIPE, text=True)
     assert owner.stdout is not None
