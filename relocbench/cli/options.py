@@ -74,6 +74,14 @@ MemoryLimit = Annotated[
         rich_help_panel=_RUN,
     ),
 ]
+OneCore = Annotated[
+    bool | None,
+    typer.Option(
+        "--one-core",
+        help="Run one pair at a time in processes that are bound to a single core, so that seconds compare (Linux).",
+        rich_help_panel=_RUN,
+    ),
+]
 Sandbox = Annotated[
     Literal["auto", "required", "none"] | None,
     typer.Option(

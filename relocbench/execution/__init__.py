@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, Self, TypeVar
 
 from relocbench.errors import ConfigError
-from relocbench.execution.calling import messages_to_stderr, pin_threads
+from relocbench.execution.calling import messages_to_stderr, on_one_core, pin_threads
 from relocbench.execution.descendants import end_descendants
 from relocbench.execution.limits import (
     IN_A_ROW,
@@ -25,7 +25,7 @@ from relocbench.execution.limits import (
     parse_size,
     step,
 )
-from relocbench.execution.memory import can_watch
+from relocbench.execution.memory import can_watch, peak_resident_bytes
 from relocbench.execution.namespaces import SIGNALLED
 from relocbench.execution.processes import kept_workers, run_on_processes, run_with_limits
 from relocbench.execution.sandbox import NONE, Sandbox, working_sandbox
@@ -52,7 +52,9 @@ __all__ = [
     "end_workers",
     "kept_workers",
     "messages_to_stderr",
+    "on_one_core",
     "parse_size",
+    "peak_resident_bytes",
     "pin_threads",
     "run_limited",
     "run_units",
@@ -77,6 +79,8 @@ class Run:
     """limits of each call of third-party code (:func:`run_limited`); a scheduler's workers have limits of their own"""
     sandbox: SandboxChoice = "auto"
     """whether processes of methods have a sandbox: where the system has one, always (or not at all), or never"""
+    one_core: bool = False
+    """whether processes of methods are bound to one core, as by :func:`on_one_core`"""
 
     @property
     def in_subprocess(self) -> bool:

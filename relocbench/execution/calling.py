@@ -45,6 +45,23 @@ def single_threaded_children() -> Iterator[None]:
 
 
 @contextmanager
+def on_one_core(wanted: bool) -> Iterator[None]:
+    """Bind this thread, and the processes that it starts meanwhile, to a single core where that is wanted.
+
+    A process may unbind itself: nothing short of privileges forbids it.
+    """
+    if not wanted:
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+@contextmanager
 def messages_to_stderr() -> Iterator[None]:
     """Redirect standard output to standard error while third-party code runs: only a command's result belongs on it.
 

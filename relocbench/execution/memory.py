@@ -31,6 +31,29 @@ def resident_bytes(pid: int) -> int:
     return sum(_proportional(each) for each in (pid, *children))
 
 
+def peak_resident_bytes(pid: int, launchers: int = 0) -> int | None:
+    """The most resident memory that the processes below one have had, each at its own time, from ``VmHWM``.
+
+    Pages that several of them share are counted for each, and those that have ended are not counted.
+
+    Args:
+        launchers: how many processes of the line below it only start the next one, and are not counted.
+
+    Returns:
+        bytes; None where the system does not tell.
+    """
+    peaks = [_high_water(each) for each in descendants(pid)[launchers:]]
+    return sum(peaks) if any(peaks) else None
+
+
+def _high_water(pid: int) -> int:
+    try:
+        lines = (PROC / str(pid) / "status").read_text().splitlines()
+        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM:"))
+    except (OSError, StopIteration):
+        return 0
+
+
 def _resident(pid: int) -> int:
     try:
         return int((PROC / str(pid) / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

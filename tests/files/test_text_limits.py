@@ -122,7 +122,7 @@ def test_rows_are_counted_by_the_lines_of_the_file_and_keep_their_characters(tmp
 def test_a_message_with_any_line_break_comes_back_from_a_table_of_answers(tmp_path: Path) -> None:
     path = tmp_path / "set.csv"
     message = "first\x0bsecond\x85third\u2028fourth\nfifth"
-    path.write_text(f'{",".join(ANSWERS.columns)}\n1,2,error,,,"{message}",\n')
+    path.write_text(f'{",".join(ANSWERS.columns[:7])}\n1,2,error,,,"{message}",\n')
     assert read_pair_answers(path)[1, 2].message == message
 
 

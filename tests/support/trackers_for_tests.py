@@ -40,6 +40,17 @@ class Certain:
 
 
 @dataclass
+class Costly(Shift):
+    """Takes memory for each answer, and says on how many cores it may run."""
+
+    takes_mib: int = 0
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        taken = np.ones(self.takes_mib * 2**17)
+        return TrackResult(np.eye(4), info={"cores": len(os.sched_getaffinity(0)), "sum": float(taken.sum())})
+
+
+@dataclass
 class Logging(Shift):
     """A line in ``log`` for each question; sleeps, kills its process, fails or raises where it is told to."""
 

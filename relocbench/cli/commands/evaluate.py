@@ -46,6 +46,7 @@ def evaluate(
     time_limit: common.TimeLimit = None,
     memory_limit: common.MemoryLimit = None,
     sandbox: common.Sandbox = None,
+    one_core: common.OneCore = None,
     workers: common.AskingWorkers = None,
     scheduler: common.Scheduler = None,
     scheduler_tls_ca: common.SchedulerTlsCa = None,

@@ -113,6 +113,8 @@ class RunRecord(Strict):
     """whether the method ran in a process without dataset and truth; None where that is not known"""
     sandbox: str = ""
     """what kept its process from the rest of the system: namespaces, bubblewrap or none; empty if that is not known"""
+    one_core: bool = False
+    """whether all of it ran on a single core, one pair at a time"""
     uses_times: bool = False
     """whether the method was shown the times of images, as it declared to need"""
     made_elsewhere: bool = False

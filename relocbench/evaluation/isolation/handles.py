@@ -56,6 +56,11 @@ class TrackerHandle(Protocol):
         """The answers to queries, and the seconds that the tracker took for them together."""
         ...
 
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        """The most resident memory of its process so far; None where it has none of its own, or none is told."""
+        ...
+
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
         """Where pixels of the keyframe are in the query (N, 2); or None, and how the tracker broke."""
         ...
@@ -67,6 +72,8 @@ class TrackerHandle(Protocol):
 
 class LocalTracker:
     """A tracker in this process."""
+
+    peak_memory_bytes: int | None = None
 
     def __init__(self, tracker: Any) -> None:
         self._tracker = tracker

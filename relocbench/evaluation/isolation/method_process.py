@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.isolation.framing import FramingFault, receive_answer, send_request
-from relocbench.execution import SIGNALLED, Sandbox, ScratchFolder, end_descendants, shared_folders
+from relocbench.execution import SIGNALLED, Sandbox, ScratchFolder, end_descendants, peak_resident_bytes, shared_folders
 from relocbench.methods import keeper
 
 Arrays = list[NDArray[np.floating]]
@@ -109,6 +109,11 @@ class MethodProcess:
             self.close()
             end_descendants()
             os._exit(os.EX_PROTOCOL)
+
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        """The most resident memory of the method's process and its children so far; None where it is not told."""
+        return peak_resident_bytes(self._process.pid, launchers=1 if self._sandboxed else 0)
 
     def close(self) -> None:
         """End the process."""

@@ -50,6 +50,10 @@ class IsolatedTracker:
         answers = answer.get("answers") if isinstance(answer, dict) else None
         return _answers(answers, poses, len(views)), seconds
 
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        return self._process.peak_memory_bytes
+
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
         answer, ends = self._process.ask(("match", (query, uv_ref, uv_start)))
         return checked_pixels(ends[0] if ends else None, crash_of(answer), len(uv_ref))

@@ -30,7 +30,7 @@ from relocbench.datasets.core.traversal import Traversal
 from relocbench.evaluation.isolation.handles import LocalTracker, TrackerHandle
 from relocbench.evaluation.isolation.tracker import IsolatedTracker
 from relocbench.evaluation.isolation.views import masked_query, masked_reference
-from relocbench.execution import IN_A_ROW, MANY_TIMES, Loss, Run, Sandbox, chunks, run_limited, step
+from relocbench.execution import IN_A_ROW, MANY_TIMES, Loss, Run, Sandbox, chunks, on_one_core, run_limited, step
 from relocbench.files import read_journal
 from relocbench.methods import MethodSpec
 from relocbench.tracking import Query
@@ -50,6 +50,8 @@ class Visibility:
     """it declares that it uses the times of images"""
     sandbox: Sandbox = field(default_factory=Sandbox)
     """where its process runs"""
+    one_core: bool = False
+    """its process is bound to a single core"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ class Unit:
 
 def visibility_of(spec: MethodSpec, run: Run, dataset: Dataset, results: Path) -> Visibility:
     """What a method sees in a run on a dataset whose results are in a folder. Raises MethodError and ConfigError."""
-    return Visibility(run.in_subprocess, spec.uses_times(), run.sandbox_hiding(dataset.root, results))
+    sandbox = run.sandbox_hiding(dataset.root, results)
+    return Visibility(run.in_subprocess, spec.uses_times(), sandbox, run.one_core)
 
 
 def units_of(
@@ -199,7 +202,7 @@ def time_factor(function: str, unit: Unit, pairs: int = 1) -> float:
     return MANY_TIMES if first else min(float(pairs), MANY_TIMES)
 
 
-_trackers: dict[tuple[str, bool, Path, str, str, str], TrackerHandle] = {}
+_trackers: dict[tuple[str, str, Path, str, str, str], TrackerHandle] = {}
 """the tracker of this process, by what it is and by the pair set that it is asked about"""
 
 
@@ -209,7 +212,7 @@ def tracker_of(unit: Unit) -> TrackerHandle:
     What it saw in one pair set it must not remember in the next, where a drive that was the map may be asked: its
     process ends with the set, and its home and temporary files with it.
     """
-    known = repr(unit.spec), unit.visibility.isolated, unit.dataset, unit.reference, unit.query, unit.camera
+    known = repr(unit.spec), repr(unit.visibility), unit.dataset, unit.reference, unit.query, unit.camera
     if known not in _trackers:
         _trackers.clear()
         _called.clear()
@@ -220,7 +223,8 @@ def tracker_of(unit: Unit) -> TrackerHandle:
 
 def _made(unit: Unit) -> TrackerHandle:
     if unit.visibility.isolated:
-        return IsolatedTracker(unit.spec, unit.visibility.sandbox)
+        with on_one_core(unit.visibility.one_core):
+            return IsolatedTracker(unit.spec, unit.visibility.sandbox)
     return LocalTracker(unit.spec.create())
 
 

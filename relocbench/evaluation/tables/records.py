@@ -148,9 +148,11 @@ class Answer(PairRecord):
     message: Annotated[str, TEXT] = ""
     info: Annotated[str, TEXT] = ""
     """JSON object with whatever else the method reported"""
+    peak_memory_bytes: Annotated[int | None, or_blank(COUNT)] = None
+    """the most resident memory of the method's process until this answer, as the evaluator measured it"""
 
 
-ANSWERS = Schema(Answer)
+ANSWERS = Schema(Answer, added_later=1)
 
 
 def write_answers(path: Path, answers: Sequence[Answer]) -> None:
@@ -194,9 +196,11 @@ class PairErrors(PairRecord):
     """share of the keyframe's pixels with depth that the query sees"""
     scale_change: Annotated[float | None, NUMBER] = None
     """median change of scale of what it sees, 1 or more"""
+    peak_memory_bytes: Annotated[float | None, NUMBER] = None
+    """as in the table of answers"""
 
 
-ERRORS = Schema(PairErrors, added_later=4)
+ERRORS = Schema(PairErrors, added_later=5)
 NUMBERS = ERRORS.columns[4:]
 _ERRORS, _OPTIONAL = NUMBERS[:3], NUMBERS[3:]
 _MAY_BE_INFINITE = [*range(len(_ERRORS)), NUMBERS.index("vcre")]
@@ -308,6 +312,7 @@ class ErrorTable(Sequence[PairErrors]):
             travelled_m=self.column("travelled_m"),
             overlap=self.column("overlap"),
             scale_change=self.column("scale_change"),
+            peak_memory_bytes=self.column("peak_memory_bytes"),
             query_ns=self.keys[:, 1],
         )
 

@@ -170,9 +170,19 @@ def one_of(names: Sequence[str]) -> Kind[str]:
 
 def or_blank(kind: Kind[T]) -> Kind[T | None]:
     """As another kind, or nothing at all."""
+
+    def quick(texts: Sequence[str]) -> list[T | None] | None:
+        filled = [text for text in texts if text]
+        given = kind.quick(filled) if filled else []
+        if given is None:
+            return None
+        values = iter(given)
+        return [next(values) if text else None for text in texts]
+
     return Kind(
         lambda row, name: kind.read(row, name) if row[name] else None,
         lambda value: "" if value is None else kind.text(value),
+        quick,
     )
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -32,7 +33,7 @@ from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import run_method
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.evaluation.tracking.trivial import CLOCK, is_identity, run_clock, run_identity
-from relocbench.execution import kept_workers
+from relocbench.execution import Run, kept_workers
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
@@ -42,6 +43,23 @@ class EvaluateOptions(AnswerOptions, ExecutionOptions):
 
     matching: bool = False
     """whether to measure matching quality, of methods that have ``match`` and on pair sets with correspondences"""
+    one_core: bool = False
+    """whether to run one pair at a time on a single core, so that seconds compare between methods and machines"""
+
+    @property
+    def run(self) -> Run:
+        return replace(super().run, workers=1, one_core=True) if self.one_core else super().run
+
+    @model_validator(mode="after")
+    def _one_core_is_one_process(self) -> Self:
+        elsewhere = self.scheduler is not None or self.predictions is not None
+        if self.one_core and (elsewhere or self.workers not in (None, 1)):
+            raise ValueError(
+                "--one-core runs methods in one process at a time here: leave out --workers, --scheduler, --predictions"
+            )
+        if self.one_core and not hasattr(os, "sched_setaffinity"):
+            raise ValueError("--one-core: this system binds no process to a core (Linux does)")
+        return self
 
     @model_validator(mode="after")
     def _has_methods_to_match(self) -> Self:

@@ -6,6 +6,7 @@ An absolute pose becomes a relative one by the map's pose of the keyframe:
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from relocbench.arrays import Array
@@ -74,7 +75,10 @@ def _checked(
             raise PredictionError(f"unknown pair {key[0]} {key[1]}", table)
     lines = [PoseLine(*p.key, poses[p.key]) for p in pair_set.evaluated if p.key in poses]
     answers = [
-        given.get(p.key) or Answer(*p.key, "ok" if p.key in poses else "failed", message=_missing(p.key in poses))
+        # What memory was taken elsewhere nobody here has measured.
+        replace(given[p.key], peak_memory_bytes=None)
+        if p.key in given
+        else Answer(*p.key, "ok" if p.key in poses else "failed", message=_missing(p.key in poses))
         for p in pair_set.evaluated
     ]
     return lines, answers

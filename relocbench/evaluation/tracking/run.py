@@ -110,6 +110,7 @@ def run_method(
         "end": now(),
         "isolated": bool(begun.isolated and record.isolated),
         "sandbox": sandbox,
+        "one_core": begun.one_core and record.one_core,
     }
     write_record(folder.run_yaml, record.model_copy(update=of_all))
     return folder
@@ -151,15 +152,17 @@ def _run_unit(unit: Unit) -> int:
         for batch in _batches(unit.keys, tracker):
             views = [query_of(unit, key) for key in batch]
             seconds: float | None
+            memory = None
             if crash is not None:
                 answered, seconds = [error_answer(crash)] * len(batch), None
             else:
                 _warm_up(tracker, views[0], unit, batch)
                 with step("", tuple(batch), time_factor(_TRACK, unit, len(batch))):
                     answered, seconds = tracker.ask(views)
+                memory = tracker.peak_memory_bytes
             each = None if seconds is None else seconds / len(batch)
             for key, answer in zip(batch, answered, strict=True):
-                write_entry(stream, _entry(key, answer, each))
+                write_entry(stream, _entry(key, answer, each, memory))
     return len(unit.keys)
 
 
@@ -180,7 +183,7 @@ def _warm_up(tracker: TrackerHandle, view: Query, unit: Unit, keys: Sequence[Pai
         tracker.ask([view])
 
 
-def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[str, Any]:
+def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None, memory: int | None) -> dict[str, Any]:
     return {
         "key": list(key),
         "pose": answer.pose,
@@ -189,12 +192,13 @@ def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[s
         "confidence": answer.confidence,
         "message": answer.message,
         "info": answer.info,
+        "memory": memory,
     }
 
 
 def _write_crash(unit: Unit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
-    append_entry(unit.journal, _entry(key, error_answer(message), None))
+    append_entry(unit.journal, _entry(key, error_answer(message), None, None))
 
 
 def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
@@ -207,7 +211,15 @@ def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
         if entry["pose"] is not None:
             lines.append(" ".join([*map(str, pair.key), *number_fields(entry["pose"])]) + "\n")
         answers.append(
-            Answer(*pair.key, entry["status"], entry["seconds"], entry["confidence"], entry["message"], entry["info"])
+            Answer(
+                *pair.key,
+                entry["status"],
+                entry["seconds"],
+                entry["confidence"],
+                entry["message"],
+                entry["info"],
+                entry.get("memory"),  # not in journals of earlier versions
+            )
         )
     write_text(folder.predictions(pair_set.name), "".join(lines))
     write_answers(folder.answers(pair_set.name), answers)
@@ -248,6 +260,7 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
             "confidence": answer.confidence,
             "message": answer.message,
             "info": answer.info,
+            "memory": answer.peak_memory_bytes,
         }
 
 
@@ -260,5 +273,6 @@ def new_record(dataset: Dataset, spec: MethodSpec, run: Run, visibility: Visibil
         isolated=visibility.isolated,
         sandbox=visibility.sandbox.kind,
         uses_times=visibility.times,
+        one_core=visibility.one_core,
         **made_by(spec, run.workers, seed),
     )

@@ -152,6 +152,7 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
                 travelled_m=pair_set.query_traversal.travelled_m.get(pair.query_timestamp_ns),
                 overlap=pair.overlap,
                 scale_change=pair.scale_change,
+                peak_memory_bytes=answer.peak_memory_bytes,
             )
         )
     return ErrorTable.of(rows)

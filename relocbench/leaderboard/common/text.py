@@ -48,6 +48,8 @@ def number(value: float | None, unit: str) -> str:
         return ""
     if math.isinf(value):
         return "inf"
+    if unit == "bytes":
+        return f"{value / 2**20:.0f} MiB"
     return f"{100 * value:.1f}" if unit == "share" else f"{value:.{_DIGITS[unit]}f}"
 
 

@@ -70,6 +70,7 @@ def tracking_columns(board: Board) -> dict[str, TrackingColumn]:
             Column("machine", lambda line: line.of_row(lambda row: _plain(row.method.run.machine.get("cpu")))),
             Column("cores", lambda line: line.of_row(lambda row: _plain(row.method.run.machine.get("cores")))),
             _of_run("workers", "workers"),
+            Column("one_core", lambda line: line.of_row(lambda row: _yes(row.method.run.one_core))),
         ]
     )
 

@@ -127,6 +127,7 @@ def evaluate_command(
     if method.submitted:
         return add_command(method.method, results=results, dataset=dataset)
     words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results, *method_words(method)]
+    words += ["--one-core"] if method.one_core else []
     return shlex.join([*words, "--matching"] if matching and not method.target.startswith(PREDICTIONS) else words)
 
 

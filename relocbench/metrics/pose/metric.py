@@ -23,7 +23,7 @@ class Metric:
 
     name: str
     unit: str
-    """share (0..1; printed as percent), m, deg, s, or count"""
+    """share (0..1; printed as percent), m, deg, s, bytes, or count"""
     higher_is_better: bool
     description: str
     compute: Callable[[PairScores], float | None]

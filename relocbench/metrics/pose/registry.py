@@ -130,6 +130,17 @@ def _seconds(name: str, percent: float, words: str) -> Metric:
     return Metric(name, "s", False, f"{words} of the seconds a pair, over the pairs that were run", compute)
 
 
+def _peak_memory() -> Metric:
+    def compute(scores: PairScores) -> float | None:
+        known = scores.column("peak_memory_bytes")
+        return float(np.nanmax(known)) if not np.isnan(known).all() else None
+
+    description = (
+        "most resident memory that a process of the method had, with its children, as the evaluator measured it"
+    )
+    return Metric("peak_memory_bytes", "bytes", False, description, compute)
+
+
 def _confidence_area(metres: float, degrees: float) -> Metric:
     def compute(scores: PairScores) -> float | None:
         answered = scores.errors.answered
@@ -402,6 +413,7 @@ METRICS: tuple[Metric, ...] = (
     _shown(_coverage_of_confident(), "confidence"),
     _shown(_seconds("median_seconds", 50, "median"), "terminal"),
     _seconds("p95_seconds", 95, "95th percentile"),
+    _shown(_peak_memory(), "more"),
 )
 """All metrics of a pair set, in the order in which tables show them.
 

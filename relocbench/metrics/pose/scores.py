@@ -14,7 +14,7 @@ from relocbench.metrics.pose.sequences import Drive
 
 CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence, stretches and runs are judged"""
-_COLUMNS = ("seconds", "confidence", "vcre", "travelled_m", "overlap", "scale_change")
+_COLUMNS = ("seconds", "confidence", "vcre", "travelled_m", "overlap", "scale_change", "peak_memory_bytes")
 """of floats, by their names in :class:`PairScores`"""
 
 
@@ -36,6 +36,8 @@ class PairScores:
     """(N,) shares of the keyframes' pixels with depth that the queries see; NaN or None where not known"""
     scale_change: Array | None = None
     """(N,) median changes of scale of what they see, 1 or more; NaN or None where not known"""
+    peak_memory_bytes: Array | None = None
+    """(N,) the most resident memory of the method's process until a pair was answered; NaN or None where not known"""
     query_ns: Indices | None = None
     """(N,) times of the queries; None where they are not those of a drive"""
     sets: tuple[int, ...] = ()

@@ -26,11 +26,12 @@ answers = st.builds(
     optional,
     st.text(st.characters(blacklist_characters="\0\r", blacklist_categories=["Cs"]), max_size=20),
     st.just("") | st.just('{"points": 3}'),
+    st.none() | st.integers(0, 2**40),
 )
 
 
 def write(path: Path, rows: str) -> Path:
-    path.write_text(f"{','.join(ANSWERS.columns)}\n{rows}")
+    path.write_text(f"{','.join(ANSWERS.columns[:7])}\n{rows}")  # as earlier versions wrote it
     return path
 
 
