@@ -4,7 +4,7 @@ RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
 .PHONY: help setup kernels browser test test-rest test-all test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
-.PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
+.PHONY: leaderboard recompute leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
 PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra bags --extra cluster --extra registration --extra learned \
   --extra pretrained --extra tensorboard --extra viewer --extra clouds --python-version 3.11 --custom-compile-command "make constraints"
@@ -73,6 +73,9 @@ docs: setup      ## check links and commands of docs/ and README.md, build the p
 
 leaderboard: setup ## make the published results again (RECORDINGS=folder of kitti_odometry/ and tum_rgbd/)
 	tools/publish_leaderboard.sh $(RECORDINGS)
+
+recompute: setup ## recompute the published pages and say which differ (RECORDINGS=folder, for what has predictions)
+	$(RUN)/python tools/recompute.py $(if $(wildcard $(RECORDINGS)),--recordings $(RECORDINGS))
 
 leaderboard-weather: setup ## make the published results across weathers again (renders and evaluates for hours)
 	$(RUN)/python benchmarks/publish/cross_weather.py --out leaderboard/weather --errors leaderboard/weather/errors

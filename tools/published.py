@@ -40,6 +40,7 @@ _TRACKING = (*_EVALUATION, "relocbench/evaluation/tracking", "relocbench/methods
 _TOWN = ("relocbench/datasets/synthetic", "relocbench/datasets/importers/rendered", "relocbench/datasets/pairs")
 _RETRIEVERS = ("baselines/lpn", "baselines/floors", "relocbench/evaluation/retrieval", "relocbench/retrieval.py")
 _SMALL_SETS = (
+    "tools/build_small_sets.sh",
     "tools/publish_leaderboard.sh",
     "relocbench/datasets/importers/kitti",
     "relocbench/datasets/importers/tum_rgbd",

@@ -18,7 +18,7 @@ the spread of the districts demands (``docs/statistics.md``).
 own: a run that is cut off loses the district in hand.
 
 Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made. With ``--errors``
-the errors of every pair are also packed into a folder, an archive for each method in each district, and what has one is
+predictions and errors are also packed into a folder, an archive for each method in each district, and what has one is
 not asked again. ``--only-print`` makes nothing and prints what is there: the published page follows from the published
 errors.
 
@@ -33,10 +33,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import lzma
 import subprocess
 import sys
-import tarfile
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -47,6 +45,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from archives import pack, unpack
 from districts import COUNT, NEXT_PHRASE, PHRASE, District, districts
 
 from baselines.gn_net.method import ALONG, TURNS_DEG
@@ -297,35 +296,8 @@ def _absent(methods: Sequence[str]) -> list[str]:
 
 
 def packed(errors: Path | None, district: District, label: str) -> Path:
-    """The archive of a method's errors in a district; without a folder of them one that does not exist."""
+    """The archive of a method's results in a district; without a folder of them one that does not exist."""
     return (errors or Path("nowhere")) / f"{district.number:02d}" / f"{label}.tar.xz"
-
-
-def pack(results: Path, dataset: str, label: str, out: Path) -> None:
-    """Pack the errors of every pair and the records of a method in a dataset; the same results give the same bytes."""
-    (folder,) = results.glob(f"{dataset}@*")
-    files = [folder / "dataset.yaml", *sorted((folder / label).glob("*.yaml"))]
-    files += sorted((folder / label).glob("*.errors.csv"))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part = out.with_suffix(".part")
-    with lzma.open(part, "wb", preset=9) as stream, tarfile.open(fileobj=stream, mode="w") as archive:
-        for path in files:
-            entry = tarfile.TarInfo(path.relative_to(results).as_posix())
-            entry.size = path.stat().st_size
-            with path.open("rb") as content:
-                archive.addfile(entry, content)
-    part.rename(out)
-
-
-def unpack(errors: Path, to: Path) -> Path:
-    """The folder ``to`` with the results of all archives of a folder."""
-    found = sorted(errors.glob("*/*.tar.xz"))
-    if not found:
-        sys.exit(f"{errors}: holds no archive NN/METHOD.tar.xz of errors")
-    for path in found:
-        with tarfile.open(path) as archive:
-            archive.extractall(to, filter="data")
-    return to
 
 
 def _commit() -> str:

@@ -10,6 +10,7 @@ import pytest
 from repository import ROOT
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
+import archives
 import cross_weather
 from districts import District
 
@@ -22,24 +23,26 @@ def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_
     method = results / "town-02@0123456789ab" / "orb-pnp"
     method.mkdir(parents=True)
     (method.parent / "dataset.yaml").write_text("name: town-02\n")
-    for name, text in (("run.yaml", "a"), ("scores.yaml", "b"), ("p.errors.csv", "c"), ("p.txt", "left out")):
+    for name, text in (("run.yaml", "a"), ("scores.yaml", "b"), ("p.errors.csv", "c"), ("p.txt", "d"), ("p.csv", "e")):
         (method / name).write_text(text)
     district = District(2, 5, ("Rain",))
     out = cross_weather.packed(tmp_path / "errors", district, "orb-pnp")
-    cross_weather.pack(results, "town-02", "orb-pnp", out)
+    archives.pack(results, "town-02", "orb-pnp", out)
     first = out.read_bytes()
-    cross_weather.pack(results, "town-02", "orb-pnp", out)
+    archives.pack(results, "town-02", "orb-pnp", out)
     assert out.read_bytes() == first
-    there = cross_weather.unpack(tmp_path / "errors", tmp_path / "there")
+    there = archives.unpack(tmp_path / "errors", tmp_path / "there")
     found = {p.relative_to(there).as_posix(): p.read_text() for p in there.rglob("*") if p.is_file()}
     assert found == {
         "town-02@0123456789ab/dataset.yaml": "name: town-02\n",
         "town-02@0123456789ab/orb-pnp/run.yaml": "a",
         "town-02@0123456789ab/orb-pnp/scores.yaml": "b",
         "town-02@0123456789ab/orb-pnp/p.errors.csv": "c",
+        "town-02@0123456789ab/orb-pnp/p.txt": "d",
+        "town-02@0123456789ab/orb-pnp/p.csv": "e",
     }
     with pytest.raises(SystemExit, match="holds no archive"):
-        cross_weather.unpack(tmp_path / "none", tmp_path / "there")
+        archives.unpack(tmp_path / "none", tmp_path / "there")
 
 
 @pytest.mark.parametrize(("page", "tables"), [("README.md", ("SUMMARY",)), ("docs/results.md", ("SUMMARY", "RESULTS"))])

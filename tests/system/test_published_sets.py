@@ -19,7 +19,7 @@ from test_end_to_end import METHODS, board_rows, errors_by_method, medians, run
 from relocbench.datasets.core.dataset import Dataset
 
 RECORDINGS = Path(os.environ.get("RELOCBENCH_REAL_DATA", ROOT.parent / "shared" / "data"))
-SCRIPT = ROOT / "tools" / "publish_leaderboard.sh"
+SCRIPT = ROOT / "tools" / "build_small_sets.sh"
 TABLE = ROOT / "leaderboard" / "leaderboard.csv"
 Built = Callable[[str], Dataset]
 

@@ -1,0 +1,57 @@
+"""Archives of results for publication: of a method in a dataset its records, answers and errors.
+
+python benchmarks/publish/archives.py RESULTS OUT       # OUT/DATASET/METHOD.tar.xz of every method
+"""
+
+from __future__ import annotations
+
+import lzma
+import sys
+import tarfile
+from pathlib import Path
+
+SUFFIXES = (".yaml", ".txt", ".csv")
+"""of records; predictions; and answers, errors and matching quality"""
+
+
+def pack(results: Path, dataset: str, label: str, out: Path) -> None:
+    """Pack all results of a method in a dataset; the same results give the same bytes."""
+    (folder,) = results.glob(f"{dataset}@*")
+    files = [path for path in sorted((folder / label).iterdir()) if path.suffix in SUFFIXES]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part = out.with_suffix(".part")
+    with lzma.open(part, "wb", preset=9) as stream, tarfile.open(fileobj=stream, mode="w") as archive:
+        for path in (folder / "dataset.yaml", *files):
+            entry = tarfile.TarInfo(path.relative_to(results).as_posix())
+            entry.size = path.stat().st_size
+            with path.open("rb") as content:
+                archive.addfile(entry, content)
+    part.rename(out)
+
+
+def unpack(archives: Path, to: Path) -> Path:
+    """The folder ``to`` with the results of all archives of a folder."""
+    found = sorted(archives.glob("*/*.tar.xz"))
+    if not found:
+        sys.exit(f"{archives}: holds no archive FOLDER/METHOD.tar.xz of results")
+    for path in found:
+        with tarfile.open(path) as archive:
+            archive.extractall(to, filter="data")
+    return to
+
+
+def without_predictions(archives: Path) -> list[Path]:
+    """The archives that hold errors alone."""
+    found = []
+    for path in sorted(archives.glob("*/*.tar.xz")):
+        with tarfile.open(path) as archive:
+            if not any(name.endswith(".txt") for name in archive.getnames()):
+                found.append(path)
+    return found
+
+
+if __name__ == "__main__":
+    all_results, to = map(Path, sys.argv[1:])
+    for folder in sorted(all_results.glob("*@*/*/")):
+        name = folder.parent.name.partition("@")[0]
+        pack(all_results, name, folder.name, to / name / f"{folder.name}.tar.xz")

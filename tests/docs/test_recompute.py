@@ -1,0 +1,62 @@
+"""``tools/recompute.py`` says of a published page whether it follows from predictions and truth."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import recompute
+from command_line import relocbench
+from repository import ROOT
+from small_dataset import make_small_dataset
+
+sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
+import archives
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset in ``data``, results on it, and a leaderboard with its predictions."""
+    root = tmp_path_factory.mktemp("published")
+    make_small_dataset(root / "data" / "small")
+    asked = relocbench("evaluate", "-d", root / "data" / "small", "-m", "identity", "-o", root / "results", "-q")
+    assert asked.status == 0, asked.err
+    printed = relocbench("leaderboard", root / "results", "-d", root / "data", "--out", root / "board", "-q")
+    assert printed.status == 0, printed.err
+    archives.pack(root / "results", "small", "identity", root / "board" / "predictions" / "small" / "identity.tar.xz")
+    return root
+
+
+def test_pages_that_follow_from_predictions_are_equal_and_a_page_that_was_edited_is_not(
+    published: Path, tmp_path: Path
+) -> None:
+    board = published / "board"
+    found = list(recompute.from_predictions(board, published / "data", tmp_path / "a"))
+    assert [(one.page, one.outcome) for one in found if one.outcome != "byte-equal"] == []
+    (page,) = (board / "sets").glob("*.md")
+    assert {"leaderboard.md", "leaderboard.csv", "errors.csv", f"sets/{page.name}"} <= {one.page for one in found}
+    text = page.read_text()
+    page.write_text(text.replace("identity", "idle", 1))
+    line = text[: text.index("identity")].count("\n") + 1
+    differing = [one for one in recompute.from_predictions(board, published / "data", tmp_path / "b") if one.differs]
+    assert [(one.page, one.outcome) for one in differing] == [(f"sets/{page.name}", f"differs from line {line} on")]
+    page.write_text(text)
+
+
+def test_predictions_that_do_not_give_the_published_errors_are_told(published: Path, tmp_path: Path) -> None:
+    forged = archives.unpack(published / "board" / "predictions", tmp_path / "forged")
+    path = next(forged.rglob("*.txt"))
+    lines = path.read_text().splitlines()
+    columns = lines[-1].split()
+    path.write_text("\n".join([*lines[:-1], " ".join([*columns[:2], "9.5", *columns[3:]])]) + "\n")
+    board = tmp_path / "board"
+    archives.pack(forged, "small", "identity", board / "predictions" / "small" / "identity.tar.xz")
+    (finding,) = recompute.from_predictions(board, published / "data", tmp_path / "scratch")
+    assert finding.differs
+    assert path.name.removesuffix(".txt") in finding.outcome
+
+
+def test_every_published_page_is_told_of() -> None:
+    handled = {f"leaderboard/{name}" for name in ("leaderboard.md", "real/real.md", "weather/cross_weather.md")}
+    assert handled <= {page.path for page in recompute.published.PAGES}

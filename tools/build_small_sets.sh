@@ -1,0 +1,34 @@
+#!/usr/bin/env bash
+# Build the small datasets whose results are published in leaderboard/, from recordings and from the renderer.
+#   tools/build_small_sets.sh RECORDINGS SCRATCH
+set -euo pipefail
+recordings=$(realpath "${1:?usage: tools/build_small_sets.sh RECORDINGS SCRATCH}")
+scratch=${2:?usage: tools/build_small_sets.sh RECORDINGS SCRATCH}
+cd "$(dirname "$0")/.."
+export PATH="$PWD/${VENV:-.venv}/bin:$PATH"
+
+kitti=$recordings/kitti_odometry
+xyz=$recordings/tum_rgbd/rgbd_dataset_freiburg1_xyz
+desk=$recordings/tum_rgbd/rgbd_dataset_freiburg1_desk
+by_nc="CC BY-NC-SA 3.0 (KITTI)"
+by="CC BY 4.0 (TUM RGB-D)"
+
+relocbench build-dataset kitti "$kitti" --sequence 06 --pair-step 1,2,4,8 --licence "$by_nc" --out "$scratch/kitti_06" -q
+rm -rf "$scratch/kitti_00_posed" # of a run that was cut off
+python tools/kitti_lidar_poses.py "$kitti" 00 "$scratch/kitti_00_posed"
+relocbench build-dataset kitti "$scratch/kitti_00_posed" --sequence 00 --depth velodyne --pair-step 1,2,3,4,5 --name kitti_00 --licence "$by_nc" --out "$scratch/kitti_00" -q
+relocbench build-dataset kitti "$scratch/kitti_00_posed" --sequence 00 --depth stereo --pair-step 1,2,3,4,5 --name kitti_00_stereo --licence "$by_nc" --out "$scratch/kitti_00_stereo" -q
+relocbench build-dataset tum-rgbd "$xyz" --pair-step 1,2,4 --name fr1_xyz --licence "$by" --out "$scratch/fr1_xyz" -q
+relocbench build-dataset tum-rgbd "$desk" --pair-step 1,2,4 --name fr1_desk --licence "$by" --out "$scratch/fr1_desk" -q
+relocbench build-dataset tum-rgbd "$xyz" "$desk" --name fr1_xyz_to_desk --licence "$by" --out "$scratch/fr1_xyz_to_desk" -q
+rm -rf "$scratch/still"
+python tools/still_camera.py "$scratch/still" "$recordings/tilde_webcam/chamonix" "$recordings/tilde_webcam/courbevoie" "$recordings/tilde_webcam/mexico"
+cat > "$scratch/webcams.yaml" << CONDITIONS
+conditions:
+  map: {tags: [a day]}
+  chamonix: {tags: [another day, chamonix]}
+  courbevoie: {tags: [another day, courbevoie]}
+  mexico: {tags: [another day, mexico]}
+CONDITIONS
+relocbench build-dataset generic --config "$scratch/webcams.yaml" "$scratch/still/map" "$scratch/still/chamonix" "$scratch/still/courbevoie" "$scratch/still/mexico" --name webcams --licence "academic use only (AMOS, TILDE)" --out "$scratch/webcams" -q
+relocbench build-dataset synthetic --preset demo --name town_demo --out "$scratch/town_demo" -q

@@ -1,0 +1,153 @@
+"""Recompute the published pages, and say of each whether the same bytes come out.
+
+Without recordings, pages are printed again from the errors that are published beside them. With recordings, the
+small datasets are built again from their recipes, every error is computed anew from the published predictions, and the
+pages are printed from these.
+
+    python tools/recompute.py [--recordings FOLDER] [--scratch FOLDER] [--leaderboard leaderboard]
+
+Ends with 1 where a page differs. What cannot be recomputed is said, with the reason, and is no difference.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import published
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
+import archives  # noqa: E402  from the folder above
+
+_COMMIT = re.compile(r"Printed by commit\s+[0-9a-f]+\+?")
+"""which is another one each time"""
+_PREDICTIONS = "from predictions"
+_TABLES = ("leaderboard.csv", "errors.csv", "matching.csv", "truth.csv")
+
+
+class Finding(NamedTuple):
+    """What became of a page."""
+
+    page: str
+    """below the folder of the leaderboard"""
+    source: str
+    outcome: str
+    differs: bool = False
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--recordings", type=Path, help="folder of kitti_odometry/, tum_rgbd/ and tilde_webcam/")
+    parser.add_argument("--scratch", type=Path, help="folder for datasets and pages; by default a temporary one")
+    parser.add_argument("--leaderboard", type=Path, default=ROOT / "leaderboard")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        scratch = (options.scratch or Path(temporary)).resolve()
+        found = []
+        for finding in findings(options.leaderboard.resolve(), scratch, options.recordings):
+            print(f"{finding.page}: {finding.source}: {finding.outcome}", flush=True)
+            found.append(finding)
+    sys.exit(1 if any(finding.differs for finding in found) else 0)
+
+
+def findings(leaderboard: Path, scratch: Path, recordings: Path | None) -> Iterator[Finding]:
+    """What becomes of each published page, from errors and from predictions."""
+    handled: dict[str, Callable[[], Iterator[Finding]]] = {
+        "leaderboard.md": lambda: small_sets(leaderboard, scratch, recordings),
+        "real/real.md": lambda: real(leaderboard, scratch),
+        "weather/cross_weather.md": lambda: weather(leaderboard, scratch),
+    }
+    for page in published.PAGES:
+        name = page.path.removeprefix("leaderboard/")
+        if name in handled:
+            yield from handled[name]()
+        else:
+            reason = (
+                f"cannot be recomputed: neither predictions nor errors are published; `{page.command}` evaluates anew"
+            )
+            yield Finding(name, "published results", reason)
+
+
+def weather(leaderboard: Path, scratch: Path) -> Iterator[Finding]:
+    """The page across weathers, from the errors of every pair."""
+    page = "weather/cross_weather.md"
+    errors, out = leaderboard / "weather" / "errors", scratch / "weather"
+    _run("benchmarks/publish/cross_weather.py", "--only-print", "--errors", errors, "--out", out)
+    yield compared(page, "from published errors", leaderboard / page, out / "cross_weather.md")
+    lacking = len(archives.without_predictions(errors))
+    outcome = f"cannot be recomputed: no predictions published in {lacking} archives"
+    if not lacking:
+        outcome = "not recomputed: the districts of a test split are rendered by `make leaderboard-weather` alone"
+    yield Finding(page, _PREDICTIONS, outcome)
+
+
+def small_sets(leaderboard: Path, scratch: Path, recordings: Path | None) -> Iterator[Finding]:
+    """The tables of the small sets, from published errors, and from predictions and recipes."""
+    again = scratch / "from_errors"
+    shutil.copytree(leaderboard, again, dirs_exist_ok=True)
+    _run("tools/rewrite_board.py", again)
+    yield from _of_board(leaderboard, again, "from published errors")
+    if not any((leaderboard / "predictions").glob("*/*.tar.xz")):
+        yield Finding("leaderboard.md", _PREDICTIONS, "cannot be recomputed: no predictions published")
+    elif recordings is None:
+        yield Finding("leaderboard.md", _PREDICTIONS, "not recomputed: no --recordings to build datasets from")
+    else:
+        subprocess.run([ROOT / "tools" / "build_small_sets.sh", recordings, scratch], check=True, stdout=sys.stderr)
+        yield from from_predictions(leaderboard, scratch, scratch)
+
+
+def from_predictions(leaderboard: Path, datasets: Path, scratch: Path) -> Iterator[Finding]:
+    """The tables of the small sets, every error computed anew from published predictions and the truth of datasets."""
+    results = archives.unpack(leaderboard / "predictions", scratch / "results")
+    board = scratch / "from_predictions"
+    words = ("leaderboard", results, "--dataset", datasets, "--out", board, "-q")
+    asked = [sys.executable, "-m", "relocbench", *map(str, words)]
+    done = subprocess.run(asked, cwd=ROOT, check=False, capture_output=True, text=True)
+    if done.returncode:
+        yield Finding("leaderboard.md", _PREDICTIONS, f"differs: {done.stderr.strip()}", differs=True)
+        return
+    yield from _of_board(leaderboard, board, _PREDICTIONS)
+
+
+def _of_board(leaderboard: Path, again: Path, source: str) -> Iterator[Finding]:
+    sets = {f"sets/{path.name}" for folder in (leaderboard, again) for path in (folder / "sets").glob("*.md")}
+    tables = [name for name in _TABLES if (leaderboard / name).exists() or (again / name).exists()]
+    for name in ("leaderboard.md", "reading.md", *tables, *sorted(sets)):
+        yield compared(name, source, leaderboard / name, again / name)
+
+
+def real(leaderboard: Path, scratch: Path) -> Iterator[Finding]:
+    """The page of the real recordings, from the table of the small sets."""
+    page = "real/real.md"
+    _run("benchmarks/publish/real.py", "--board", leaderboard, "--out", scratch / "real")
+    yield compared(page, "from leaderboard.csv", leaderboard / page, scratch / "real" / "real.md")
+
+
+def compared(page: str, source: str, old: Path, new: Path) -> Finding:
+    """Whether a page has the published bytes, but for the commit that printed it, and else from which line on not."""
+    for path, fault in ((old, "not published"), (new, "not printed again")):
+        if not path.is_file():
+            return Finding(page, source, f"differs: {fault}", differs=True)
+    was, now = (_COMMIT.sub("", path.read_text(encoding="utf-8")).splitlines() for path in (old, new))
+    if was == now:
+        return Finding(page, source, "byte-equal")
+    lines = (n for n, pair in enumerate(zip(was, now, strict=False), start=1) if pair[0] != pair[1])
+    first = next(lines, min(len(was), len(now)) + 1)
+    return Finding(page, source, f"differs from line {first} on", differs=True)
+
+
+def _run(*words: object) -> None:
+    """Run Python in the repository; what it prints goes to standard error."""
+    subprocess.run([sys.executable, *map(str, words)], cwd=ROOT, check=True, stdout=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
