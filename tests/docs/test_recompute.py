@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import recompute
 from command_line import relocbench
+from published import PAGES
 from repository import ROOT
 from small_dataset import make_small_dataset
 
@@ -59,4 +60,4 @@ def test_predictions_that_do_not_give_the_published_errors_are_told(published: P
 
 def test_every_published_page_is_told_of() -> None:
     handled = {f"leaderboard/{name}" for name in ("leaderboard.md", "real/real.md", "weather/cross_weather.md")}
-    assert handled <= {page.path for page in recompute.published.PAGES}
+    assert handled <= {page.path for page in PAGES}
