@@ -8,11 +8,10 @@ rows of ALIKED need its authors' weights where ``aliked-pnp`` looks for them.
 ``--split validation`` renders districts of other seeds, to try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
-one end; the differences of two methods to every other, and of alignments to the methods whose poses they start from,
-with their 95 % intervals; how far keyframes are, and how far off
-wrong answers; and how many pairs of different places each answered, which nothing else counts. Districts count alike,
-and so do the pair sets of a district, which are one series by the step of the drive; intervals are at least as wide as
-the spread of the districts demands (``docs/statistics.md``).
+one end; the differences that answer the questions of ``QUESTIONS``, with their 95 % intervals and one error rate for
+all of them; how far keyframes are, and how far off wrong answers; and how many pairs of different places each answered,
+which nothing else counts. Districts count alike, and so do the pair sets of a district, which are one series by the
+step of the drive; intervals are at least as wide as the spread of the districts demands (``docs/statistics.md``).
 
 ``--next`` asks the districts of the phrase of the next publication, whose errors are best packed into a folder of their
 own: a run that is cut off loses the district in hand.
@@ -55,10 +54,13 @@ from relocbench.evaluation.common.results import all_results
 from relocbench.evaluation.tables.records import ALL, read_errors
 from relocbench.metrics import (
     CONFIDENT,
+    LEVEL,
     Difference,
     DifferentPlaces,
     PoseErrors,
     by_place,
+    controlled,
+    in_points,
     metric_named,
     paired_difference,
 )
@@ -107,15 +109,41 @@ SETTINGS = (
 drive has 52 images: ``cache_size`` saves the network's passes over images that other pair sets of a district showed. No
 seconds are printed."""
 FLOORS = ("identity", "clock")
-SUBJECTS = ("gn-net", "gn-net-from-prior")
-"""methods that are compared with every other"""
-STARTED = {
-    "gn-net-from-aliked-pnp": "aliked-pnp",
-    "dso-from-orb-pnp": "orb-pnp",
-    "dso-from-gn-net-pnp": "gn-net-pnp",
-    "gn-net": "gn-net-pnp",
+QUESTIONS = {
+    ("gn-net", "aliked-pnp"): "align learned features, or match others",
+    ("gn-net-from-prior", "sift-pnp"): "align without a match, or match classical features",
+    ("gn-net-from-prior", "orb-pnp"): "align without a match, or match classical features",
+    ("aliked-pnp", "sift-pnp"): "match learned or classical features",
+    ("aliked-pnp", "orb-pnp"): "match learned or classical features",
+    ("gn-net-from-prior", "dso-along"): "learned features or grey levels, from the same starts",
+    ("gn-net-from-prior", "gn-net-one-start"): "what starts along the road add",
+    ("gn-net", "gn-net-from-prior"): "what a start from matches adds",
+    ("gn-net", "gn-net-pnp"): "what alignment adds to its own matches",
+    ("gn-net-from-aliked-pnp", "aliked-pnp"): "what alignment adds to another method's pose",
+    ("dso-from-orb-pnp", "orb-pnp"): "what grey levels add to another method's pose",
+    ("dso-from-gn-net-pnp", "gn-net-pnp"): "what grey levels add to another method's pose",
+    ("gn-net", "gn-net-contrastive"): "all losses, or the contrastive one alone",
+    ("gn-net", "lm-net"): "encoder, data, losses and starts along the road",
 }
-"""alignments by the method whose pose they start from; gn-net starts from the keyframe's pose and along the road too"""
+"""by two methods, the question that the first less the second answers: all differences that the page lists"""
+STARTS = {
+    "sift-pnp": "its matches",
+    "orb-pnp": "its matches",
+    "dso": "the keyframe's pose",
+    "dso-multistart": "the keyframe's pose, turned 26 ways too",
+    "dso-along": "the keyframe's pose and along the road",
+    "dso-from-orb-pnp": "the pose of orb-pnp",
+    "dso-from-gn-net-pnp": "the pose of gn-net-pnp",
+    "gn-net-one-start": "the keyframe's pose",
+    "gn-net-from-prior": "the keyframe's pose and along the road",
+    "gn-net-pnp": "its matches",
+    "gn-net-contrastive": "its matches, the keyframe's pose and along the road",
+    "lm-net": "its matches and the keyframe's pose",
+    "gn-net": "its matches, the keyframe's pose and along the road",
+    "aliked-pnp": "its matches",
+    "gn-net-from-aliked-pnp": "the pose of aliked-pnp",
+}
+"""where methods start"""
 SUMMARY_METHODS = ("gn-net", "aliked-pnp", "sift-pnp", "orb-pnp", "dso", "identity")
 _ALL, _SAME, _NEAR, _FAR = (
     "across conditions",
@@ -143,17 +171,26 @@ STEPS, SPEED_MPS = 52, 40
 """images of a drive and its speed: at 10 images a second, 204 m of road"""
 ELSEWHERE = 8
 """pairs of different places in each pair set"""
+COMPARED = METRICS[0], METRICS[2]
+"""metrics of differences"""
+DISTANCES_M = (0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 3.9, 4.3, np.inf)
 _HEAD = """# Across weathers
 
 Printed by `python benchmarks/publish/cross_weather.py --only-print --errors leaderboard/weather/errors --out
 leaderboard/weather` from the errors of every pair. What was evaluated stands there, how intervals are made in
 [Statistics](../../docs/statistics.md), and what follows in [Results](../../docs/results.md). Shares are in percent,
-failures count as infinite errors. A difference whose interval excludes zero has a star; one without an interval has
-fewer than ten effective pairs. Each of the many intervals holds for itself: of twenty differences between equal
-methods, one has a star. Keyframes within a condition are 4 m away, so that an answer that stays there is 3.9 to 4.3
-m off. The trivial baselines identity and clock state no confidence: among negative pairs that counts as confident,
-among confident answers it does not count. Printed by commit {commit}; which commit evaluated the methods stands in
-the [ledger](../LEDGER.md).
+failures count as infinite errors. Keyframes within a condition are 4 m away, so that an answer that stays there is
+3.9 to 4.3 m off. The trivial baselines identity and clock state no confidence: among negative pairs that counts as
+confident, among confident answers it does not count. Printed by commit {commit}; which commit evaluated the methods
+stands in the [ledger](../LEDGER.md).
+"""
+
+_OF_DIFFERENCES = """\
+Percentage points by which the first method is ahead of the second, with the 95 % interval of each difference by itself,
+and its p value over all {count} differences of this page: the probability of one as clear anywhere among them if no two
+methods differed, counted over all signs of the districts' differences ([how](../../docs/statistics.md)). **A star means
+that the methods differ, with one error rate of 5 % for the whole page.** An interval without zero that has no star may
+be chance: among so many, some are.
 """
 
 
@@ -171,15 +208,15 @@ class Group:
 
     def mean(self, method: str, metric: str) -> float:
         """The mean over the districts of the mean over a district's pair sets."""
-        return float(np.mean([series.mean() for series in self._by_step[method, metric]]))
+        return float(np.mean([series.mean() for series in self.by_step[method, metric]]))
 
     def ahead(self, method: str, other: str, metric: str) -> Difference:
         """The difference of ``method`` to ``other``, over the steps of the drives."""
-        a, b = self._by_step[method, metric], self._by_step[other, metric]
+        a, b = self.by_step[method, metric], self.by_step[other, metric]
         return paired_difference(a, b, roads=range(len(a)))
 
     @cached_property
-    def _by_step(self) -> dict[tuple[str, str], list[Array]]:
+    def by_step(self) -> dict[tuple[str, str], list[Array]]:
         """By method and metric: one series for each district, by the step of the queries."""
         found: dict[tuple[str, str], list[Array]] = {}
         for method, of_method in self.rows.groupby("method"):
@@ -225,12 +262,14 @@ def main() -> None:
     together, single = _groups(rows)
     wrong = _wrong_table(together, methods)
     apart = _by_distance(rows)
+    listed = differences([*together, *apart], methods)
     tables = "\n".join(
         [
             *_absent(absent),
             *far,
-            *_tables(together, [*apart, *single], methods),
-            *_started_table([*together, *apart], methods),
+            *_distance_table(together),
+            *_tables([*together, *apart], single, methods),
+            *_difference_table(listed),
             *wrong,
             *_confidence_table(together, methods),
             *_by_district_table(together[-1], [method for method in methods if method not in FLOORS]),
@@ -242,7 +281,7 @@ def main() -> None:
         options.out.mkdir(parents=True, exist_ok=True)
         (options.out / "cross_weather.md").write_text(f"{_HEAD.format(commit=_commit())}{tables}\n")
     places = {method: found.to_dict() for method, found in elsewhere.items()}
-    print(json.dumps({"benchmark": "cross_weather", **_claims(together, single, methods), "different places": places}))
+    print(json.dumps({"benchmark": "cross_weather", **_claims(together, listed, methods), "different places": places}))
 
 
 def _options() -> argparse.Namespace:
@@ -428,38 +467,83 @@ def _by_distance(rows: pd.DataFrame) -> list[Group]:
     ]
 
 
+def _distance_table(together: list[Group]) -> list[str]:
+    """How many pairs are of which distance, which is the error of the identity."""
+    spans = list(pairwise(DISTANCES_M))
+    names = [f"{low:g} to {high:g} m" if np.isfinite(high) else f"{low:g} m or more" for low, high in spans]
+    lines = ["\n## Pairs by distance\n", "Between the cameras of keyframe and query.\n"]
+    lines += [f"| group | pairs | {' | '.join(names)} |", f"|---|---:|{'---:|' * len(names)}"]
+    for group in together:
+        metres = group.rows[group.rows["method"] == "identity"]["translation_error_m"].to_numpy()
+        if not len(metres):
+            return []
+        counts = [int(np.sum((metres >= low) & (metres < high))) for low, high in spans]
+        lines.append(f"| {group.name} | {group.pairs} | {' | '.join(map(str, counts))} |")
+    return lines
+
+
 def _tables(together: list[Group], single: list[Group], methods: Sequence[str]) -> list[str]:
+    """For each metric the shares of all methods in the groups, and in the changes with each condition at one end."""
     lines = []
     for metric in METRICS:
-        lines += [f"\n## {metric}, %\n", f"| group | pairs | {' | '.join(methods)} |"]
-        lines += [f"|---|---|{'---|' * len(methods)}"]
-        for group in (*together, *single):
-            cells = [f"{100 * group.mean(method, metric):.1f}" for method in methods]
-            lines.append(f"| {group.name} | {group.pairs} | {' | '.join(cells)} |")
-    for subject in (subject for subject in SUBJECTS if subject in methods):
-        others = [method for method in methods if method != subject]
-        lines += [f"\n## {subject} less another method, percentage points [95 % interval]\n"]
-        lines += [f"| group | metric | {' | '.join(others)} |", f"|---|---|{'---|' * len(others)}"]
-        for group in (*together, *single):
-            for metric in METRICS:
-                cells = [_told(group.ahead(subject, other, metric)) for other in others]
-                lines.append(f"| {group.name} | {metric} | {' | '.join(cells)} |")
+        lines += [f"\n## {metric}, %\n", *_share_table(together, metric, methods)]
+        lines += [f"\n### {metric}, %, by condition\n", *_share_table(single, metric, methods)]
     return lines
 
 
-def _started_table(groups: Sequence[Group], methods: Sequence[str]) -> list[str]:
-    """What alignment adds to the pose that it starts from."""
-    there = {of: start for of, start in STARTED.items() if of in methods and start in methods}
-    if not there:
+def _share_table(groups: list[Group], metric: str, methods: Sequence[str]) -> list[str]:
+    lines = [f"| method | starts from | {' | '.join(group.name for group in groups)} |"]
+    lines += [f"|---|---|{'---:|' * len(groups)}"]
+    lines += [f"| *pairs* |  | {' | '.join(f'*{group.pairs}*' for group in groups)} |"]
+    for method in methods:
+        cells = [f"{100 * group.mean(method, metric):.1f}" for group in groups]
+        lines.append(f"| {method} | {STARTS.get(method, '')} | {' | '.join(cells)} |")
+    return lines
+
+
+Listed = dict[tuple[tuple[str, str], str, str], Difference]
+"""the differences of a page by the two methods, the group and the metric"""
+
+
+def differences(groups: Sequence[Group], methods: Sequence[str]) -> Listed:
+    """All differences that the page lists, with one error rate."""
+    keys = [
+        (both, group, metric)
+        for both in QUESTIONS
+        if set(both) <= set(methods)
+        for group in groups
+        for metric in COMPARED
+    ]
+    found = [group.ahead(*both, metric) for both, group, metric in keys]
+    return {
+        (both, group.name, metric): difference
+        for (both, group, metric), difference in zip(keys, controlled(found), strict=True)
+    }
+
+
+def _difference_table(listed: Listed) -> list[str]:
+    """What the first of two methods has more than the second."""
+    if not listed:
         return []
-    lines = ["\n## An alignment less the method whose pose it starts from, percentage points [95 % interval]\n"]
-    lines += [f"| group | metric | {' | '.join(f'{of} less {start}' for of, start in there.items())} |"]
-    lines += [f"|---|---|{'---|' * len(there)}"]
-    for group in groups:
-        for metric in METRICS:
-            cells = [_told(group.ahead(of, start, metric)) for of, start in there.items()]
-            lines.append(f"| {group.name} | {metric} | {' | '.join(cells)} |")
+    lines = [f"\n## Differences\n\n{_OF_DIFFERENCES.format(count=len(listed))}"]
+    lines += [f"| methods | question | group |{''.join(f' {metric} | p |' for metric in COMPARED)}"]
+    lines += [f"|---|---|---|{'---:|---:|' * len(COMPARED)}"]
+    last = None
+    for both, group in dict.fromkeys(key[:2] for key in listed):
+        cells = []
+        for metric in COMPARED:
+            found = listed[both, group, metric]
+            cells += [in_points(found), "" if found.adjusted_p is None else p_text(found.adjusted_p)]
+        question = "" if both == last else QUESTIONS[both]
+        lines.append(f"| {both[0]} less {both[1]} | {question} | {group} | {' | '.join(cells)} |")
+        last = both
     return lines
+
+
+def p_text(p: float) -> str:
+    """A p value with two digits, which rounding does not move to the other side of 0.05."""
+    text = f"{p:.2g}"
+    return text if (float(text) <= 1 - LEVEL + 1e-12) == (p <= 1 - LEVEL) else f"{p:.3g}"
 
 
 def _wrong_table(together: list[Group], methods: Sequence[str]) -> list[str]:
@@ -524,16 +608,8 @@ def _elsewhere_table(elsewhere: Mapping[str, DifferentPlaces]) -> list[str]:
     return lines
 
 
-def _told(difference: Difference) -> str:
-    interval = difference.interval
-    if interval is None:
-        return f"{100 * difference.mean:+.1f}"
-    star = " *" if difference.significant else ""
-    return f"{100 * difference.mean:+.1f} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]{star}"
-
-
-def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) -> dict[str, Any]:
-    """The shares of all methods, and the differences of each subject to each other method."""
+def _claims(together: list[Group], listed: Listed, methods: Sequence[str]) -> dict[str, Any]:
+    """The shares of all methods, and all differences that the page lists."""
     claims: dict[str, Any] = {
         "districts": int(together[0].rows["district"].nunique()),
         "pairs": {group.name: group.pairs for group in together},
@@ -542,20 +618,10 @@ def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) 
             for method in methods
         },
     }
-    for subject in (subject for subject in SUBJECTS if subject in methods):
-        for other in (method for method in methods if method != subject):
-            told: dict[str, Any] = {}
-            for group in together:
-                for metric in METRICS:
-                    difference = group.ahead(subject, other, metric)
-                    interval = difference.interval
-                    ends = [None, None] if interval is None else [interval.low, interval.high]
-                    told[f"{group.name}, {metric}"] = [difference.mean, *ends]
-            for metric in METRICS:
-                told[f"conditions ahead, {metric}"] = sum(
-                    group.mean(subject, metric) > group.mean(other, metric) for group in single
-                ) / len(single)
-            claims[f"{subject} less {other}"] = told
+    for (both, group, metric), found in listed.items():
+        ends = [None, None] if found.interval is None else [found.interval.low, found.interval.high]
+        of_both = claims.setdefault(f"{both[0]} less {both[1]}", {})
+        of_both[f"{group}, {metric}"] = [found.mean, *ends, found.adjusted_p]
     return claims
 
 

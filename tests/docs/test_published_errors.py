@@ -16,6 +16,7 @@ from districts import District
 
 WEATHER = ROOT / "leaderboard" / "weather"
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+QUOTED = re.compile(r"[-+]\d+\.\d+ \[[-+.\d]+, [-+.\d]+\](?: \*)?")
 
 
 def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_path: Path) -> None:
@@ -48,14 +49,14 @@ def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_
 @pytest.mark.parametrize(("page", "tables"), [("README.md", ("SUMMARY",)), ("docs/results.md", ("SUMMARY", "RESULTS"))])
 def test_the_tables_that_people_read_have_the_published_shares(page: str, tables: tuple[str, ...]) -> None:
     text = (WEATHER / "cross_weather.md").read_text()
-    published = {metric: table_of(text.split(f"## {metric}, %\n")[1]) for metric in cross_weather.METRICS}
+    published = {metric: shares_of(text, metric) for metric in cross_weather.METRICS}
     shown = [part for part in (ROOT / page).read_text().split("\n\n") if part.startswith("| method |")]
     for name, part in zip(tables, shown, strict=True):
         columns = getattr(cross_weather, name)
         for method, shares in table_of(part).items():
             for (column, (metric, group)), (head, share) in zip(columns.items(), shares.items(), strict=True):
                 # the page has one decimal, so that a rounded share may be off by half a percent and half a decimal
-                apart = abs(float(share) - float(published[metric][group][method]))
+                apart = abs(float(share) - float(published[metric][method][group]))
                 assert head == column
                 assert apart < (0.11 if "." in share else 0.56), (method, column)
 
@@ -67,12 +68,32 @@ def table_of(text: str) -> dict[str, dict[str, str]]:
     return {row[0]: dict(zip(rows[0][1:], row[1:], strict=True)) for row in rows[2:]}
 
 
+def shares_of(page: str, metric: str) -> dict[str, dict[str, str]]:
+    """The shares of a metric by method and group, of the groups of all changes and of those of each condition."""
+    together, by_condition = (
+        table_of(page.split(f"{heading}\n")[1]) for heading in (f"## {metric}, %", f"### {metric}, %, by condition")
+    )
+    return {method: row | by_condition[method] for method, row in together.items()}
+
+
+@pytest.mark.parametrize(
+    ("page", "end"),
+    [
+        ("docs/results.md", "## Real images"),
+        ("docs/gn-net-results.md", "## On real images"),
+        ("docs/feature-trackers.md", "## What alignment adds"),
+    ],
+)
+def test_differences_that_people_read_stand_on_the_page_with_their_stars(page: str, end: str) -> None:
+    quoted = set(QUOTED.findall((ROOT / page).read_text().split(end)[0]))
+    assert quoted
+    assert quoted <= set(QUOTED.findall((WEATHER / "cross_weather.md").read_text()))
+
+
 @pytest.mark.thorough
 def test_the_page_is_printed_again_from_the_published_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (WEATHER / "cross_weather.md").read_text()
-    methods = (
-        next(line for line in page.splitlines() if line.startswith("| group | pairs |")).strip("| ").split(" | ")[2:]
-    )
+    methods = [method for method in shares_of(page, cross_weather.METRICS[0]) if not method.startswith("*")]
     given = {name.split("=")[0]: name for name in cross_weather.METHODS}
     words = [word for method in methods for word in ("-m", given[method])]
     asked = ["cross_weather.py", "--only-print", "--errors", WEATHER / "errors", "--out", tmp_path, *words]

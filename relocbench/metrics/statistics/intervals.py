@@ -11,11 +11,11 @@ pairs (:mod:`relocbench.metrics.statistics.effective_size`) in the place of thei
 - medians: the order statistics at the bounds of a share of one half.
 - differences: Student's t, with Bonett and Price's two added pairs ("Adjusted Wald confidence interval for a difference
   of binomial proportions based on paired data", J. Educ. Behav. Stat. 2012). This is symmetric, but the number of rare
-  pairs on which methods differ is skewed: more of them may have been missed than seen too many. So the end away from
-  zero is at least as far as the intervals of two shares demand, of the pairs that A wins and of those that it loses:
-  the distances of their bounds are squared and added (Newcombe, "Improved confidence intervals for the difference
-  between binomial proportions based on paired data", Statistics in Medicine 1998; Zou and Donner, "Construction of
-  confidence limits about effect measures: a general approach", the same journal 2008).
+  pairs on which methods differ is skewed: more of them may have been missed than seen too many. So where few pairs
+  differ, the end away from zero is at least as far as the intervals of two shares demand, of the pairs that A wins and
+  of those that it loses: the distances of their bounds are squared and added (Newcombe, "Improved confidence intervals
+  for the difference between binomial proportions based on paired data", Statistics in Medicine 1998; Zou and Donner,
+  "Construction of confidence limits about effect measures: a general approach", the same journal 2008).
 
 Pairs must be ordered by reference time. What is estimated is the mean over roads of the mean over a road's pair sets of
 the mean over a set's pairs. The sets of one road become one series first (:mod:`relocbench.metrics.statistics.roads`),
@@ -44,6 +44,9 @@ AnyNumber = TypeVar("AnyNumber", float, Array)
 LEVEL = 0.95
 MANY_ROADS = 8
 """number of roads from which on their spread widens an interval: with fewer, t has heavy tails"""
+_FEW = 0.5
+"""share of stretches that differ, at most, for which it counts how few they are: where all differ, as
+in areas, Student's t covers"""
 _UNSEEN = 0.5
 """number of pairs of value 0, and of value 1, that are added to the variance of an area: the pairs seen may hold none
 of the few that fail"""
@@ -190,9 +193,10 @@ def paired_difference(
     if size is None:
         return Difference(mean, None)
     low, high, p = _by_students_t(difference, size)
-    if mean > 0:
+    few = float(np.mean([np.count_nonzero(d) / d.size for d in difference])) <= _FEW
+    if few and mean > 0:
         high = max(high, mean + _beyond(won, lost, size))
-    elif mean < 0:
+    elif few and mean < 0:
         low = min(low, mean - _beyond(lost, won, size))
     names = [None] if roads is None else list(dict.fromkeys(roads))
     by_name = dict(zip(names, (float(x.mean()) for x in difference), strict=True))

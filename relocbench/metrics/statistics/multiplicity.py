@@ -8,7 +8,8 @@ anywhere on the list:
   are equal, a road's difference is as likely the one way as the other, whatever its distribution. The p value of a
   difference is the share of all patterns of signs, the same for all differences, under which it would be as large; the
   smallest p value of the list is compared with those under the same patterns, and what is left is tested again without
-  what is significant (the step-down minP of Westfall and Young, "Resampling-Based Multiple Testing", 1993).
+  what is significant (the step-down minP of Westfall and Young, "Resampling-Based Multiple Testing", 1993). No p value
+  is smaller than that of the interval, so that one of at most 5 % always has an interval without zero.
 - With fewer roads, whose signs say too little, by the p values that belong to the intervals, multiplied by the number
   of differences that are left (Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal
   of Statistics 1979).
@@ -44,8 +45,8 @@ def controlled(differences: Sequence[Difference], *, seed: int = 0) -> list[Diff
         return out
     many = all(len(each.by_road) >= MANY_ROADS for each in listed)
     adjusted = _by_signs(listed, seed) if many else _holm(np.array([each.p for each in listed], dtype=np.float64))
-    for index, p in zip(known, adjusted.tolist(), strict=True):
-        out[index] = replace(out[index], adjusted_p=p)
+    for index, difference, p in zip(known, listed, adjusted.tolist(), strict=True):
+        out[index] = replace(difference, adjusted_p=max(p, difference.p or 0.0))
     return out
 
 
@@ -69,8 +70,7 @@ def _signs(roads: int, seed: int) -> Array:
     else:
         bits = np.random.default_rng(seed).integers(2, size=(roads, _PATTERNS))
         bits[:, 0] = 0
-    out: Array = 1.0 - 2.0 * (bits & 1)
-    return out
+    return np.where(bits & 1, -1.0, 1.0)
 
 
 def _shares_at_least(statistics: Array) -> Array:

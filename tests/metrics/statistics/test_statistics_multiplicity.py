@@ -13,7 +13,7 @@ CLEAR = Interval(0.001, 1.0, 0.95)
 
 
 def by_road(of_roads: Array) -> Difference:
-    return Difference(float(of_roads.mean()), CLEAR, 0.001, dict(enumerate(of_roads.tolist())))
+    return Difference(float(of_roads.mean()), CLEAR, 0.0001, dict(enumerate(of_roads.tolist())))
 
 
 def test_a_single_difference_has_the_exact_p_value_of_its_signs() -> None:
