@@ -13,7 +13,8 @@ A method's rank is one more than the number of methods above that are significan
 Wilhelm, "Inference for ranks", Review of Economic Studies 2024), and never smaller than that of a method above it.
 
 Near-copies are represented by one of them (:mod:`relocbench.metrics.statistics.families`): methods are compared with
-representatives alone, so that copies count for one comparison, and for one method that is better.
+representatives alone, so that copies count for one comparison, and for one method that is better. A copy's rank is
+never larger than that of a method below it.
 
 The pair sets of one road become one series first (:mod:`relocbench.metrics.statistics.roads`). From
 :data:`~relocbench.metrics.statistics.intervals.MANY_ROADS` roads on, a comparison must be significant by the spread of
@@ -114,9 +115,13 @@ def rank_with_ties(
     tables = _tables(stacked, roads, represents)
     behind = _behind(stacked, tables, represents, rng, of_methods, roads=roads, independent=independent)
     places = behind.sum(axis=1) + 1
-    for index, name in enumerate(order):  # best first, so that those above are final
-        above = tables[index] & (np.arange(len(order)) != index)
-        places[index] = max(places[index], places[above].max(initial=1))
+    for index in range(len(order)):  # best first, so that those above are final
+        places[index] = max(places[index], places[tables[index]].max())
+    in_order = np.array([means[name] for name in order])
+    for index in np.flatnonzero(~represents)[::-1]:  # nor does a copy stand behind what has a lower mean
+        below = in_order < in_order[index] - _EQUAL
+        places[index] = min(places[index], places[below].min(initial=places[index]))
+    for index, name in enumerate(order):
         ranks[name] = int(places[index])
     return ranks
 

@@ -59,6 +59,9 @@ def test_no_rank_moves_by_copies_of_another_method(
             copies = {f"a-copy-{c}": [change(e, rng) for e in errors[original]] for c in range(5)}
             after = ranks_of({**errors, **copies}, roads)
             assert {name: after[name] for name in before} == before
+            shares = {name: np.mean([x.mean() for x in of]) for name, of in right({**errors, **copies}).items()}
+            in_order = sorted(shares, key=lambda name: (-shares[name], after[name] or 0))
+            assert [after[name] for name in in_order] == sorted(after[name] or 0 for name in in_order)
 
 
 @pytest.mark.parametrize("roads", [1, 12])
@@ -77,7 +80,7 @@ def test_no_rank_moves_by_methods_that_do_worse_whatever_they_are(roads: int) ->
 
 
 def test_five_copies_without_one_pair_a_set_hide_nobody_over_twelve_roads() -> None:
-    """What made a method that is worse on every road share rank 1: copies make the others' differences look rare."""
+    """Copies of one method that is better than another count for one, on the other's rank and in its comparisons."""
     rng = np.random.default_rng(0)
     errors: Errors = {"leader": [], "second": [], "behind": []}
     for road in range(12):
