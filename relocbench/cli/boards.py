@@ -100,7 +100,7 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.text import METHOD, RANK
     from relocbench.leaderboard.tracking.columns import lines_of, tracking_columns
-    from relocbench.leaderboard.tracking.marks import total_words, why_no_ranks
+    from relocbench.leaderboard.tracking.marks import about_ranks, total_words
     from relocbench.metrics import shown_in
 
     shown = shown_in("terminal", board.metric)
@@ -111,14 +111,14 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     keys = [METHOD, RANK, *(metric.name for metric in shown)]
     rows = [[columns[key].text(line, bounds=False) for key in keys] for line in lines_of(dataset, table)]
     print_table(f"{dataset.entry.record.name}, {over} ({table.pairs} pairs{rejected})", heads, rows)
-    if why := why_no_ranks(board, table):
+    if why := about_ranks(board, table):
         print(why)
 
 
 def print_by_query(display: Display[Any, Any], board: TaskBoard[Any, Any, Any, Any]) -> None:
     """A short table for each table of a board of retrievers or of pipelines."""
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.common.model import why_no_ranks
+    from relocbench.leaderboard.common.model import about_ranks
 
     columns = display.columns(board)
     heads = [short_heading(key, columns[key].unit) for key in display.terminal(board)]
@@ -126,5 +126,5 @@ def print_by_query(display: Display[Any, Any], board: TaskBoard[Any, Any, Any, A
         for table in of.tables:
             rows = display.texts(board, of, table)
             print_table(f"{of.title}: {table.name} ({table.queries} queries)", heads, rows)
-            if why := why_no_ranks(table.rows, board.metric, f"{table.queries} queries"):
+            if why := about_ranks(table.rows, board.metric, f"{table.queries} queries"):
                 print(why)

@@ -98,7 +98,7 @@ RETRIEVAL: Display[RetrievalBoard, of_retrievers.RetrievalLine] = Display(
     retrieval_page,
     (METHOD,),
     of_retrievers.paper_columns,
-    lambda line: line.row is not None,
+    lambda line: line.row is not None and not line.row.method.is_baseline,
 )
 RELOCALIZATION: Display[PipelineBoard, of_pipelines.PipelineLine] = Display(
     "relocalization",

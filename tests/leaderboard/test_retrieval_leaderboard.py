@@ -64,7 +64,9 @@ def rows_of(results: Path, table: str) -> dict[str, RetrievalRow]:
 
 def test_methods_share_a_place_unless_they_differ(results: Path) -> None:
     rows = rows_of(results, MEAN)
-    assert {label: row.rank for label, row in rows.items()} == {"good": 1, "twin": 1, "same": 3, "half": None}
+    assert {label: row.rank for label, row in rows.items()} == {"good": 1, "twin": 1, "same": 2, "half": None}
+    assert rows["good"].family == rows["twin"].family == ("good", "twin"), "one code with the same settings"
+    assert rows["same"].family == ()
     assert list(rows)[-1] == "half"
     assert rows["half"].missing == (S2D,)
     assert set(rows["half"].values.values()) == {None}

@@ -141,6 +141,7 @@ class QueryTask(BoardTask[F, S, U, M, T, Row[M]]):
             standing.rank,
             sum(answer.status == "failed" for answer in answers),
             sum(answer.status == "error" for answer in answers),
+            family=standing.family,
         )
 
 

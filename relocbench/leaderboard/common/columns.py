@@ -114,6 +114,11 @@ def rank_column() -> Column[Line[B, T, R]]:
     return Column(RANK, lambda line: line.of_row(lambda row: row.rank), shown=shown)
 
 
+def family_column() -> Column[Line[B, T, R]]:
+    """The method that stands for a method and its near-copies where ranks count methods."""
+    return Column("family", lambda line: line.of_row(lambda row: row.family[0] if row.family else None))
+
+
 def counts_column() -> Column[Line[B, T, R]]:
     """How many answers a method declined, and on how many it crashed, in one cell."""
 

@@ -13,17 +13,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import ConfigError, PredictionError, available
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import AnswerFolder, SetFolder, SetLike, folders_with, sets_in
+from relocbench.evaluation.common.results import RunRecord
 from relocbench.evaluation.tables.records import ALL
 from relocbench.leaderboard.common.cards import distinct_label
 from relocbench.leaderboard.common.model import Method, Row
+from relocbench.leaderboard.common.near_copies import came, nearly_same_settings
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_questions
-from relocbench.metrics import Interval, generator, mean_interval, rank_with_ties
+from relocbench.metrics import Interval, families_of, generator, mean_interval, rank_with_ties, same_answers
 
 F = TypeVar("F", bound=AnswerFolder)
 S = TypeVar("S", bound=SetLike)
@@ -57,6 +61,8 @@ class Standing:
     intervals: Mapping[str, Interval | None]
     missing: tuple[str, ...]
     """units without results"""
+    family: tuple[str, ...] = ()
+    """the labels of its near-copies and its own, the one that represents them first; empty where there are none"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +155,17 @@ class BoardTask(ABC, Generic[F, S, U, M, T, R]):
     @abstractmethod
     def alike(self, method: M, plan: Plan) -> list[Array]:
         """(K, N) for each of these arrays: by them, statistics know how alike neighbouring values are."""
+
+    def answers(self, method: M, plan: Plan) -> list[Array]:
+        """(K, N) for each array: two methods whose values are close to each other give the same answer; inf for none.
+
+        :func:`relocbench.metrics.same_answers` finds near-copies by them.
+        """
+        return self.alike(method, plan)
+
+    @abstractmethod
+    def runs(self, method: M) -> Sequence[RunRecord]:
+        """How the method was run; both halves of a pipeline."""
 
     @abstractmethod
     def row(self, method: M, plan: Plan, standing: Standing) -> R:
@@ -253,34 +270,78 @@ def compared(
         metric: the metric that ranks; only tables over all groups have ranks.
         question: the set. With the plan, the metric and the seed it decides the draws: a table depends on no other.
     """
-    whole = [method for method in methods if set(plan.units) <= method.answers.keys()]
-    shown = dict.fromkeys((*task.with_interval, metric))
-    values = {m.label: {each: task.values(m, plan, each) for each in shown} for m in whole}
-    alike = {m.label: task.alike(m, plan) for m in whole}
-    better = task.higher_is_better(metric)
-    independent = bool(whole) and task.independent(whole[0], plan)
-    ranks = rank_with_ties(
-        {m.label: values[m.label][metric] for m in whole if task.is_ranked(m) and plan.group == ALL},
-        generator(seed, f"{question} {plan.place or plan.name}", metric),
-        alike,
-        higher_is_better=better,
-        independent=independent,
-    )
+    whole = {m.label: [(m, plan)] for m in methods if set(plan.units) <= m.answers.keys()}
+    rng = generator(seed, f"{question} {plan.place or plan.name}", metric)
+    known = standings(task, whole, metric, rng, [""], ranked=plan.group == ALL)
     rows = []
     for method in methods:
-        own = values.get(method.label, {})
-        bounds = {each: mean_interval(own[each], alike[method.label], independent=independent) for each in own}
         missing = tuple(name for name in plan.units if name not in method.answers)
-        rows.append(task.row(method, plan, Standing(ranks.get(method.label), bounds, missing)))
-    sign = -1.0 if better else 1.0
+        rows.append(task.row(method, plan, known.get(method.label) or Standing(None, {}, missing)))
+    sign = -1.0 if task.higher_is_better(metric) else 1.0
     return sorted(rows, key=_order(task, metric, sign))
+
+
+def standings(
+    task: BoardTask[F, S, U, M, T, R],
+    whole: Mapping[str, Sequence[tuple[M, Plan]]],
+    metric: str,
+    rng: np.random.Generator,
+    roads: Sequence[str],
+    *,
+    ranked: bool = True,
+) -> dict[str, Standing]:
+    """Where methods without missing results stand, by label.
+
+    Args:
+        whole: by label, the method in each part of the table, with what it is asked there.
+        roads: of each part, such as the names of datasets; parts of one road count as one together.
+    """
+    shown = dict.fromkeys((*task.with_interval, metric))
+    values = {
+        label: {each: [x for method, plan in parts for x in task.values(method, plan, each)] for each in shown}
+        for label, parts in whole.items()
+    }
+    alike = {label: [x for method, plan in parts for x in task.alike(method, plan)] for label, parts in whole.items()}
+    first = next(iter(whole.values()), ())
+    of_arrays = [road for road, part in zip(roads, first, strict=False) for _ in task.values(*part, metric)]
+    independent = bool(first) and all(task.independent(*part) for part in first)
+    runs = {label: [run for method, _ in parts for run in task.runs(method)] for label, parts in whole.items()}
+    competing = [
+        label
+        for label in sorted(whole, key=lambda label: came(runs[label], label))
+        if ranked and all(task.is_ranked(method) for method, _ in whole[label])
+    ]
+    answers = {label: [x for part in whole[label] for x in task.answers(*part)] for label in competing}
+    sign = 1.0 if task.higher_is_better(metric) else -1.0
+    families = families_of(
+        {label: [sign * x for x in values[label][metric]] for label in competing},
+        lambda a, b: nearly_same_settings(runs[a], runs[b]) or same_answers(answers[a], answers[b]),
+    )
+    ranks = rank_with_ties(
+        {label: values[label][metric] for label in competing},
+        rng,
+        alike,
+        families=families,
+        higher_is_better=task.higher_is_better(metric),
+        roads=of_arrays,
+        independent=independent,
+    )
+    out = {}
+    for label, own in values.items():
+        bounds = {
+            each: mean_interval(x, alike[label], roads=of_arrays, independent=independent) for each, x in own.items()
+        }
+        family = tuple(other for other in competing if families[other] == families.get(label))
+        out[label] = Standing(ranks.get(label), bounds, (), family if len(family) > 1 else ())
+    return out
 
 
 def _order(
     task: BoardTask[F, S, U, M, T, R], metric: str, sign: float
-) -> Callable[[R], tuple[tuple[bool, ...], bool, float, str]]:
-    def place(row: R) -> tuple[tuple[bool, ...], bool, float, str]:
+) -> Callable[[R], tuple[tuple[bool, ...], bool, float, int, str]]:
+    def place(row: R) -> tuple[tuple[bool, ...], bool, float, int, str]:
         value = row.values[metric]
-        return task.stands_last(row.method), value is None, sign * (value or 0.0), row.method.label
+        last = task.stands_last(row.method)
+        return last, value is None, sign * (value or 0.0), row.rank or 0, row.method.label
 
     return place

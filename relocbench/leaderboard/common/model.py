@@ -43,8 +43,12 @@ class Row(Generic[M_co]):
     """number of answers on which it raised, crashed or broke the contract"""
     missing: tuple[str, ...] = ()
     """the pair sets or tasks that are missing"""
+    family: tuple[str, ...] = ()
+    """the labels of near-copies, of which ranks count the first alone; empty where there are none"""
 
 
+NEAR_COPIES = "≈"
+"""behind the rank of a method that has near-copies"""
 NO_RANK = "–"
 """in place of the rank that all methods of a table share"""
 SHARED = "Methods share a rank where the pairs show no significant difference between them"
@@ -59,7 +63,17 @@ def rank_text(row: Row[Method], rows: Iterable[Row[Method]]) -> str:
     """The rank as text: empty for a row that is not ranked, a dash where all rows share a rank."""
     if row.rank is None:
         return ""
-    return NO_RANK if share_a_rank(rows) else str(row.rank)
+    if share_a_rank(rows):
+        return NO_RANK
+    return f"{row.rank} {NEAR_COPIES}" if row.family else str(row.rank)
+
+
+def about_ranks(rows: Sequence[Row[Method]], metric: str, of: str) -> str:
+    """Why a table shows no ranks, or which methods count once in them, without a full stop; empty for neither."""
+    families = [] if share_a_rank(rows) else dict.fromkeys(row.family for row in rows if row.family)
+    listed = "; ".join(", ".join(family) for family in families)
+    copies = f"{NEAR_COPIES} near-copies count as one method in the ranks of others: {listed}" if listed else ""
+    return why_no_ranks(rows, metric, of) or copies
 
 
 def why_no_ranks(rows: Sequence[Row[Method]], metric: str, of: str) -> str:

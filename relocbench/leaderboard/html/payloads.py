@@ -10,7 +10,7 @@ from relocbench.leaderboard.common.text import COUNTS, SECONDS
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.data import bytes_of, floats, integers
 from relocbench.leaderboard.tracking.by_condition import UNKNOWN, by_condition
-from relocbench.leaderboard.tracking.marks import MARKS, level_with_identity, plain_heading, why_no_ranks
+from relocbench.leaderboard.tracking.marks import MARKS, about_ranks, level_with_identity, plain_heading
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import MEDIANS, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
 from relocbench.metrics import CORRECT, Interval, metric_named, shown_in
@@ -148,7 +148,7 @@ def _table(board: Board, dataset: DatasetBoard, table: Table, metrics: list[str]
         "group": table.group,
         "finer": sorted(table.finer),
         "about": f"{'. '.join(_about(table))}.",
-        "notes": [why_no_ranks(board, table), no_gain(dataset, table)],
+        "notes": [about_ranks(board, table), no_gain(dataset, table)],
         "rows": [_row(table, row, metrics) for row in table.rows],
     }
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from relocbench.leaderboard.common.by_query import Table
 from relocbench.leaderboard.common.columns import B, Column, Line, R, T
-from relocbench.leaderboard.common.model import why_no_ranks
+from relocbench.leaderboard.common.model import about_ranks
 from relocbench.leaderboard.common.text import BASIN, METHOD, RANK, RESCORED, RETRIEVER, TOP, TRACKER
 
 ANSWER_COLUMNS = (
@@ -67,7 +67,7 @@ def table_payload(
         "group": "all",
         "views": dict(views),
         "about": f"{about} Missing: {'; '.join(missing)}." if missing else about,
-        "notes": [why_no_ranks(table.rows, metric, f"{table.queries} queries"), note],
+        "notes": [about_ranks(table.rows, metric, f"{table.queries} queries"), note],
         "rows": [_row(label, line, [columns[key] for key in keys]) for label, line in rows],
     }
 

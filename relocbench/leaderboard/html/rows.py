@@ -17,7 +17,7 @@ from relocbench.leaderboard.html.pipeline_pages.payloads import PipelinePages
 from relocbench.leaderboard.html.query_pages import QueryPages
 from relocbench.leaderboard.html.retrieval_pages.payloads import RetrievalPages
 from relocbench.leaderboard.retrieval.columns import CHANCE
-from relocbench.leaderboard.tracking.marks import why_no_ranks
+from relocbench.leaderboard.tracking.marks import about_ranks
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
 from relocbench.leaderboard.tracking.model import Row as TrackerRow
 from relocbench.metrics import Interval
@@ -39,14 +39,14 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
     if board is not None:
         totals = [(dataset, table) for dataset in board.datasets for table in dataset.totals]
         rows = [tracker_row(board, of, table, row) for of, table in totals for row in table.rows]
-        remarks = [(of.entry.title, table_title(t), why_no_ranks(board, t), no_gain(of, t)) for of, t in totals]
+        remarks = [(of.entry.title, table_title(t), about_ranks(board, t), no_gain(of, t)) for of, t in totals]
         notes = [note for each in remarks for note in _notes(*each)]
         section = {"title": "Trackers", "metric": board.metric.name, "what": "pairs", "rows": rows, "notes": notes}
         sections.append(section)
     for pages, by_query in pages_by_query(boards):
         first = [(of, table) for of in by_query.sets for table in _first(pages, of.tables)]
         lines = [line for of, table in first for line in pages.display.lines(of, table)]
-        why = [model.why_no_ranks(t.rows, by_query.metric, f"{t.queries} queries") for _, t in first]
+        why = [model.about_ranks(t.rows, by_query.metric, f"{t.queries} queries") for _, t in first]
         remarks = [(of.title, t.name, no, pages.note(by_query, t)) for (of, t), no in zip(first, why, strict=True)]
         notes = [note for each in remarks for note in _notes(*each)]
         rows = query_rows(pages, by_query, lines)

@@ -29,7 +29,7 @@ from relocbench.leaderboard.html.rows import pages_by_query, query_rows, section
 from relocbench.leaderboard.html.set_page.write import write_charts
 from relocbench.leaderboard.retrieval import page as retrieval_page
 from relocbench.leaderboard.retrieval.board import RetrievalBoard
-from relocbench.leaderboard.tracking.marks import MARKS, why_no_ranks
+from relocbench.leaderboard.tracking.marks import MARKS, about_ranks
 from relocbench.leaderboard.tracking.method import Method, evaluate_command, machine_words
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 from relocbench.leaderboard.tracking.reservations import reservations
@@ -144,7 +144,7 @@ def _opening(board: Board | None, datasets: Sequence[DatasetBoard], *, pictures:
     """What the start page and the page of a set open with: the matrix, and what a reader must know before it."""
     why = ""
     if board is not None and len(datasets) == 1 and datasets[0].totals:
-        why = why_no_ranks(board, datasets[0].totals[0]) or SHARED
+        why = about_ranks(board, datasets[0].totals[0]) or SHARED
     return {
         "shown": matrix_of(datasets, pictures=pictures),
         "correct": CORRECT,

@@ -14,8 +14,10 @@ from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import SetFolder
+from relocbench.evaluation.common.results import RunRecord
 from relocbench.evaluation.relocalization.answers import PIPELINE, PipelineAnswer, errors_of, read_pipeline
 from relocbench.evaluation.relocalization.records import (
+    KEYFRAME,
     ORACLE,
     PipelineBasin,
     PipelineResults,
@@ -73,9 +75,14 @@ class Pipeline:
         return "" if self.run.tracker_run is None else self.run.tracker_run.assumes
 
     @property
+    def is_baseline(self) -> bool:
+        """Whether the pipeline is a trivial baseline, which answers the pose of the first keyframe."""
+        return self.run.tracker == KEYFRAME
+
+    @property
     def is_ranked(self) -> bool:
-        """Whether the pipeline is ranked: one that knows the truth or sees times is not."""
-        return not (self.knows_truth or self.uses_times)
+        """Whether the pipeline is ranked: trivial baselines are not, nor what knows the truth or sees times."""
+        return not (self.is_baseline or self.knows_truth or self.uses_times)
 
 
 PipelineRow = Row[Pipeline]
@@ -85,7 +92,7 @@ PipelineBoard = Board[PipelineSet, PipelineTask, Pipeline, PipelineTruth]
 
 
 class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask, Pipeline, PipelineTruth]):
-    """The task of pipelines. One that knows the truth or sees times is not ranked."""
+    """The task of pipelines. Trivial baselines are not ranked, nor what knows the truth or sees times."""
 
     what = "pipelines"
     kind = PipelineSetResults
@@ -161,6 +168,11 @@ class RelocalizationBoards(QueryTask[PipelineResults, PipelineSet, PipelineTask,
             "median_translation_error_m": float(np.median(errors.translation_error_m)),
             "median_rotation_error_deg": float(np.median(errors.rotation_error_deg)),
         }
+
+    def runs(self, method: Pipeline) -> Sequence[RunRecord]:
+        halves = (method.run.retriever_run, method.run.tracker_run)
+        top = {"top": method.run.top}
+        return [h.model_copy(update={"parameters": {**h.parameters, **top}}) for h in halves if h is not None]
 
     def is_ranked(self, method: Pipeline) -> bool:
         return method.is_ranked

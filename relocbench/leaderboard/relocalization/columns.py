@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from relocbench.evaluation.relocalization.basin import SAID
-from relocbench.evaluation.relocalization.records import KEYFRAME, PipelineBasin
+from relocbench.evaluation.relocalization.records import PipelineBasin
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, POSE_METRICS, RANKING, basin_recall
-from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
+from relocbench.leaderboard.common.columns import (
+    Column,
+    Line,
+    bounds_columns,
+    by_key,
+    counts_column,
+    family_column,
+    rank_column,
+)
 from relocbench.leaderboard.common.text import BASIN, COUNTS, RANK, RESCORED, RETRIEVER, SECONDS, TOP, TRACKER, Value
 from relocbench.leaderboard.relocalization.board import (
     RELOCALIZATION,
@@ -58,7 +66,7 @@ def paper_columns(board: PipelineBoard) -> tuple[str, ...]:
 
 def competes(line: PipelineLine) -> bool:
     """Whether values of a pipeline may be the best of a table: those of trivial baselines and the oracle may not."""
-    return line.row is not None and line.row.method.is_ranked and line.row.method.run.tracker != KEYFRAME
+    return line.row is not None and line.row.method.is_ranked
 
 
 def lines_of(asked: PipelineSetBoard, table: PipelineTable) -> list[PipelineLine]:
@@ -80,6 +88,7 @@ def pipeline_columns(board: PipelineBoard) -> dict[str, PipelineColumn]:
             Column(TRACKER, lambda line: line.of_row(lambda row: row.method.run.tracker)),
             Column(TOP, lambda line: line.of_row(lambda row: row.method.run.top)),
             rank_column(),
+            family_column(),
             Column("missing", lambda line: line.of_row(lambda row: " ".join(row.missing))),
             Column(RESCORED, lambda line: line.of_row(lambda row: "yes" if is_rescored(row, line.table) else "no")),
             Column("failed", lambda line: line.of_row(lambda row: row.failed)),

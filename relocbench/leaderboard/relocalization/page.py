@@ -13,7 +13,7 @@ from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, Pipel
 from relocbench.files import json_text
 from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import page_command
-from relocbench.leaderboard.common.model import why_no_ranks
+from relocbench.leaderboard.common.model import about_ranks
 from relocbench.leaderboard.common.text import RETRIEVER, TRACKER, number
 from relocbench.leaderboard.relocalization.board import (
     Pipeline,
@@ -130,7 +130,7 @@ def _section(board: PipelineBoard, asked: PipelineSetBoard, table: PipelineTable
         "table": table,
         "poses": _table(board, asked, table, pose_columns(board), left=3),
         "losses": _table(board, asked, table, stage_columns(table), left=2),
-        "why_no_ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
+        "about_ranks": about_ranks(table.rows, board.metric, f"{table.queries} queries"),
         "coarse": SIGMA_FACTOR * sigma > RIGHT[0],
         "sigma": f"{sigma:.2f}",
         "finest": f"{SIGMA_FACTOR * sigma:.2f}",

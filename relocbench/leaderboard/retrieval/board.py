@@ -16,6 +16,7 @@ from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import SetFolder
+from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
 from relocbench.evaluation.retrieval.answers import ANSWERS, QueryAnswer
 from relocbench.evaluation.retrieval.records import (
     METRICS,
@@ -37,6 +38,8 @@ from relocbench.leaderboard.common.untrusted_results import check_lies_with
 from relocbench.metrics import by_place, single_positive_fault
 from relocbench.metrics.retrieval.measures import RetrievalScores
 
+RANDOM_TARGETS = ("random", "baselines.floors:RandomOrder")
+"""the targets of the retriever that ranks at random"""
 _AGAIN = "run `relocbench evaluate-retrieval` again to score"
 
 
@@ -59,6 +62,11 @@ class Retriever:
     records: Mapping[str, TaskRecord]
     """of the tasks"""
     _scores: dict[str, RetrievalScores] = field(default_factory=dict, repr=False)
+
+    @property
+    def is_baseline(self) -> bool:
+        """Whether the method is the trivial baseline, which ranks at random, whatever its label."""
+        return self.run.target.removeprefix(PREDICTIONS) in RANDOM_TARGETS
 
     @property
     def renamed(self) -> bool:
@@ -157,6 +165,15 @@ class RetrievalBoards(QueryTask[RetrieverResults, SetRecord, TaskRecord, Retriev
         values = [self.values(method, plan, metric) for metric in METRICS]
         return [np.stack(of_task) for of_task in zip(*values, strict=True)]
 
+    def answers(self, method: Retriever, plan: Plan) -> list[Array]:
+        return [np.stack([_places(answer) for answer in method.answers[task]], axis=1) for task in plan.units]
+
+    def runs(self, method: Retriever) -> Sequence[RunRecord]:
+        return [method.run]
+
+    def is_ranked(self, method: Retriever) -> bool:
+        return not method.is_baseline
+
     def independent(self, method: Retriever, plan: Plan) -> bool:
         return all(method.records[task].grouped for task in plan.units)  # one value for each place
 
@@ -165,6 +182,17 @@ class RetrievalBoards(QueryTask[RetrieverResults, SetRecord, TaskRecord, Retriev
 
 
 RETRIEVAL = RetrievalBoards()
+
+
+def _places(answer: QueryAnswer) -> tuple[float, float]:
+    """The rank of the first right image, and how far all of them are from the first places.
+
+    Infinite where all right images come first: so do those of any good retriever.
+    """
+    found = len(answer.ranks)
+    late = sum(answer.ranks) - found * (found + 1) // 2
+    told = found > 0 and (late > 0 or found < answer.positives)
+    return (float(answer.ranks[0]), float(late)) if told else (math.inf, math.inf)
 
 
 def chance_of(table: RetrievalTable) -> dict[str, float]:

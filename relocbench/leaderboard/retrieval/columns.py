@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from relocbench.evaluation.retrieval.records import METRICS
-from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
+from relocbench.leaderboard.common.columns import (
+    Column,
+    Line,
+    bounds_columns,
+    by_key,
+    counts_column,
+    family_column,
+    rank_column,
+)
 from relocbench.leaderboard.common.text import COUNTS, METHOD, RANK, RESCORED, SECONDS, Value
 from relocbench.leaderboard.retrieval.board import (
     RETRIEVAL,
@@ -65,6 +73,7 @@ def retrieval_columns(board: RetrievalBoard) -> dict[str, RetrievalColumn]:
             Column(METHOD, lambda line: CHANCE if line.row is None else line.row.method.label),
             Column("target", lambda line: line.of_row(lambda row: row.method.run.target)),
             rank_column(),
+            family_column(),
             Column("missing", lambda line: "" if line.row is None else " ".join(line.row.missing)),
             Column(RESCORED, lambda line: line.of_row(lambda row: rescored_text(row, line.table)), shown=_rescored),
             Column("failed", lambda line: line.of_row(lambda row: row.failed)),

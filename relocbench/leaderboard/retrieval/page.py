@@ -11,7 +11,7 @@ from relocbench.files import json_text
 from relocbench.leaderboard.common.cards import add_command, answers_on_copies, shown_cards
 from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import method_words, page_command
-from relocbench.leaderboard.common.model import why_no_ranks
+from relocbench.leaderboard.common.model import about_ranks
 from relocbench.leaderboard.retrieval.board import (
     RetrievalBoard,
     RetrievalRow,
@@ -94,7 +94,7 @@ def _section(board: RetrievalBoard, asked: RetrievalSetBoard, table: RetrievalTa
         "numbers": table_text(heads, rows, left=2),
         "single_positive": has_single_positives(table),
         "at_chance": [row.method.label for row in table.rows if not_above_chance(board, table, row)],
-        "why_no_ranks": why_no_ranks(table.rows, board.metric, f"{table.queries} queries"),
+        "about_ranks": about_ranks(table.rows, board.metric, f"{table.queries} queries"),
     }
 
 

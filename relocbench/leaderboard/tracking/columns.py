@@ -5,7 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from relocbench.files import json_text
-from relocbench.leaderboard.common.columns import Column, Line, bounds_columns, by_key, counts_column, rank_column
+from relocbench.leaderboard.common.columns import (
+    Column,
+    Line,
+    bounds_columns,
+    by_key,
+    counts_column,
+    family_column,
+    rank_column,
+)
 from relocbench.leaderboard.common.text import ELSEWHERE, METHOD, RESCORED, SECONDS_AND_P95, Value, number
 from relocbench.leaderboard.tracking.marks import made_elsewhere
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
@@ -42,6 +50,7 @@ def tracking_columns(board: Board) -> dict[str, TrackingColumn]:
             *(_of_run("fingerprint", "fingerprint") if of.key == "fingerprint" else of for of in place),
             Column(METHOD, lambda line: line.of_row(lambda row: row.method.label)),
             rank_column(),
+            family_column(),
             Column("ranked_by", lambda line: board.metric.name),
             Column("pairs", lambda line: line.table.pairs),
             Column("rejected", lambda line: line.table.rejected),

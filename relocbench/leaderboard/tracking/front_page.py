@@ -11,6 +11,7 @@ from relocbench.leaderboard.common.text import METHOD, RANK, SECONDS, number
 from relocbench.leaderboard.tracking.marks import (
     DAGGER,
     MARKS,
+    about_ranks,
     cell,
     group_heading,
     heading,
@@ -18,7 +19,6 @@ from relocbench.leaderboard.tracking.marks import (
     name,
     same_method,
     total_name,
-    why_no_ranks,
 )
 from relocbench.leaderboard.tracking.matrix_text import matrix_text
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table, short_title
@@ -70,7 +70,7 @@ def _dataset(board: Board, dataset: DatasetBoard) -> dict[str, object]:
             {
                 "title": total_name(table),
                 "numbers": _total_table(board, dataset, table),
-                "why_no_ranks": why_no_ranks(board, table),
+                "about_ranks": about_ranks(board, table),
                 "ranked_by_finer": board.metric.name in table.finer,
                 "level": level_with_identity(dataset, table),
             }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from relocbench.evaluation.common.results import (
     DatasetResults,
     MethodResults,
     PairSetRecord,
+    RunRecord,
     all_results,
 )
 from relocbench.leaderboard.common.loading import BoardTask, Loaded, Plan, Standing, load_sets
@@ -130,6 +131,9 @@ class Trackers(BoardTask[MethodResults, DatasetRecord, PairSetRecord, Method, Tr
 
     def row(self, method: Method, plan: Plan, standing: Standing) -> Row:
         return row_of(method, plan, standing, metric_named(self.ranked_by), self.identity)
+
+    def runs(self, method: Method) -> Sequence[RunRecord]:
+        return [method.run]
 
     def is_ranked(self, method: Method) -> bool:
         return is_ranked(method)

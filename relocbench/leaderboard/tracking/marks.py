@@ -95,9 +95,9 @@ def level_with_identity(dataset: DatasetBoard, table: Table) -> list[str]:
     return [method.label for method, gain in gains if gain.interval and not (gain.significant and gain.mean > 0)]
 
 
-def why_no_ranks(board: Board, table: Table) -> str:
-    """The sentence of :func:`model.why_no_ranks` for a table of trackers."""
-    return model.why_no_ranks(table.rows, board.metric.name, f"{table.pairs} pairs")
+def about_ranks(board: Board, table: Table) -> str:
+    """The sentence of :func:`relocbench.leaderboard.common.model.about_ranks` for a table of trackers."""
+    return model.about_ranks(table.rows, board.metric.name, f"{table.pairs} pairs")
 
 
 def is_ranked(method: Method) -> bool:

@@ -61,6 +61,7 @@ def row_of(method: Method, plan: Plan, standing: Standing, metric: Metric, ident
         standing.rank,
         sum(rows.with_status("failed") for rows in known),
         sum(rows.with_status("error") for rows in known),
+        family=standing.family,
         pairs=pairs,
         answered=sum(rows.with_status("ok") for rows in known),
         above_identity=above,

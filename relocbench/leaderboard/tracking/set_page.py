@@ -13,6 +13,7 @@ from relocbench.leaderboard.tracking.columns import lines_of, tracking_columns
 from relocbench.leaderboard.tracking.marks import (
     DAGGER,
     MARKS,
+    about_ranks,
     cell,
     group_heading,
     heading,
@@ -23,7 +24,6 @@ from relocbench.leaderboard.tracking.marks import (
     plain_heading,
     same_method,
     total_name,
-    why_no_ranks,
 )
 from relocbench.leaderboard.tracking.matching import matching_lines, matching_numbers
 from relocbench.leaderboard.tracking.matrix_text import matrix_text
@@ -118,7 +118,7 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
         "total": False,
         "same_drive": table.pair_set == SAME_DRIVE_TOTAL,
         "numbers": _method_table(board, dataset, table),
-        "why_no_ranks": why_no_ranks(board, table),
+        "about_ranks": about_ranks(board, table),
         "level": level_with_identity(dataset, table),
         "finer": [m.name for m in shown_in("set page", board.metric) if m.name in table.finer],
         "ranked_by_finer": board.metric.name in table.finer,

@@ -22,8 +22,9 @@ from relocbench.arrays import Array
 
 SAME_WITHIN = 0.2
 """by which share of the larger one two errors of one answer may differ"""
-SAME_ANSWERS = 0.5
-"""share of the pairs that either method answered on which near-copies give the same answer"""
+SAME_ANSWERS, LEAST_ANSWERS = 0.5, 10
+"""share of the pairs that either method answered on which near-copies give the same answer, and how many these pairs are
+at least"""
 AHEAD, STANDARD_ERRORS = 0.01, 4.0
 """by how much a method must be better than a representative not to be represented by it: by more than a percentage
 point and by so many standard errors of independent pairs, which is more than noise on copied answers gives"""
@@ -74,4 +75,4 @@ def same_answers(a: Sequence[ArrayLike | None], b: Sequence[ArrayLike | None]) -
     answers = np.isfinite(x).all(axis=0), np.isfinite(y).all(axis=0)
     both, either = answers[0] & answers[1], int((answers[0] | answers[1]).sum())
     close = np.abs(x[:, both] - y[:, both]) <= SAME_WITHIN * np.maximum(x[:, both], y[:, both])
-    return either > 0 and int(close.all(axis=0).sum()) >= SAME_ANSWERS * either
+    return either >= LEAST_ANSWERS and int(close.all(axis=0).sum()) >= SAME_ANSWERS * either

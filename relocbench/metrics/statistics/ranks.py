@@ -33,7 +33,7 @@ from collections.abc import Hashable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.metrics.statistics.effective_size import (
     Inflation,
     difference_inflation,
@@ -216,7 +216,9 @@ def _behind(
 class _ByPairs:
     """Comparisons by the spread of pairs: a statistic of each, which is normal if the methods are equal."""
 
-    def __init__(self, series: Sequence[Array], statistic: Array, represented: Array, rng: np.random.Generator) -> None:
+    def __init__(
+        self, series: Sequence[Array], statistic: Array, represented: Indices, rng: np.random.Generator
+    ) -> None:
         self._statistic, self._rng = statistic, rng
         self._covariance = _covariance(series)
         self._scale = np.sqrt(_differences(self._covariance))
@@ -225,7 +227,7 @@ class _ByPairs:
         self._normal = [rng.standard_normal(DRAWS)]
         self._means = [self._draw(method) for method in range(len(statistic))]
 
-    def drawn(self, method: int, others: Array) -> tuple[Array, Array]:
+    def drawn(self, method: int, others: Indices) -> tuple[Array, Array]:
         """(K,) the statistics of a method against others, and (K, DRAWS) what they are if all methods are equal."""
         scale = self._scale[method, others]
         null = np.abs(np.stack([self._means[m] for m in others]) - self._means[method]) if len(others) else _none(DRAWS)
@@ -262,7 +264,7 @@ class _ByRoads:
             self._signs = rng.choice([-1.0, 1.0], (DRAWS, roads))
         self._signs[0] = 1.0
 
-    def drawn(self, method: int, others: Array) -> tuple[Array, Array]:
+    def drawn(self, method: int, others: Indices) -> tuple[Array, Array]:
         """(K,) how rare the differences are, and (K, signs) how rare they are under random signs, both from 0 to 1."""
         differences = self._means[others] - self._means[method]
         size = np.sqrt(np.sum(differences**2, axis=1, keepdims=True))
@@ -329,11 +331,11 @@ def _variance_by_errors(
     """
     own = np.mean([x.var(axis=1) for x in pair_sets], axis=0)
     means = np.mean([x.mean(axis=1) for x in by_road(pair_sets, roads)], axis=0)
-    of_both = (own[:, None] + own[None, :]) / 2 + (means[:, None] - means[None, :]) ** 2 / 4
+    of_both: Array = (own[:, None] + own[None, :]) / 2 + (means[:, None] - means[None, :]) ** 2 / 4
     of_sets = [
         np.stack([np.atleast_2d(np.asarray(e, float)) for e in of_methods]) for of_methods in zip(*errors, strict=True)
     ]
-    out = np.zeros_like(of_both)
+    out: Array = np.zeros_like(of_both)
     for kind in range(of_sets[0].shape[1]):
         scores = [normal_scores(of[:, kind]) for of in of_sets]
         likely = difference_inflation(aligned(scores, roads), tables).likely

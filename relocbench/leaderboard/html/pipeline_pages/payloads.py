@@ -16,7 +16,7 @@ from relocbench.leaderboard.common.columns import Line
 from relocbench.leaderboard.common.text import BASIN, COUNTS, number
 from relocbench.leaderboard.displays import RELOCALIZATION
 from relocbench.leaderboard.html import links
-from relocbench.leaderboard.html.pipeline_pages.queries import LocatedQueries, is_keyframe_pose
+from relocbench.leaderboard.html.pipeline_pages.queries import LocatedQueries
 from relocbench.leaderboard.html.query_pages import QueryPages
 from relocbench.leaderboard.html.query_tables import ANSWER_COLUMNS, columns_payload, table_payload, view_of
 from relocbench.leaderboard.relocalization.board import (
@@ -81,11 +81,11 @@ class PipelinePages(QueryPages[PipelineSet, PipelineTask, Pipeline, PipelineTrut
         }
 
     def is_baseline(self, method: Pipeline) -> bool:
-        return is_keyframe_pose(method)
+        return method.is_baseline
 
     def marks(self, row: PipelineRow, table: PipelineTable) -> list[str]:
         known = {
-            "trivial baseline": is_keyframe_pose(row.method),
+            "trivial baseline": row.method.is_baseline,
             "knows the truth": row.method.knows_truth,
             "uses times": row.method.uses_times,
         }
@@ -119,7 +119,7 @@ class PipelinePages(QueryPages[PipelineSet, PipelineTask, Pipeline, PipelineTrut
         }
 
     def _pipeline(self, row: PipelineRow, table: PipelineTable) -> dict[str, Any]:
-        run, is_baseline = row.method.run, is_keyframe_pose(row.method)
+        run, is_baseline = row.method.run, row.method.is_baseline
         return {
             "parts": [run.retriever, run.tracker],
             "top": run.top,

@@ -14,7 +14,7 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.pairs.street_places import street_view
 from relocbench.evaluation.relocalization.answers import OUTCOMES, PipelineAnswer
 from relocbench.evaluation.relocalization.pipeline import RIGHT, Retrieved, Tracked
-from relocbench.evaluation.relocalization.records import KEYFRAME, PipelineBasin
+from relocbench.evaluation.relocalization.records import PipelineBasin
 from relocbench.evaluation.relocalization.rescoring import PipelineTruth
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
 from relocbench.evaluation.retrieval.answers import read_answers
@@ -28,11 +28,6 @@ from relocbench.retrieval import ImageView
 
 _NONE = -1
 """in place of the timestamp of a keyframe that there is none of"""
-
-
-def is_keyframe_pose(pipeline: Pipeline) -> bool:
-    """Whether a pipeline answers the pose of its first keyframe."""
-    return pipeline.run.tracker == KEYFRAME
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +73,7 @@ class LocatedQueries:
 
     def how_bad(self) -> list[list[float]]:
         """The larger error in units of what counts as right."""
-        competing = [p.answers[self._name] for p in self._pipelines.values() if not is_keyframe_pose(p)]
+        competing = [p.answers[self._name] for p in self._pipelines.values() if not p.is_baseline]
         return [
             [max(a.translation_error_m / RIGHT[0], a.rotation_error_deg / RIGHT[1]) for a in answers]
             for answers in competing

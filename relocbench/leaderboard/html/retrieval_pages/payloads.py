@@ -14,7 +14,7 @@ from relocbench.leaderboard.displays import RETRIEVAL
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.query_pages import QueryPages
 from relocbench.leaderboard.html.query_tables import ANSWER_COLUMNS, columns_payload, table_payload, view_of
-from relocbench.leaderboard.html.retrieval_pages.queries import RankedQueries, is_random
+from relocbench.leaderboard.html.retrieval_pages.queries import RankedQueries
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard, RetrievalTable, Retriever
 from relocbench.leaderboard.retrieval.columns import CHANCE, PAGE, RetrievalColumn, lines_of, retrieval_columns
 from relocbench.leaderboard.retrieval.page import not_above_chance
@@ -53,7 +53,7 @@ class RetrievalPages(QueryPages[SetRecord, TaskRecord, Retriever, RetrievalTruth
         }
 
     def is_baseline(self, method: Retriever) -> bool:
-        return is_random(method)
+        return method.is_baseline
 
     def marks(self, row: Row[Retriever], table: Table[Retriever, TaskRecord]) -> list[str]:
         return _marks(row.method)
@@ -86,7 +86,7 @@ class RetrievalPages(QueryPages[SetRecord, TaskRecord, Retriever, RetrievalTruth
             "least_cells": 1,
             "radius_m": radius if isinstance(radius := record.options.get("radius"), float | int) else None,
             "methods": {
-                m.label: {"baseline": is_random(m), "competes": not is_random(m), "marks": _marks(m)}
+                m.label: {"baseline": m.is_baseline, "competes": not m.is_baseline, "marks": _marks(m)}
                 for m in of.methods
             },
             "tasks": {name: _task(record, name) for name in of.used},
@@ -118,7 +118,7 @@ class RetrievalPages(QueryPages[SetRecord, TaskRecord, Retriever, RetrievalTruth
 
 
 def _marks(method: Retriever) -> list[str]:
-    marks = ["trivial baseline"] if is_random(method) else []
+    marks = ["trivial baseline"] if method.is_baseline else []
     return [*marks, *(["made elsewhere"] if made_elsewhere(method.run) else [])]
 
 

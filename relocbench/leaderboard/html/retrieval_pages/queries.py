@@ -30,15 +30,8 @@ from relocbench.leaderboard.tracking.marks import made_elsewhere
 from relocbench.metrics import chance_recall
 from relocbench.retrieval import ImageView, RetrievalTask
 
-RANDOM = "random"
-"""the target of the retriever that ranks at random"""
 _CURVE_POINTS = 60
 """numbers of images for which the recall of chance is told"""
-
-
-def is_random(method: Retriever) -> bool:
-    """Whether a method is the trivial baseline, which ranks at random."""
-    return method.run.target == RANDOM
 
 
 class RankedQueries:
@@ -76,7 +69,7 @@ class RankedQueries:
 
     def how_bad(self) -> list[list[float]]:
         """The rank of the first right image."""
-        return [_first_ranks(m, self._name) for m in self._methods.values() if not is_random(m)]
+        return [_first_ranks(m, self._name) for m in self._methods.values() if not m.is_baseline]
 
     def details(self, kept: Sequence[int], chosen: Sequence[int]) -> dict[str, Any]:
         """The first images of each method, and those that are right."""
