@@ -10,6 +10,7 @@ from relocbench.leaderboard.tracking.model import RANKING
 
 if TYPE_CHECKING:
     from relocbench.leaderboard.common.by_query import Board as TaskBoard
+    from relocbench.leaderboard.common.over_datasets import OverDatasets
     from relocbench.leaderboard.displays import Display
     from relocbench.leaderboard.tracking.by_condition import ByCondition, Column
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
@@ -94,6 +95,7 @@ def print_board(board: Board) -> None:
     for dataset in board.datasets:
         for table in dataset.totals or dataset.pair_sets:
             _print_table(board, dataset, table)
+    _print_over(board.over)
 
 
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
@@ -115,6 +117,21 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
         print(why)
 
 
+def _print_over(tables: Sequence[OverDatasets[Any]]) -> None:
+    """The tables over all datasets together."""
+    from relocbench.cli.console import print_table
+    from relocbench.leaderboard.common.over_datasets import over_lines, shown_columns
+    from relocbench.leaderboard.common.text import METHOD, RANK
+
+    for over in tables:
+        columns = shown_columns(over, (METHOD, RANK))
+        rows = [[column.text(line) for column in columns] for line in over_lines(over)]
+        heads = [short_heading(column.key, column.unit) for column in columns]
+        print_table(f"{over.title} ({over.count} {over.what})", heads, rows)
+        for note in over.notes:
+            print(note)
+
+
 def print_by_query(display: Display[Any, Any], board: TaskBoard[Any, Any, Any, Any]) -> None:
     """A short table for each table of a board of retrievers or of pipelines."""
     from relocbench.cli.console import print_table
@@ -128,3 +145,4 @@ def print_by_query(display: Display[Any, Any], board: TaskBoard[Any, Any, Any, A
             print_table(f"{of.title}: {table.name} ({table.queries} queries)", heads, rows)
             if why := about_ranks(table.rows, board.metric, f"{table.queries} queries"):
                 print(why)
+    _print_over(board.over)

@@ -12,6 +12,7 @@ from relocbench.leaderboard.common.by_query import Board, SetBoard, Table
 from relocbench.leaderboard.common.cards import write_cards
 from relocbench.leaderboard.common.columns import Column, records
 from relocbench.leaderboard.common.latex import LatexTable, document
+from relocbench.leaderboard.common.over_datasets import over_latex, over_records
 from relocbench.leaderboard.common.text import METHOD, RANK, RETRIEVER, TOP, TRACKER, Value, write_records
 from relocbench.leaderboard.relocalization import columns as of_pipelines
 from relocbench.leaderboard.relocalization.board import PipelineBoard
@@ -58,9 +59,9 @@ class Display(Generic[B, L]):
         return [[columns[key].text(line, bounds=False) for key in keys] for line in self.lines(of, table)]
 
     def latex(self, board: B) -> str:
-        """All tables in LaTeX, means over several tasks first."""
+        """All tables in LaTeX, that over all sets first, then means over several tasks."""
         columns = self.columns(board)
-        return document(
+        of_sets = (
             LatexTable(
                 of=of.title,
                 place=table.name,
@@ -75,12 +76,16 @@ class Display(Generic[B, L]):
             for of in board.sets
             for table in of.means_first
         )
+        return document([*map(over_latex, board.over), *of_sets])
 
     def write_table(self, board: B, out: Path) -> list[Path]:
-        """Write the table in CSV; returns the files."""
+        """Write the tables in CSV, that over all sets where there are several; returns the files."""
         remove_parts(out, deep=False)
-        write_records(out / f"{self.name}.csv", self.records(board))
-        return [out / f"{self.name}.csv"]
+        tables = {f"{self.name}.csv": self.records(board), f"{self.name}_datasets.csv": over_records(board.over)}
+        kept = {out / name: rows for name, rows in tables.items() if rows or not name.endswith("_datasets.csv")}
+        for path, rows in kept.items():
+            write_records(path, rows)
+        return list(kept)
 
     def write_page(self, board: B, out: Path) -> list[Path]:
         """Write the page in Markdown and the cards that it links; returns the files."""

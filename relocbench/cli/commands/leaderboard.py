@@ -118,6 +118,7 @@ def leaderboard(
     from relocbench.evaluation.common.opening import check_in_no_dataset
     from relocbench.files import locked_output
     from relocbench.leaderboard.common.by_query import note_missing
+    from relocbench.leaderboard.common.over_datasets import over_records
     from relocbench.leaderboard.formats import How, check_formats, write_formats
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
@@ -135,7 +136,9 @@ def leaderboard(
         others: dict[str, Any] = {}
         for display, other in boards.by_query:
             others |= {f"{display.name}_metric": other.metric, display.name: display.records(other)}
+            others |= {f"{display.name}_datasets": over_records(other.over)}
         rows = [] if board is None else leaderboard_rows(board)
+        others["datasets"] = [] if board is None else over_records(board.over)
         counts = {
             "rows": len(rows) + sum(len(others[display.name]) for display, _ in boards.by_query),
             "pair_sets": sum(len(b.entry.pair_sets) for b in board.datasets) if board else 0,

@@ -16,6 +16,7 @@ from relocbench.evaluation.common.folders import AnswerFolder, SetLike, folders_
 from relocbench.evaluation.tables.schema import Schema
 from relocbench.leaderboard.common.loading import BoardTask, Loaded, Plan, Standing, compared, load_sets
 from relocbench.leaderboard.common.model import Method, Row
+from relocbench.leaderboard.common.over_datasets import OverDatasets, Part, over_datasets
 from relocbench.leaderboard.common.text import SECONDS
 from relocbench.progress import Reporter
 
@@ -101,6 +102,8 @@ class Board(Generic[S, U, M, T]):
     """the metric that ranks methods"""
     seed: int
     split: str | None = None
+    over: tuple[OverDatasets[M], ...] = ()
+    """the table over all sets together"""
 
 
 class QueryTask(BoardTask[F, S, U, M, T, Row[M]]):
@@ -185,7 +188,19 @@ def load_board(
         )
         if tables or task.shows_unanswered:
             sets.append(SetBoard(**loaded.parts, title=task.title(loaded.record), tables=tables))
-    return Board(tuple(sets), metric, seed, split) if sets else None
+    return Board(tuple(sets), metric, seed, split, _over_sets(task, sets, metric, seed)) if sets else None
+
+
+def _over_sets(
+    task: QueryTask[F, S, U, M, T], sets: Sequence[SetBoard[S, U, M, T]], metric: str, seed: int
+) -> tuple[OverDatasets[M], ...]:
+    """The table over all sets, of each of which all tasks."""
+    first = [(of, of.means_first[0]) for of in sets if of.tables]
+    parts = [
+        Part(of.record.name, of.title, of.methods, Plan(table.name, table.tasks), table.queries) for of, table in first
+    ]
+    over = over_datasets(task, "all tasks", parts, metric, "queries", seed=seed)
+    return () if over is None else (over,)
 
 
 def note_missing(board: Board[Any, Any, Any, Any], reporter: Reporter) -> None:

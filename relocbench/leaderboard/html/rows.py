@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from relocbench.leaderboard.boards import Boards
@@ -10,6 +10,7 @@ from relocbench.leaderboard.common import model
 from relocbench.leaderboard.common.by_query import Board as QueryBoard
 from relocbench.leaderboard.common.columns import Line
 from relocbench.leaderboard.common.model import Row, rank_text
+from relocbench.leaderboard.common.over_datasets import OverDatasets
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.payloads import marks_of, no_gain, table_title
@@ -37,6 +38,7 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
     sections = []
     board = boards.tracking
     if board is not None:
+        sections += [_over_section("Trackers", over, frozenset(_ran(board))) for over in board.over]
         totals = [(dataset, table) for dataset in board.datasets for table in dataset.totals]
         rows = [tracker_row(board, of, table, row) for of, table in totals for row in table.rows]
         remarks = [(of.entry.title, table_title(t), about_ranks(board, t), no_gain(of, t)) for of, t in totals]
@@ -44,6 +46,8 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
         section = {"title": "Trackers", "metric": board.metric.name, "what": "pairs", "rows": rows, "notes": notes}
         sections.append(section)
     for pages, by_query in pages_by_query(boards):
+        known = frozenset(m.label for of in by_query.sets for m in of.methods if pages.has_method_pages)
+        sections += [_over_section(pages.title, over, known) for over in by_query.over]
         first = [(of, table) for of in by_query.sets for table in _first(pages, of.tables)]
         lines = [line for of, table in first for line in pages.display.lines(of, table)]
         why = [model.about_ranks(t.rows, by_query.metric, f"{t.queries} queries") for _, t in first]
@@ -53,6 +57,40 @@ def sections(boards: Boards) -> list[dict[str, Any]]:
         section = {"title": pages.title, "metric": by_query.metric, "what": "queries", "rows": rows, "notes": notes}
         sections.append(section)
     return sections
+
+
+def _ran(board: Board) -> Iterator[str]:
+    """The labels of all methods, which have pages."""
+    return (method.label for dataset in board.datasets for method in dataset.entry.methods)
+
+
+def _over_section(title: str, over: OverDatasets[Any], known: frozenset[str]) -> dict[str, Any]:
+    """The table over all datasets; ``known`` are the labels of methods with pages."""
+    titles = ", ".join(part.title for part in over.parts)
+    rows = [
+        {
+            "set": f"{over.roads} datasets",
+            "table": over.name,
+            "count": over.count,
+            "method": row.method.label,
+            "method_page": links.method_page(row.method.label) if row.method.label in known else "",
+            "baseline": row.rank is None and not row.missing,
+            "marks": [],
+            "finer": False,
+            **_of_row(row, over.rows),
+            **_number(row.values[over.metric], row.intervals.get(over.metric), "share"),
+            "page": "",
+            "link": "",
+        }
+        for row in over.rows
+    ]
+    return {
+        "title": f"{title}, {over.title}",
+        "metric": over.metric,
+        "what": over.what,
+        "rows": rows,
+        "notes": [f"Every dataset counts once: {titles}", *over.notes],
+    }
 
 
 def tracker_row(board: Board, dataset: DatasetBoard, table: Table, row: TrackerRow) -> dict[str, Any]:

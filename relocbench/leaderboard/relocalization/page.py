@@ -14,6 +14,7 @@ from relocbench.files import json_text
 from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import page_command
 from relocbench.leaderboard.common.model import about_ranks
+from relocbench.leaderboard.common.over_datasets import over_sections
 from relocbench.leaderboard.common.text import RETRIEVER, TRACKER, number
 from relocbench.leaderboard.relocalization.board import (
     Pipeline,
@@ -46,6 +47,7 @@ def relocalization_page(board: PipelineBoard) -> str:
         right=f"{metres:g} m and {degrees:g}°",
         number=number,
         marks=MARKS,
+        over=over_sections(board.over),
         sets=[_set(board, asked) for asked in board.sets],
         commands=[(asked.title, evaluate_commands(asked.methods)) for asked in board.sets],
         page_command=page_command(

@@ -12,6 +12,7 @@ from relocbench.leaderboard.common.cards import add_command, answers_on_copies, 
 from relocbench.leaderboard.common.columns import texts
 from relocbench.leaderboard.common.commands import method_words, page_command
 from relocbench.leaderboard.common.model import about_ranks
+from relocbench.leaderboard.common.over_datasets import over_sections
 from relocbench.leaderboard.retrieval.board import (
     RetrievalBoard,
     RetrievalRow,
@@ -36,6 +37,7 @@ def retrieval_page(board: RetrievalBoard) -> str:
         "page.md.j2",
         metric=board.metric,
         level=f"{LEVEL:.0%}",
+        over=over_sections(board.over),
         sets=[_set(board, asked) for asked in board.sets],
         commands=[
             (asked.title, [evaluate_command(asked.record, m.run) for m in asked.methods]) for asked in board.sets

@@ -7,6 +7,7 @@ from urllib.parse import quote
 from relocbench.leaderboard.common.cards import shown_cards
 from relocbench.leaderboard.common.commands import page_command
 from relocbench.leaderboard.common.model import rank_text, share_a_rank
+from relocbench.leaderboard.common.over_datasets import over_sections
 from relocbench.leaderboard.common.text import METHOD, RANK, SECONDS, number
 from relocbench.leaderboard.tracking.marks import (
     DAGGER,
@@ -43,6 +44,7 @@ def front_page(board: Board) -> str:
         matrix=matrix_text(board.datasets, [set_file(dataset) for dataset in board.datasets]),
         correct=CORRECT,
         reservations=[words for dataset in board.datasets for words in reservations(dataset)],
+        over=over_sections(board.over),
         datasets=[_dataset(board, dataset) for dataset in board.datasets],
         grouped=any(dataset.groups_of(table) for dataset in board.datasets for table in dataset.totals),
         signed=[mark for mark in MARKS if any(mark.applies(method) for method in methods)],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from relocbench.leaderboard.common.latex import LatexTable, document
+from relocbench.leaderboard.common.over_datasets import over_latex
 from relocbench.leaderboard.common.text import METHOD, RANK, SECONDS
 from relocbench.leaderboard.tracking.columns import TrackingLine, lines_of, tracking_columns
 from relocbench.leaderboard.tracking.marks import total_words
@@ -13,10 +14,14 @@ from relocbench.metrics import shown_in
 
 
 def latex_page(board: Board) -> str:
-    """All tables, totals of several pair sets first."""
+    """All tables, those over all datasets first, then totals of several pair sets."""
+    return document([*map(over_latex, board.over), *_of_datasets(board)])
+
+
+def _of_datasets(board: Board) -> Iterator[LatexTable[TrackingLine]]:
     columns = tracking_columns(board)
     keys = [*(metric.name for metric in shown_in("paper", board.metric)), SECONDS]
-    return document(
+    yield from (
         LatexTable(
             of=dataset.entry.title,
             place=total_words(table) if table.is_total else table.pair_set,

@@ -18,6 +18,7 @@ from relocbench.leaderboard.tracking.method import Method, natural
 from relocbench.metrics import METRICS, Difference, DifferentPlaces, Metric, Spread
 
 if TYPE_CHECKING:
+    from relocbench.leaderboard.common.over_datasets import OverDatasets
     from relocbench.leaderboard.tracking.doubt import TruthCheck
 
 RANKING = "recall@(0.25m,2deg)"
@@ -178,6 +179,8 @@ class Board:
     """the metric that ranks methods"""
     seed: int
     split: str | None = None
+    over: tuple[OverDatasets[Method], ...] = ()
+    """the totals over all datasets together"""
 
     @property
     def with_interval(self) -> tuple[Metric, ...]:

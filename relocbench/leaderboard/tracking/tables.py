@@ -5,18 +5,23 @@ A pair set is a total over one set, and a group is a set of fewer pairs: one fun
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from relocbench.errors import ConfigError
 from relocbench.evaluation.tables.records import ALL, ErrorTable
 from relocbench.leaderboard.common.loading import Plan, compared
+from relocbench.leaderboard.common.over_datasets import OverDatasets, Part, over_datasets
 from relocbench.leaderboard.tracking.load import Trackers
+from relocbench.leaderboard.tracking.marks import total_words
+from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import (
     RANKING,
     SAME_DRIVE_TOTAL,
     TOTAL,
+    TOTALS,
     Board,
     DatasetBoard,
     DatasetEntry,
@@ -70,7 +75,29 @@ def make_board(
                 tables.append(_table(entry, planned, ranking, seed))
                 advance(1)
             boards.append(DatasetBoard(entry, tuple(tables)))
-    return Board(tuple(boards), ranking, seed, split)
+    return Board(tuple(boards), ranking, seed, split, tuple(_over_datasets(boards, ranking, seed)))
+
+
+def _over_datasets(boards: Sequence[DatasetBoard], metric: Metric, seed: int) -> Iterator[OverDatasets[Method]]:
+    """The totals over all datasets, split by split where all have the same splits."""
+    for kind in TOTALS:
+        totals = [[table for table in board.totals if table.pair_set == kind] for board in boards]
+        of_kind = [(board, tables) for board, tables in zip(boards, totals, strict=True) if tables]
+        splits = {tuple(table.split for table in tables) for _, tables in of_kind}
+        for split in next(iter(splits)) if len(splits) == 1 else [None] if splits else []:
+            chosen = [(board, [t for t in tables if split in (None, t.split)]) for board, tables in of_kind]
+            name = total_words(chosen[0][1][0] if split is not None else replace(chosen[0][1][0], split=""))
+            parts = [_part(board, tables) for board, tables in chosen]
+            over = over_datasets(Trackers(metric.name), name, parts, metric.name, "pairs", seed=seed)
+            if over is not None:
+                yield over
+
+
+def _part(board: DatasetBoard, tables: Sequence[Table]) -> Part[Method]:
+    entry, first = board.entry, tables[0]
+    units = tuple(dict.fromkeys(name for table in tables for name in table.pair_sets))
+    count = sum(entry.pair_sets[name].pairs for name in units)
+    return Part(entry.record.name, entry.title, entry.methods, Plan(first.pair_set, units), count)
 
 
 def _plans(entry: DatasetEntry) -> list[Plan]:

@@ -11,6 +11,7 @@ from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.tables.schema import write_rows
 from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.cards import write_cards
+from relocbench.leaderboard.common.over_datasets import over_records
 from relocbench.leaderboard.common.text import write_records
 from relocbench.leaderboard.tracking.doubt import check_truth, truth_rows
 from relocbench.leaderboard.tracking.front_page import READING, front_page, reading_page
@@ -94,8 +95,8 @@ def _with_checked_truth(entry: DatasetEntry, reporter: Reporter) -> DatasetEntry
 def write_tables(board: Board, out: Path) -> list[Path]:
     """Write ``leaderboard.csv`` and ``errors.csv``; returns the files.
 
-    ``seeds.csv``, ``matching.csv`` and ``truth.csv`` are written as well if they have rows. Each appears whole or
-    not at all, and none contains a date.
+    ``datasets.csv`` (all datasets together), ``seeds.csv``, ``matching.csv`` and ``truth.csv`` are written as well if
+    they have rows. Each appears whole or not at all, and none contains a date.
     """
     remove_parts(out, deep=False)
     paths = [out / "leaderboard.csv", out / "errors.csv"]
@@ -109,7 +110,12 @@ def write_tables(board: Board, out: Path) -> list[Path]:
             dataset.entry.truth_checks,
         )
     ]
-    further = {"seeds.csv": seed_rows(board), "matching.csv": matching_rows(board), "truth.csv": checks}
+    further = {
+        "datasets.csv": over_records(board.over),
+        "seeds.csv": seed_rows(board),
+        "matching.csv": matching_rows(board),
+        "truth.csv": checks,
+    }
     for name, records in further.items():
         if records:
             paths.append(out / name)

@@ -23,8 +23,8 @@ from relocbench.arrays import Array
 SAME_WITHIN = 0.2
 """by which share of the larger one two errors of one answer may differ"""
 SAME_ANSWERS, LEAST_ANSWERS = 0.5, 10
-"""share of the pairs that either method answered on which near-copies give the same answer, and how many these pairs are
-at least"""
+"""share of the pairs that either method answered on which near-copies give the same answer, and the least number of
+these pairs"""
 AHEAD, STANDARD_ERRORS = 0.01, 4.0
 """by how much a method must be better than a representative not to be represented by it: by more than a percentage
 point and by so many standard errors of independent pairs, which is more than noise on copied answers gives"""
