@@ -51,15 +51,20 @@ class MadeResults:
     sigma_m: float | None = 0.02
     rejected: int = 3
     splits: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    name: str = "town"
+
+    @property
+    def fingerprint(self) -> str:
+        return FINGERPRINT if self.name == "town" else hashlib.sha256(self.name.encode()).hexdigest()
 
     @property
     def folder(self) -> Path:
-        return self.root / TITLE
+        return self.root / f"{self.name}@{self.fingerprint[:12]}"
 
     def write_dataset(self) -> None:
         sets = {name: self._record(name, pairs) for name, pairs in self.pair_sets.items()}
         record = DatasetRecord(
-            name="town", fingerprint=FINGERPRINT, licence="CC-BY-4.0", splits=self.splits, pair_sets=sets
+            name=self.name, fingerprint=self.fingerprint, licence="CC-BY-4.0", splits=self.splits, pair_sets=sets
         )
         write_text(self.folder / "dataset.yaml", dump_yaml(record.model_dump(mode="json")))
 
@@ -69,8 +74,8 @@ class MadeResults:
         record = RunRecord(
             method=label,
             target=target or label,
-            dataset="town",
-            fingerprint=FINGERPRINT,
+            dataset=self.name,
+            fingerprint=self.fingerprint,
             **{
                 "seed": 0,
                 "workers": 2,
@@ -94,7 +99,7 @@ class MadeResults:
         score = ScoreRecord(
             relocbench="0.1.0",
             formulas=FORMULAS,
-            fingerprint=FINGERPRINT,
+            fingerprint=self.fingerprint,
             run=run_hash(folder),
             predictions=hashes,
             errors=errors,
