@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tarfile
+from itertools import combinations
 
 import numpy as np
 import pytest
 from repository import ROOT
 
 from relocbench.arrays import Array
-from relocbench.metrics import rank_with_ties
+from relocbench.metrics import rank_with_ties, same_answers
 
 ERRORS = ROOT / "leaderboard" / "weather" / "errors"
 BASELINES = ("identity", "clock")
@@ -53,6 +54,9 @@ def test_five_copies_of_a_published_method_move_nobody_else() -> None:
         ranks.append(rank_with_ties(right, np.random.default_rng(0), methods, roads=districts))
     before, after = ranks
     assert len(before) == 15
+    near = {(a, b) for a in errors for b in errors if a < b and same_answers(errors[a], errors[b])}
+    ends = ("gn-net", "gn-net-from-aliked-pnp", "gn-net-from-prior", "gn-net-one-start")
+    assert near == {*combinations(ends, 2), ("dso-from-gn-net-pnp", "dso-from-orb-pnp")}, "the same alignment each"
     assert before["gn-net"] == before["aliked-pnp"] == 1
     assert (before["sift-pnp"] or 0) > 1
     assert {name: after[name] for name in before} == before

@@ -305,7 +305,7 @@ def standings(
     first = next(iter(whole.values()), ())
     of_arrays = [road for road, part in zip(roads, first, strict=False) for _ in task.values(*part, metric)]
     independent = bool(first) and all(task.independent(*part) for part in first)
-    runs = {label: [run for method, _ in parts for run in task.runs(method)] for label, parts in whole.items()}
+    runs = {label: [task.runs(method) for method, _ in parts] for label, parts in whole.items()}
     competing = [
         label
         for label in sorted(whole, key=lambda label: came(runs[label], label))
@@ -315,7 +315,7 @@ def standings(
     sign = 1.0 if task.higher_is_better(metric) else -1.0
     families = families_of(
         {label: [sign * x for x in values[label][metric]] for label in competing},
-        lambda a, b: nearly_same_settings(runs[a], runs[b]) or same_answers(answers[a], answers[b]),
+        lambda a, b: all(map(nearly_same_settings, runs[a], runs[b])) or same_answers(answers[a], answers[b]),
     )
     ranks = rank_with_ties(
         {label: values[label][metric] for label in competing},

@@ -41,11 +41,14 @@ def _close(a: Any, b: Any) -> bool:
     return type(a) is type(b) and bool(a == b)
 
 
-def came(runs: Sequence[RunRecord], label: str) -> tuple[bool, bool, str, str]:
+def came(runs: Sequence[Sequence[RunRecord]], label: str) -> tuple[bool, bool, str, str]:
     """What sorts methods by when they came: those that were run here first, then those that others handed in.
 
     A run's start is what this machine wrote; what is handed in has none that could be believed.
+
+    Args:
+        runs: of each dataset, of which the first counts; both halves of a pipeline, of which the last counts.
     """
-    handed_in = any(run.made_elsewhere or run.target.startswith(PREDICTIONS) for run in runs)
-    start = max((run.start for run in runs), default="")
-    return handed_in, not start, start, label
+    handed_in = any(run.made_elsewhere or run.target.startswith(PREDICTIONS) for of in runs for run in of)
+    starts = [start for of in runs if (start := max((run.start for run in of), default=""))]
+    return handed_in, not starts, min(starts, default=""), label

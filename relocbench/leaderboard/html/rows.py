@@ -10,7 +10,7 @@ from relocbench.leaderboard.common import model
 from relocbench.leaderboard.common.by_query import Board as QueryBoard
 from relocbench.leaderboard.common.columns import Line
 from relocbench.leaderboard.common.model import Row, rank_text
-from relocbench.leaderboard.common.over_datasets import OverDatasets
+from relocbench.leaderboard.common.over_datasets import GREATEST, LEAST, OverDatasets
 from relocbench.leaderboard.common.text import number
 from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.payloads import marks_of, no_gain, table_title
@@ -69,7 +69,7 @@ def _over_section(title: str, over: OverDatasets[Any], known: frozenset[str]) ->
     titles = ", ".join(part.title for part in over.parts)
     rows = [
         {
-            "set": f"{over.roads} datasets",
+            "set": f"{over.roads} datasets{_span(row)}",
             "table": over.name,
             "count": over.count,
             "method": row.method.label,
@@ -91,6 +91,12 @@ def _over_section(title: str, over: OverDatasets[Any], known: frozenset[str]) ->
         "rows": rows,
         "notes": [f"Every dataset counts once: {titles}", *over.notes],
     }
+
+
+def _span(row: Row[Any]) -> str:
+    """From the worst to the best of the datasets; empty without a value."""
+    least, greatest = (row.values[key] for key in (LEAST, GREATEST))
+    return "" if least is None else f", {number(least, 'share')} to {number(greatest, 'share')}"
 
 
 def tracker_row(board: Board, dataset: DatasetBoard, table: Table, row: TrackerRow) -> dict[str, Any]:

@@ -58,8 +58,8 @@ def _clearly_better(a: Sequence[Array], b: Sequence[Array]) -> bool:
 def same_answers(a: Sequence[ArrayLike | None], b: Sequence[ArrayLike | None]) -> bool:
     """Whether two methods give the same answer on half of the pairs that either answered, judged by their errors.
 
-    Two answers are the same if each of their K errors differs by at most a fifth of the larger one. Errors of different
-    methods that are equally accurate agree that closely on a tenth of the pairs or less, since both errors must.
+    Two answers are the same if each of their K errors differs by at most a fifth of the larger one. Those of different
+    methods that are equally accurate agree that closely on few pairs, since both errors must.
 
     Args:
         a, b: (K, N_s) errors of each pair set, inf where there is no answer; None where there is no result.
