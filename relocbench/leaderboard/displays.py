@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -76,7 +77,7 @@ class Display(Generic[B, L]):
             for of in board.sets
             for table in of.means_first
         )
-        return document([*map(over_latex, board.over), *of_sets])
+        return document(chain(map(over_latex, board.over), of_sets))
 
     def write_table(self, board: B, out: Path) -> list[Path]:
         """Write the tables in CSV, that over all sets where there are several; returns the files."""

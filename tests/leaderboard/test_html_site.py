@@ -120,8 +120,8 @@ def test_chance_stands_below_retrievers(boards: Boards) -> None:
     chances = SimpleNamespace(chance={"R@1": 0.125}, view_query="street", view_gallery="street")
     table = SimpleNamespace(name="a task", queries=8, rows=(), records=(chances,))
     record = SimpleNamespace(name="places", fingerprint="ab" * 32)
-    asked = SimpleNamespace(title="places", record=record, tables=(table,))
-    board = cast(RetrievalBoard, SimpleNamespace(metric="R@1", sets=(asked,)))
+    asked = SimpleNamespace(title="places", record=record, tables=(table,), methods=())
+    board = cast(RetrievalBoard, SimpleNamespace(metric="R@1", sets=(asked,), over=()))
     (section,) = sections(Boards(None, board, None))
     (row,) = section["rows"]
     assert (row["method"], row["value"], row["rank"], row["baseline"]) == ("(chance)", "12.5", "", True)

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from relocbench.leaderboard.common.columns import Column
 from relocbench.leaderboard.common.text import number
@@ -84,7 +84,7 @@ def _is_in_fonts(letter: str) -> bool:
     return letter.isalpha() and ord(letter) < 0x180 and letter not in "ĦħĸĿŀŉŦŧſ"
 
 
-def document(tables: Iterable[LatexTable[L]]) -> str:
+def document(tables: Iterable[LatexTable[Any]]) -> str:
     """All tables, below a comment that says what they need.
 
     A label that is another's once it has letters and hyphens alone gets a number.

@@ -131,9 +131,9 @@ def over_datasets(
         if label in whole:
             of_roads = _means(task, parts, whole[label], metric)
             values = {metric: math.fsum(of_roads) / len(of_roads), LEAST: min(of_roads), GREATEST: max(of_roads)}
-        method = Everywhere(label, own)
+        everywhere = Everywhere(label, own)
         rows.append(
-            Row(method, values, standing.intervals, standing.rank, missing=missing[label], family=standing.family)
+            Row(everywhere, values, standing.intervals, standing.rank, missing=missing[label], family=standing.family)
         )
     sign = -1.0 if task.higher_is_better(metric) else 1.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 from relocbench.leaderboard.common.latex import LatexTable, document
 from relocbench.leaderboard.common.over_datasets import over_latex
@@ -15,7 +16,7 @@ from relocbench.metrics import shown_in
 
 def latex_page(board: Board) -> str:
     """All tables, those over all datasets first, then totals of several pair sets."""
-    return document([*map(over_latex, board.over), *_of_datasets(board)])
+    return document(chain(map(over_latex, board.over), _of_datasets(board)))
 
 
 def _of_datasets(board: Board) -> Iterator[LatexTable[TrackingLine]]:
