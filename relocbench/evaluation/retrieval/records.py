@@ -107,6 +107,8 @@ class TaskRun(Strict):
 
     dimensions: int | None = None
     """length of a descriptor"""
+    descriptor_bytes: int | None = None
+    """of the descriptor of one gallery image, in the number type that the method returned"""
     queries_described: int
     gallery_described: int
     descriptor_variance: float | None = None

@@ -167,6 +167,7 @@ class RetrieverSession:
         variance = descriptor_variance(queries, gallery)
         run = TaskRun(
             dimensions=None if variance is None else gallery.values.shape[1],
+            descriptor_bytes=None if variance is None else gallery.values[0].nbytes,
             queries_described=int(queries.finite.sum()),
             gallery_described=int(gallery.finite.sum()),
             descriptor_variance=None if variance is None else round(variance, 6),

@@ -86,6 +86,7 @@ def retrieval_columns(board: RetrievalBoard) -> dict[str, RetrievalColumn]:
                 definition="median of the seconds a query",
                 higher_is_better=False,
             ),
+            Column("descriptor_bytes", lambda line: line.of_row(lambda row: _descriptor_bytes(row, line.table))),
             counts_column(),
             *(_metric(metric) for metric in METRICS),
             *bounds_columns(with_interval),
@@ -108,6 +109,12 @@ def _metric(metric: str) -> RetrievalColumn:
         return line.interval(metric)
 
     return Column(metric, value, "share", bounds=bounds, definition=defined(metric), higher_is_better=True)
+
+
+def _descriptor_bytes(row: RetrievalRow, table: RetrievalTable) -> Value:
+    """What a map keeps of an image: the most over the tasks of a table; None where it is not known."""
+    known = [of.descriptor_bytes for name, of in row.method.run.tasks.items() if name in table.tasks]
+    return max((size for size in known if size is not None), default=None)
 
 
 def _seconds(line: RetrievalLine) -> str:

@@ -224,7 +224,9 @@ def test_reranking_orders_the_first_and_leaves_the_rest(views: Path, tmp_path: P
         assert after[key] == before[key][2::-1] + before[key][3:]
         positives = set(task.relevance.of(q).tolist())
         assert ranks[key] == tuple(i + 1 for i, image in enumerate(after[key]) if image in positives)
-    assert turned.folders[0].run_record().tasks[S2D].rerank_top == 3
+    of_task = turned.folders[0].run_record().tasks[S2D]
+    assert of_task.rerank_top == 3
+    assert (of_task.dimensions, of_task.descriptor_bytes) == (64, 64 * 4)
 
 
 @pytest.mark.parametrize(("fault", "words"), [("raise", "rerank"), ("nan", "not finite")])
