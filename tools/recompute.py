@@ -73,7 +73,7 @@ def findings(leaderboard: Path, scratch: Path, recordings: Path | None) -> Itera
             reason = (
                 f"cannot be recomputed: neither predictions nor errors are published; `{page.command}` evaluates anew"
             )
-            yield Finding(name, "published results", reason)
+            yield Finding(name, "from what is published", reason)
 
 
 def weather(leaderboard: Path, scratch: Path) -> Iterator[Finding]:
