@@ -29,7 +29,7 @@ class Sandbox:
     kind: str = NONE
     """``namespaces``, ``bubblewrap`` or ``none``; empty for the one that works where the process is started"""
     hidden: tuple[Path, ...] = ()
-    """folders that they find empty"""
+    """folders that they find empty, but for what they may write to"""
 
     @property
     def exists(self) -> bool:
@@ -47,17 +47,23 @@ class Sandbox:
         """
         kind = self.kind or working_sandbox()
         writes = [str(path.resolve()) for path in writable]
-        hides = [str(path.resolve()) for path in self.hidden if path.is_dir()]
+        resolved = {path.resolve() for path in self.hidden if path.is_dir()}
+        hides = sorted(str(path) for path in resolved if resolved.isdisjoint(path.parents))
         if kind == NAMESPACES:
             spec = json.dumps({"parent": os.getpid(), "writable": writes, "hidden": hides})
             # A variable, since the arguments of process 1 can be read inside.
             return ["env", f"{namespaces.SPEC}={spec}", sys.executable, "-I", "-S", namespaces.__file__, *words]
         if kind == BUBBLEWRAP:
             seen = ["--ro-bind", "/", "/", "--dev-bind", "/dev", "/dev", "--tmpfs", "/dev/shm", "--proc", "/proc"]
+            system = [f"/proc/{name}" for name in namespaces.OF_THE_SYSTEM if Path(f"/proc/{name}").exists()]
+            seen += [word for path in system for word in ("--ro-bind", path, path)]
+            seen += [word for path in namespaces.block_devices() for word in ("--dev-bind", "/dev/null", path)]
+            seen += [word for path in hides for word in ("--tmpfs", path)]
             seen += [word for path in writes for word in ("--bind", path, path)]
-            seen += [word for path in hides for word in ("--tmpfs", path, "--remount-ro", path)]
-            apart = ["--unshare-user", "--unshare-pid", "--unshare-ipc", "--die-with-parent", "--cap-drop", "ALL"]
-            return ["bwrap", *seen, *apart, "--chdir", str(Path.cwd()), *words]
+            seen += [word for path in hides for word in ("--remount-ro", path)]
+            apart = ["--unshare-user", "--unshare-pid", "--unshare-ipc", "--cap-drop", "ALL"]
+            ends = ["--die-with-parent", "--new-session"]
+            return ["bwrap", *seen, *apart, *ends, "--chdir", str(Path.cwd()), *words]
         return list(words)
 
 

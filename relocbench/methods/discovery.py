@@ -82,6 +82,12 @@ class MethodSpec:
         own = {name.removeprefix(prefix): value for name, value in self.parameters.items() if name.startswith(prefix)}
         return MethodSpec(f"{self.label}.{START}", target, own, self.kind)
 
+    @property
+    def runs_only_our_code(self) -> bool:
+        """Whether it is relocbench's own, and no program."""
+        targets = self.target, str(self.parameters.get(START, self.target))
+        return all(is_ours(each, self.kind) and not each.startswith(SUBPROCESS) for each in targets)
+
     def create(self) -> Any:
         """Construct the tracker or retriever. Raises MethodError."""
         factory = method_class(self.target, self.kind)

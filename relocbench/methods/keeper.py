@@ -4,7 +4,8 @@ It is run as a script, ``python keeper.py CONTROL PARENT COMMAND...``, and impor
 ``CONTROL`` is the read end of a pipe that nobody writes to: it reaches its end once the calling process has closed it
 or is gone, for whatever reason. The keeper is the subreaper of the program's descendants (``prctl``, Linux): processes
 that were forked off become its children when their parents end, even those with a session of their own, and are
-killed. It ends as the program ended: with the same status, or by the same signal.
+killed. It ends as the program ended: with the same status, or by the same signal. Both have sessions of their own: a
+signal to the program's group reaches nobody else, and what ends the caller's group leaves the keeper to do its work.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ _KILLING_S = 5.0
 
 def main(control: int, parent: int, command: list[str]) -> None:
     os.set_inheritable(control, False)
+    _own_session()
     _prctl(_SET_CHILD_SUBREAPER, 1)
     # The signal of a child wakes the wait below; its handler need not do anything.
     woken, wake = os.pipe()
@@ -59,6 +61,7 @@ def main(control: int, parent: int, command: list[str]) -> None:
 
 def _become(command: list[str]) -> None:
     """Replace this process by the program, which dies with the keeper and has default signal handlers."""
+    _own_session()
     signal.set_wakeup_fd(-1)
     for number in (signal.SIGCHLD, signal.SIGINT, signal.SIGPIPE, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
@@ -68,6 +71,11 @@ def _become(command: list[str]) -> None:
     except OSError as bad:
         os.write(2, f"cannot start '{command[0]}' ({bad.strerror})\n".encode(errors="replace"))
     os._exit(127)
+
+
+def _own_session() -> None:
+    with suppress(PermissionError):  # it leads one
+        os.setsid()
 
 
 def _reap() -> dict[int, int]:

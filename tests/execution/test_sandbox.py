@@ -74,6 +74,43 @@ for folder in ({str(own)!r}, {str(other)!r}, "/dev/shm"):
     assert not Path("/dev/shm/note").exists()
 
 
+def test_what_may_be_written_to_is_there_in_a_hidden_folder(kind: str, tmp_path: Path) -> None:
+    own = tmp_path / "inner" / "own"
+    (tmp_path / "inner" / "hidden" / "too").mkdir(parents=True)
+    own.mkdir()
+    code = f"""import os
+open({str(own)!r} + "/note", "w").close()
+print(os.listdir({str(tmp_path)!r}), os.listdir({str(own.parent)!r}))
+try:
+    open({str(tmp_path)!r} + "/note", "w").close()
+except OSError as bad:
+    print(bad.strerror)
+"""
+    hidden = tmp_path, own.parent / "hidden" / "too"
+    assert printed(inside(kind, code, writable=(own,), hidden=hidden)) == "['inner'] ['own']\nRead-only file system"
+    assert (own / "note").exists()
+
+
+def test_root_changes_no_system_and_reads_no_disk(kind: str) -> None:
+    code = """import glob, pathlib
+try:
+    open("/proc/sys/kernel/core_pattern", "r+").close()
+    print("opened")
+except OSError:
+    pass
+print([path for path in glob.glob("/dev/*") if pathlib.Path(path).is_block_device()])
+"""
+    assert printed(inside(kind, code)) == "[]"
+
+
+def test_a_signal_to_its_group_reaches_nobody_outside(kind: str) -> None:
+    code = "import os, signal; signal.signal(15, signal.SIG_IGN); os.kill(0, 15); print(os.getsid(0) == os.getpid())"
+    process = subprocess.run(
+        Sandbox(kind).command([sys.executable, "-I", "-c", code], []), stdout=subprocess.PIPE, text=True, check=True
+    )
+    assert process.stdout.strip() in {"True", "False"}, "this process was not ended"
+
+
 def test_no_process_outside_is_seen(kind: str) -> None:
     code = """import os
 pids = [name for name in os.listdir("/proc") if name.isdigit()]

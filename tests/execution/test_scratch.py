@@ -10,8 +10,10 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 from relocbench import kernels
+from relocbench.errors import RelocbenchError
 from relocbench.execution import ScratchFolder, scratch
 
 OWNER = """
@@ -35,7 +37,7 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_it_is_removed_with_its_owner(base: Path) -> None:
     folder = ScratchFolder()
-    assert [path.name for path in base.iterdir()] == [folder.path.name]
+    assert list(base.glob("*/*")) == [folder.path]
     folder.remove()
     assert list(base.iterdir()) == []
     ScratchFolder()
@@ -45,6 +47,8 @@ def test_it_is_removed_with_its_owner(base: Path) -> None:
 def test_folders_in_folders_a_thousand_deep_are_removed(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = ScratchFolder()
     monkeypatch.chdir(folder.path)
+    (folder.path / "closed" / "within").mkdir(parents=True)
+    (folder.path / "closed").chmod(0)  # of which root takes no notice
     for _ in range(1500):
         os.mkdir("f")  # noqa: PTH102  the whole path is too long to be named
         os.chdir("f")
@@ -58,7 +62,7 @@ def test_one_that_a_killed_process_left_is_removed_by_the_next_and_a_living_ones
     assert owner.stdout is not None
     theirs = Path(owner.stdout.readline().strip())
     try:
-        assert theirs.parent == base
+        assert theirs.parent.parent == base
         scratch.sweep()
         ScratchFolder().remove()
         assert (theirs / "note").exists(), "its owner lives"
@@ -74,12 +78,28 @@ def test_one_that_a_killed_process_left_is_removed_by_the_next_and_a_living_ones
 def test_nothing_else_is_swept(base: Path, tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     kept.mkdir()
-    (base / "relocbench-scratch-link").symlink_to(kept)
-    (base / "relocbench-scratch-file").touch()
+    folder = ScratchFolder()
+    (folder.path.parent / "link").symlink_to(kept)
+    (folder.path.parent / "file").touch()
     (base / "relocbench-of-others").mkdir()
     scratch.sweep()
     assert kept.is_dir()
-    assert len(list(base.iterdir())) == 3
+    assert len(list(base.iterdir())) == 2
+    assert len(list(folder.path.parent.iterdir())) == 3
+
+
+def test_a_link_that_another_user_may_have_laid_is_not_followed(base: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine" / "folder").mkdir(parents=True)
+    (base / f"relocbench-methods-{os.geteuid()}").symlink_to(tmp_path / "mine")
+    with refused(RelocbenchError):
+        ScratchFolder()
+    assert (tmp_path / "mine" / "folder").exists()
+
+
+def test_caches_of_compiled_kernels_are_not_among_those_of_a_method_that_is_not_trusted(tmp_path: Path) -> None:
+    variables = {name: str(tmp_path / name) for name in ("NUMBA_CACHE_DIR", scratch.KERNEL_CACHE, "HF_HOME")}
+    assert scratch.shared_folders(variables, kernels=False) == [tmp_path / "HF_HOME"]
+    assert len(scratch.shared_folders(variables)) == 3
 
 
 def test_home_caches_and_temporary_files_lie_in_it_and_downloaded_weights_do_not(

@@ -219,3 +219,22 @@ def do(deed: str) -> str:
         if deed:
             DEEDS[deed]()
     return "done"
+
+
+class ManyQueriesAtOnce:
+    """It tells that it answers infinitely many queries at once, which JSON can say."""
+
+    def __init__(self) -> None:
+        from relocbench.evaluation.isolation import isolated_process
+
+        answer = isolated_process.Connection.answer
+
+        def tell(connection: Any, words: Any, arrays: Any = ()) -> None:
+            if "batch" in words.get("declared", {}):
+                words["declared"]["batch"] = float("inf")
+            answer(connection, words, arrays)
+
+        isolated_process.Connection.answer = tell  # type: ignore[method-assign]
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult(np.eye(4))

@@ -14,15 +14,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from yaml import YAMLError
+
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.isolation.isolated_process import Connection, serve
 from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess
 from relocbench.execution import MANY_TIMES, Loss, Run, Sandbox, run_limited, step
+from relocbench.files import dump_yaml, parse_yaml
 from relocbench.methods import TRACKERS, MethodKind, MethodSpec, parse_method, parse_methods
 from relocbench.methods.discovery import MOST_ASSUMED, START, is_ours, split_label
 
 _MODULE = "relocbench.evaluation.common.foreign"
+_MOST_CHARACTERS = 2**17
+"""of the parameters and names of files that a method may report"""
 
 
 @dataclass(frozen=True)
@@ -129,12 +134,21 @@ def _reported(configuration: _Configuration) -> _Reported | Loss:
     right = isinstance(reported.parameters, dict) and isinstance(reported.files, dict)
     if (
         not right
+        or not _can_be_recorded({"parameters": reported.parameters, "files": reported.files})
         or type(reported.uses_times) is not bool
         or type(reported.assumes) is not str
         or {*map(type, reported.files.values())} - {str}
     ):
         raise MethodError(f"{configuration.kind.noun} '{configuration.label}': {FORGED}")
     return reported
+
+
+def _can_be_recorded(values: Any) -> bool:
+    """Whether a record that holds these values, which came as JSON, is short and can be read again."""
+    try:
+        return len(json.dumps(values)) <= _MOST_CHARACTERS and parse_yaml(dump_yaml(values)) is not None
+    except (ValueError, RecursionError, YAMLError):
+        return False
 
 
 def main(descriptor: int) -> None:

@@ -19,6 +19,7 @@ import time
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, NoReturn
 
 import numpy as np
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.isolation.framing import FramingFault, receive_answer, send_request
 from relocbench.execution import SIGNALLED, Sandbox, ScratchFolder, end_descendants, peak_resident_bytes, shared_folders
-from relocbench.methods import keeper
+from relocbench.methods import MethodSpec, keeper
 
 Arrays = list[NDArray[np.floating]]
 
@@ -65,7 +66,9 @@ class MethodProcess:
         words = [sys.executable, "-c", _START, module, str(theirs.fileno()), json.dumps(sys.path)]
         self._sandboxed = sandbox.exists
         if self._sandboxed:
-            words = sandbox.command(words, [scratch.path, *shared_folders(environment)])
+            trusted = isinstance(spec, MethodSpec) and spec.runs_only_our_code
+            others = replace(sandbox, hidden=(*sandbox.hidden, scratch.path.parent))
+            words = others.command(words, [scratch.path, *shared_folders(environment, kernels=trusted)])
         else:
             words = [sys.executable, "-I", "-S", str(keeper.__file__), str(held), str(os.getpid()), *words]
         with theirs:
@@ -81,7 +84,8 @@ class MethodProcess:
         answer, _ = self.ask(spec)
         if not isinstance(answer, dict) or not isinstance(answer.get("declared"), dict):
             self.close()
-            fault = answer.get("fault", FORGED) if isinstance(answer, dict) else FORGED
+            fault = answer.get("fault") if isinstance(answer, dict) else None
+            fault = fault if isinstance(fault, str) else f"method '{spec.label}': {FORGED}"
             raise MethodError(one_line(fault, 2000))
         self.declared: dict[str, Any] = answer["declared"]
         """what the method declares of itself, as plain values that are not checked"""

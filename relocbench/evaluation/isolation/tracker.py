@@ -29,7 +29,7 @@ class IsolatedTracker:
 
     def __init__(self, spec: MethodSpec, sandbox: Sandbox) -> None:
         self._process = MethodProcess(spec, _MODULE, sandbox)
-        self.declared = _declared(self._process.declared)
+        self.declared = _declared(self._process.declared, spec)
 
     def prepare(self, keyframe: Reference) -> str | None:
         answer, _ = self._process.ask(("prepare", (keyframe,)))
@@ -95,11 +95,11 @@ def _result(answer: Any, poses: Any) -> object:
         return TrackResult.failure(FORGED, status="error")
 
 
-def _declared(values: dict[str, Any]) -> Declared:
+def _declared(values: dict[str, Any], spec: MethodSpec) -> Declared:
     try:
         declared = Declared(**values)
         batch, neighbours = max(1, int(declared.batch)), max(0, int(declared.neighbours))
-    except (TypeError, ValueError):
-        raise MethodError(f"{FORGED} when it started") from None
+    except (TypeError, ValueError, OverflowError):
+        raise MethodError(f"{spec.kind.noun} '{spec.label}': {FORGED} when it started") from None
     fault, match, prior = one_line(declared.fault), bool(declared.match), bool(declared.prior)
     return Declared(min(batch, MOST_QUERIES), bool(declared.levels), neighbours, fault, match, prior)
