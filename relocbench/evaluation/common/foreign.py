@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,48 +18,23 @@ from yaml import YAMLError
 
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.common.blindness import check_blind
-from relocbench.evaluation.isolation.isolated_process import Connection, serve
+from relocbench.evaluation.isolation.foreign_process import Configuration, Reported
 from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess
-from relocbench.execution import MANY_TIMES, Loss, Run, Sandbox, run_limited, step
+from relocbench.execution import MANY_TIMES, Loss, Run, run_limited, step
 from relocbench.files import dump_yaml, parse_yaml
 from relocbench.methods import TRACKERS, MethodKind, MethodSpec, parse_method, parse_methods
 from relocbench.methods.discovery import MOST_ASSUMED, START, is_ours, split_label
 
-_MODULE = "relocbench.evaluation.common.foreign"
+_MODULE = "relocbench.evaluation.isolation.foreign_process"
 _MOST_CHARACTERS = 2**17
 """of the parameters and names of files that a method may report"""
-
-
-@dataclass(frozen=True)
-class _Configuration:
-    """What a user gives of one method, and in whose sandbox it is read."""
-
-    label: str
-    """the method as the user names it, for messages"""
-    settings: tuple[str, ...]
-    seed: int
-    kind: MethodKind
-    sandbox: Sandbox
-
-    def parse(self) -> MethodSpec:
-        return parse_method(self.label, self.settings, self.seed, self.kind)
-
-
-@dataclass(frozen=True)
-class _Reported:
-    """What the process of a method reports of it, of the right types and else unchecked."""
-
-    parameters: dict[str, Any]
-    uses_times: bool
-    assumes: str
-    files: dict[str, str]
 
 
 @dataclass(frozen=True)
 class ForeignSpec(MethodSpec):
     """A method whose module this process never imports; its parameters are plain values, to be shown."""
 
-    configuration: _Configuration | None = None
+    configuration: Configuration | None = None
     times: bool = False
     assumed: str = ""
     digests: Mapping[str, str] = field(default_factory=dict)
@@ -108,9 +83,9 @@ def parse_apart(text: str, settings: Sequence[str], seed: int, kind: MethodKind,
     label, target = split_label(text, kind)
     if not run.in_subprocess or all(is_ours(each, kind) for each in (target, *starts)):
         return parse_method(text, settings, seed, kind)
-    configuration = _Configuration(text, tuple(settings), seed, kind, run.sandbox_hiding(root))
+    configuration = Configuration(text, tuple(settings), seed, kind, run.sandbox_hiding(root))
     one = Run(1, limits=run.limits)
-    found: _Reported | Loss
+    found: Reported | Loss
     ((_, found),) = run_limited(_reported, [configuration], one, on_loss=_loss)
     if isinstance(found, Loss):
         raise MethodError(f"{kind.noun} '{text}' cannot be imported: {found.words}")
@@ -118,17 +93,17 @@ def parse_apart(text: str, settings: Sequence[str], seed: int, kind: MethodKind,
     return ForeignSpec(label, target, found.parameters, kind, configuration, *facts)
 
 
-def _loss(configuration: _Configuration, loss: Loss) -> _Reported | Loss:
+def _loss(configuration: Configuration, loss: Loss) -> Reported | Loss:
     return loss
 
 
-def _reported(configuration: _Configuration) -> _Reported | Loss:
+def _reported(configuration: Configuration) -> Reported | Loss:
     """Ask a process of the method, from a worker."""
     with step("import", times=MANY_TIMES):
         process = MethodProcess(configuration, _MODULE, configuration.sandbox)
     process.close()
     try:
-        reported = _Reported(**process.declared)
+        reported = Reported(**process.declared)
     except TypeError:
         raise MethodError(f"{configuration.kind.noun} '{configuration.label}': {FORGED}") from None
     right = isinstance(reported.parameters, dict) and isinstance(reported.files, dict)
@@ -149,14 +124,3 @@ def _can_be_recorded(values: Any) -> bool:
         return len(json.dumps(values)) <= _MOST_CHARACTERS and parse_yaml(dump_yaml(values)) is not None
     except (ValueError, RecursionError, YAMLError):
         return False
-
-
-def main(descriptor: int) -> None:
-    """Report what a method needs, over a socket, in a process of its own."""
-    serve(descriptor, _made)
-
-
-def _made(configuration: _Configuration, connection: Connection) -> tuple[object, dict[str, Any]]:
-    spec = configuration.parse()
-    parameters = json.loads(json.dumps(dict(spec.parameters), default=str))
-    return object(), asdict(_Reported(parameters, spec.uses_times(), spec.assumes(), spec.files()))
