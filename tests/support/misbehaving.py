@@ -234,7 +234,7 @@ class ManyQueriesAtOnce:
                 words["declared"]["batch"] = float("inf")
             answer(connection, words, arrays)
 
-        isolated_process.Connection.answer = tell  # type: ignore[method-assign]
+        isolated_process.Connection.answer = tell  # type: ignore[method-assign, assignment]
 
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
         return TrackResult(np.eye(4))
