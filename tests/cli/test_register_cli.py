@@ -33,6 +33,7 @@ def files(pair: Pair, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, P
     return folder / "a.npy", folder / "b.npy"
 
 
+@pytest.mark.thorough
 def test_a_trusted_registration_is_printed_and_written_and_exits_0(
     pair: Pair, files: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -279,6 +279,7 @@ def test_a_fault_of_the_calibration_is_told_with_its_file(
         read(logs[0].folder, calibration=calibration)
 
 
+@pytest.mark.thorough
 def test_logs_are_brought_together_by_one_command(drives: list[StreetDrive], logs: list[Made], tmp_path: Path) -> None:
     out = tmp_path / "data set"
     arguments = ("--lidars", "red", "-j", 1, *SMALL)

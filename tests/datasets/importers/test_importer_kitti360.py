@@ -132,6 +132,7 @@ def test_a_fault_is_told_with_its_file(
         read_kitti360(copy, "0000", "a")
 
 
+@pytest.mark.thorough
 def test_poses_of_sequences_are_paired_without_images_by_one_command(
     drives: list[StreetDrive], root: Path, tmp_path: Path
 ) -> None:

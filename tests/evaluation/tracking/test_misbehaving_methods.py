@@ -183,6 +183,7 @@ def test_a_batch_size_is_a_number_or_is_told(told: object, batch: int, words: st
     assert (declared.batch, declared.fault) == (count, fault or "")
 
 
+@pytest.mark.thorough
 def test_a_declaration_that_is_no_number_costs_the_methods_pairs_alone(dataset: Dataset, tmp_path: Path) -> None:
     methods = (f"bad={HERE}:Declaring", f"fine={HERE}:Declaring", f"batch={HERE}:Batching")
     options = {"set": ("fine.what=number", "batch.answer=breaks"), "workers": 1, "out": tmp_path}
