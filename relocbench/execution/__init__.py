@@ -28,7 +28,7 @@ from relocbench.execution.limits import (
 from relocbench.execution.memory import can_watch, peak_resident_bytes
 from relocbench.execution.namespaces import SIGNALLED
 from relocbench.execution.processes import kept_workers, run_on_processes, run_with_limits
-from relocbench.execution.sandbox import NONE, Sandbox, working_sandbox
+from relocbench.execution.sandbox import NO_SANDBOX, NONE, Sandbox, working_sandbox
 from relocbench.execution.scheduler import Scheduler
 from relocbench.execution.scratch import ScratchFolder, shared_folders
 from relocbench.execution.worker_process import end_workers
@@ -79,6 +79,8 @@ class Run:
     """limits of each call of third-party code (:func:`run_limited`); a scheduler's workers have limits of their own"""
     sandbox: SandboxChoice = "auto"
     """whether processes of methods have a sandbox: where the system has one, always (or not at all), or never"""
+    hidden: tuple[Path, ...] = ()
+    """folders that processes of methods find empty in a sandbox"""
     one_core: bool = False
     """whether processes of methods are bound to one core, as by :func:`on_one_core`"""
 
@@ -87,21 +89,27 @@ class Run:
         """Whether the work runs in other processes than this one."""
         return self.scheduler is not None or self.workers > 0
 
-    def sandbox_hiding(self, *folders: Path) -> Sandbox:
-        """The sandbox of a method's processes, in which they find folders empty.
+    def hiding(self, *folders: Path) -> Self:
+        """The same, with more folders that processes of methods find empty."""
+        return replace(self, hidden=tuple(dict.fromkeys((*self.hidden, *(folder.resolve() for folder in folders)))))
+
+    def sandbox_of_methods(self) -> Sandbox:
+        """The sandbox that a method's processes are started in.
 
         Raises:
             ConfigError: there must be one, and this system has none.
         """
-        hidden = tuple(folder.resolve() for folder in folders)
+        required = self.sandbox == "required"
+        if required and not self.in_subprocess:
+            raise ConfigError("--sandbox required: --workers 0 runs methods in this process, which has no sandbox")
         if self.sandbox == "none" or not self.in_subprocess:
             return Sandbox(NONE)
         if self.scheduler is not None:
-            return Sandbox("", hidden)  # what each worker's system has
+            return Sandbox("", self.hidden, required)  # what each worker's system has
         kind = working_sandbox()
-        if self.sandbox == "required" and kind == NONE:
-            raise ConfigError("--sandbox required: neither namespaces nor bubblewrap work on this system")
-        return Sandbox(kind, hidden)
+        if required and kind == NONE:
+            raise ConfigError(NO_SANDBOX)
+        return Sandbox(kind, self.hidden)
 
     def single_process(self) -> Self:
         """The same without worker processes, for work that is shorter than their start."""

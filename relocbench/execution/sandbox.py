@@ -16,9 +16,11 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from relocbench.errors import ConfigError
 from relocbench.execution import namespaces
 
 NAMESPACES, BUBBLEWRAP, NONE = "namespaces", "bubblewrap", "none"
+NO_SANDBOX = "--sandbox required: neither namespaces nor bubblewrap work on this system"
 _PATIENCE_S = 10.0
 
 
@@ -30,10 +32,16 @@ class Sandbox:
     """``namespaces``, ``bubblewrap`` or ``none``; empty for the one that works where the process is started"""
     hidden: tuple[Path, ...] = ()
     """folders that they find empty, but for what they may write to"""
+    required: bool = False
+    """whether nothing may be started where there is none"""
 
     @property
     def exists(self) -> bool:
-        return (self.kind or working_sandbox()) != NONE
+        """Whether there is one where processes are started. Raises ConfigError where there must be."""
+        found = (self.kind or working_sandbox()) != NONE
+        if self.required and not found:
+            raise ConfigError(NO_SANDBOX)
+        return found
 
     def command(self, words: Sequence[str], writable: Sequence[Path]) -> list[str]:
         """The command line that runs another one inside.

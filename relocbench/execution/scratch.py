@@ -31,7 +31,6 @@ _SHARED_CACHES = {
 """variable -> folder in the user's cache: what a method has downloaded is not downloaded again for each process"""
 KERNEL_CACHE = "RELOCBENCH_CACHE_HOME"
 """variable that says in which folder of caches compiled kernels of relocbench are"""
-
 _KERNELS = (KERNEL_CACHE, "NUMBA_CACHE_DIR")
 
 

@@ -29,9 +29,9 @@ from relocbench.methods.parameters import Parameter, parameters_of_factory
 
 SUBPROCESS = "subprocess:"
 START = "start"
+"""the setting that names the tracker whose pose another one starts from"""
 MOST_ASSUMED = 60
 """characters of what a method says that it assumes"""
-"""the setting that names the tracker whose pose another one starts from"""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from refusals import refused
 
 import relocbench.execution as execution
 from relocbench.errors import ConfigError
-from relocbench.execution import Run
+from relocbench.execution import Run, sandbox
 from relocbench.execution.sandbox import BUBBLEWRAP, NAMESPACES, NONE, Sandbox, _works
 
 KINDS = (NAMESPACES, BUBBLEWRAP)
@@ -164,5 +164,10 @@ time.sleep(600)
 def test_one_that_is_required_and_not_there_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(execution, "working_sandbox", lambda: NONE)
     with refused(ConfigError):
-        Run(sandbox="required").sandbox_hiding(tmp_path)
-    assert Run().sandbox_hiding(tmp_path).command(["true"], []) == ["true"]
+        Run(sandbox="required").sandbox_of_methods()
+    with refused(ConfigError):
+        Run(workers=0, sandbox="required").sandbox_of_methods()
+    monkeypatch.setattr(sandbox, "working_sandbox", lambda: NONE)
+    with refused(ConfigError):  # as it is found out by a worker of a cluster
+        assert Sandbox("", required=True).exists
+    assert Run().hiding(tmp_path).sandbox_of_methods().command(["true"], []) == ["true"]

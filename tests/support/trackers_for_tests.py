@@ -100,6 +100,25 @@ class Required:
         return TrackResult.failure("no weights")
 
 
+class Unmade:
+    """Cannot be made.
+
+    Args:
+        interrupts: it raises KeyboardInterrupt.
+        removes: an empty folder that it removes first.
+    """
+
+    uses_prior = True
+
+    def __init__(self, interrupts: bool = False, removes: Path | None = None) -> None:
+        if removes is not None:
+            removes.rmdir()
+        raise KeyboardInterrupt if interrupts else RuntimeError("no luck")
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        raise AssertionError("it was not made")
+
+
 class NotATracker:
     pass
 

@@ -118,6 +118,11 @@ def method_folders(root: Path) -> list[Path]:
     return records
 
 
+def result_folders(results: Path) -> list[Path]:
+    """The folders of datasets in one of results, of whatever task, as far as there are any yet."""
+    return sorted(path for path in results.glob("*@*") if path.is_dir())
+
+
 def folders_with(record: str, results: Path) -> list[Path]:
     """The results folder itself if it holds that record, else every ``NAME@FINGERPRINT`` folder in it that does."""
     if (results / record).exists():

@@ -60,19 +60,19 @@ def blind_methods(
 
     Args:
         root: the dataset's folder.
-        run: where the methods will run.
+        run: where the methods will run, and what is hidden from them.
 
     Raises:
         MethodError: as :func:`~relocbench.methods.parse_methods` and
             :func:`~relocbench.evaluation.common.blindness.check_blind`.
         ConfigError: there must be a sandbox, and this system has none.
     """
-    specs = parse_methods(texts, settings, seed, kind, partial(parse_apart, root=root, run=run))
+    specs = parse_methods(texts, settings, seed, kind, partial(parse_apart, run=run))
     check_blind(specs, root)
     return specs
 
 
-def parse_apart(text: str, settings: Sequence[str], seed: int, kind: MethodKind, *, root: Path, run: Run) -> MethodSpec:
+def parse_apart(text: str, settings: Sequence[str], seed: int, kind: MethodKind, *, run: Run) -> MethodSpec:
     """As :func:`~relocbench.methods.parse_method`, but what is not ours is imported in a process of its own.
 
     Raises:
@@ -81,15 +81,16 @@ def parse_apart(text: str, settings: Sequence[str], seed: int, kind: MethodKind,
     """
     starts = [value for key, _, value in (s.partition("=") for s in settings) if key.rpartition(".")[2] == START]
     label, target = split_label(text, kind)
+    sandbox = run.sandbox_of_methods()
     if not run.in_subprocess or all(is_ours(each, kind) for each in (target, *starts)):
         return parse_method(text, settings, seed, kind)
-    configuration = Configuration(text, tuple(settings), seed, kind, run.sandbox_hiding(root))
+    configuration = Configuration(text, tuple(settings), seed, kind, sandbox)
     one = Run(1, limits=run.limits)
     found: Reported | Loss
     ((_, found),) = run_limited(_reported, [configuration], one, on_loss=_loss)
     if isinstance(found, Loss):
         raise MethodError(f"{kind.noun} '{text}' cannot be imported: {found.words}")
-    facts = found.uses_times, one_line(found.assumes)[:MOST_ASSUMED], found.files
+    facts = found.uses_times, one_line(found.assumes, MOST_ASSUMED), found.files
     return ForeignSpec(label, target, found.parameters, kind, configuration, *facts)
 
 

@@ -35,28 +35,29 @@ def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
     }
 
 
+Named = TypeVar("Named")
 Result = TypeVar("Result")
 
 
 def run_each(
-    specs: Sequence[MethodSpec], run_one: Callable[[MethodSpec], Result]
-) -> tuple[list[tuple[MethodSpec, Result]], list[tuple[str, str]]]:
+    specs: Sequence[Named], run_one: Callable[[Named], Result]
+) -> tuple[list[tuple[Named, Result]], list[tuple[str, str]]]:
     """Run methods one after the other. One that cannot be made is left out, and costs the others nothing.
 
     Returns:
-        each method that ran with its result, and the label and message of each that was left out.
+        each method that ran with its result, and the label (or the text that names it) and message of each left out.
 
     Raises:
         MethodError: a single method, or each of them, cannot be made.
     """
-    done: list[tuple[MethodSpec, Result]] = []
+    done: list[tuple[Named, Result]] = []
     left_out: list[tuple[str, str]] = []
     here = Path.cwd()
     for spec in specs:
         try:
             done.append((spec, run_one(spec)))
         except MethodError as bad:
-            left_out.append((spec.label, str(bad)))
+            left_out.append((str(getattr(spec, "label", spec)), str(bad)))
             if len(left_out) == len(specs):
                 raise
         finally:

@@ -75,10 +75,9 @@ class Unit:
         return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
 
 
-def visibility_of(spec: MethodSpec, run: Run, dataset: Dataset, results: Path) -> Visibility:
-    """What a method sees in a run on a dataset whose results are in a folder. Raises MethodError and ConfigError."""
-    sandbox = run.sandbox_hiding(dataset.root, results)
-    return Visibility(run.in_subprocess, spec.uses_times(), sandbox, run.one_core)
+def visibility_of(spec: MethodSpec, run: Run) -> Visibility:
+    """What a method sees in a run. Raises MethodError and ConfigError."""
+    return Visibility(run.in_subprocess, spec.uses_times(), run.sandbox_of_methods(), run.one_core)
 
 
 def units_of(

@@ -19,14 +19,14 @@ from relocbench.evaluation.common.foreign import blind_methods
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import ExecutionOptions
 from relocbench.evaluation.common.results import first_crash
-from relocbench.evaluation.common.runs import made_by
+from relocbench.evaluation.common.runs import made_by, run_each
 from relocbench.evaluation.isolation.capabilities import capabilities_of
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
 from relocbench.evaluation.probe.starts import StartLine
 from relocbench.evaluation.probe.table import Line, result_lines, start_lines
 from relocbench.evaluation.probe.work import PairResult, Task, ask_pairs, task_for
 from relocbench.evaluation.probe.write import write_probe
-from relocbench.execution import kept_workers, run_limited
+from relocbench.execution import Run, kept_workers, run_limited
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
@@ -116,6 +116,10 @@ class ProbeReport:
         }
 
 
+ANSWERS = "answers"
+"""folder of what methods answered, in that of a probe"""
+
+
 @kept_workers()
 def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
     """Probe methods and write ``probe.csv``, ``radii.csv``, ``probe.md``, ``probe.yaml`` and the plots.
@@ -124,10 +128,11 @@ def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
         RelocbenchError: a bad dataset, method or option, or nothing that can be probed.
     """
     dataset = open_for_evaluation(options.dataset, options.out)
-    specs = blind_methods(dataset.root, options.methods, options.set, options.seed, options.run)
+    run = options.run.with_shared_folders(options.out, options.dataset).hiding(dataset.root, options.out / ANSWERS)
+    specs = blind_methods(dataset.root, options.methods, options.set, options.seed, run)
     asked = chosen_pairs(dataset, options)
     dataset.require_images([pair_set for pair_set, _ in asked], "there are no pixels to probe")
-    return _probe(dataset, specs, asked, options, reporter)
+    return _probe(dataset, specs, asked, options, run, reporter)
 
 
 def _probe(
@@ -135,21 +140,20 @@ def _probe(
     specs: Sequence[MethodSpec],
     asked: list[tuple[PairSet, list[PairKey]]],
     options: ProbeOptions,
+    run: Run,
     reporter: Reporter,
 ) -> ProbeReport:
-    tasks = _tasks(dataset, [pair_set for pair_set, _ in asked], specs, options, reporter)
+    tasks = _tasks(dataset, [pair_set for pair_set, _ in asked], specs, options, run, reporter)
     pictures = _draw(dataset, [pair_set for pair_set, _ in asked], specs, options, reporter)
-    answers = {}
-    for spec, task in tasks:
-        answers[spec.label] = ask_pairs(
-            dataset,
-            asked,
-            spec,
-            task,
-            options.out / "answers",
-            run=options.run.with_shared_folders(options.out, options.dataset),
-            reporter=reporter,
-        )
+    task_of = {spec.label: task for spec, task in tasks}
+    folder = options.out / ANSWERS
+    done, left_out = run_each(
+        [spec for spec, _ in tasks],
+        lambda spec: ask_pairs(dataset, asked, spec, task_of[spec.label], folder, run=run, reporter=reporter),
+    )
+    _note_left_out(left_out, reporter)
+    answers = {spec.label: found for spec, found in done}
+    tasks = [(spec, task_of[spec.label]) for spec, _ in done]
     if not answers:
         return ProbeReport([], pictures, [])
     conditions = {
@@ -190,6 +194,7 @@ def _tasks(
     pair_sets: Sequence[PairSet],
     specs: Sequence[MethodSpec],
     options: ProbeOptions,
+    run: Run,
     reporter: Reporter,
 ) -> list[tuple[MethodSpec, Task]]:
     """Each method with what it supports; whatever is left out is reported."""
@@ -202,8 +207,9 @@ def _tasks(
     poses = options.poses and not keyframe
     wanted = Task(pixels, poses, options.per_pair, options.structured, options.directions, options.seed, keyframe)
     out = []
-    for spec in specs:
-        capabilities = capabilities_of(spec, options.run)
+    known, left_out = run_each(specs, lambda spec: capabilities_of(spec, run))
+    _note_left_out(left_out, reporter)
+    for spec, capabilities in known:
         if capabilities.fault:
             reporter.note(f"{spec.label} is left out: {capabilities.fault}")
             continue
@@ -217,6 +223,11 @@ def _tasks(
     if not out and not options.feature_maps:
         raise ConfigError("no method can be probed: one needs match() and correspondences, or a prior to start from")
     return out
+
+
+def _note_left_out(left_out: Sequence[tuple[str, str]], reporter: Reporter) -> None:
+    for label, why in left_out:
+        reporter.note(f"{label} is left out: {why}")
 
 
 def _draw(

@@ -103,7 +103,8 @@ def ask_pairs(
         PredictionError: another process is writing to the folder.
         DatasetError: an image or a correspondence file is bad.
     """
-    visibility = visibility_of(spec, run, dataset, folder)
+    run = run.hiding(dataset.root, folder)
+    visibility = visibility_of(spec, run)
     root = folder / f"{spec.label}-{_digest(dataset, spec, task)}"
     journals = {pair_set.name: root / pair_set.name for pair_set, _ in asked}
     for journal in journals.values():

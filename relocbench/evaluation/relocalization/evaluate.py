@@ -14,6 +14,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError, available, cut
 from relocbench.evaluation.common.blindness import check_blind
+from relocbench.evaluation.common.folders import result_folders
 from relocbench.evaluation.common.foreign import parse_apart
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import EvaluationOptions, ExecutionOptions
@@ -42,7 +43,7 @@ from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
 from relocbench.evaluation.retrieval.score import unanswered
-from relocbench.execution import kept_workers
+from relocbench.execution import Run, kept_workers
 from relocbench.files import check_label
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodKind, MethodSpec
 from relocbench.methods.discovery import parse_method, setting_label
@@ -86,7 +87,7 @@ class RelocalizationReport:
     crashed: list[tuple[str, str]] = field(default_factory=list)
     """label and message of each pipeline that crashed on queries"""
     left_out: list[tuple[str, str]] = field(default_factory=list)
-    """label and message of each tracker that could not be made"""
+    """label and message of each method that could not be made"""
 
     @cached_property
     def _scores(self) -> dict[str, PipelineScores]:
@@ -143,18 +144,21 @@ def evaluate_pipelines(options: RelocalizationOptions, reporter: Reporter) -> Re
         RelocbenchError: a bad dataset, method, option or list.
     """
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
-    parse = partial(parse_apart, root=options.dataset, run=options.run)
+    run = options.run.with_shared_folders(options.out, options.dataset)
+    run = run.hiding(options.dataset, *result_folders(options.out))
+    parse = partial(parse_apart, run=run)
     retrievers, trackers = parse_pipeline(options.retriever, options.methods, options.set, options.seed, parse)
     check_blind([*(one for one in retrievers if not isinstance(one, str)), *trackers], options.dataset)
     basins = _basins(options, trackers, reporter)
     dataset = open_for_evaluation(options.dataset, options.out)
     places = SetOptions(options.split, options.pair_sets, positives="pairs")
     tasks = pipeline_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
-    return _evaluate(options, dataset, tasks, retrievers, trackers, basins, reporter)
+    return _evaluate(options, run, dataset, tasks, retrievers, trackers, basins, reporter)
 
 
 def _evaluate(
     options: RelocalizationOptions,
+    run: Run,
     dataset: Dataset,
     tasks: PipelineTasks,
     retrievers: Sequence[MethodSpec | str],
@@ -162,13 +166,12 @@ def _evaluate(
     basins: Basins,
     reporter: Reporter,
 ) -> RelocalizationReport:
-    ranked = run_retrievers(
+    ranked, unmade = run_retrievers(
         tasks.asked,
         retrievers,
         set_results(options.out, tasks.asked),
         overwrite=options.overwrite,
-        run=options.run,
-        hidden=(options.dataset,),
+        run=run,
         seed=options.seed,
         reporter=reporter,
     )
@@ -184,7 +187,7 @@ def _evaluate(
             spec,
             results.trackers,
             overwrite=options.overwrite,
-            run=options.run.with_shared_folders(options.out, options.dataset),
+            run=run,
             seed=options.seed,
             reporter=reporter,
         ),
@@ -195,13 +198,14 @@ def _evaluate(
     for each in ranked:
         of = retrieved[each.label]
         floor = {name: keyframe_poses(tasks.truth[name], of[name]) for name in tasks.names}
-        run = _run(tasks, each, KEYFRAME, 1, None)
-        folders.append(write_pipeline_results(_folder(results, run), run, tasks, of, floor, basins))
+        record = _record(tasks, each, KEYFRAME, 1, None)
+        folders.append(write_pipeline_results(_folder(results, record), record, tasks, of, floor, basins))
         for folder in answered:
-            run = _run(tasks, each, folder.label, options.top, folder)
-            folders.append(write_pipeline_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
+            record = _record(tasks, each, folder.label, options.top, folder)
+            of_tracker = answers[folder.label]
+            folders.append(write_pipeline_results(_folder(results, record), record, tasks, of, of_tracker, basins))
     messages = [each for folder in folders for each in crashed_queries(folder, tasks.names)]
-    return RelocalizationReport(tasks, folders, results.root, messages, left_out)
+    return RelocalizationReport(tasks, folders, results.root, messages, unmade + left_out)
 
 
 def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], reporter: Reporter) -> Basins:
@@ -228,7 +232,7 @@ def _pairs(truth: MapTruth, found: Sequence[Sequence[Retrieved]]) -> set[PairKey
     }
 
 
-def _run(
+def _record(
     tasks: PipelineTasks, ranking: RankingSource, tracker: str, top: int, folder: MethodResults | None
 ) -> PipelineRun:
     return PipelineRun(

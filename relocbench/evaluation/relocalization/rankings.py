@@ -9,6 +9,7 @@ from typing import Protocol
 
 from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import PREDICTIONS
+from relocbench.evaluation.common.runs import run_each
 from relocbench.evaluation.relocalization.pipeline import Retrieved
 from relocbench.evaluation.relocalization.records import ORACLE
 from relocbench.evaluation.relocalization.truth import MapTruth
@@ -84,10 +85,9 @@ def run_retrievers(
     *,
     overwrite: Overwrite,
     run: Run,
-    hidden: Sequence[Path],
     seed: int,
     reporter: Reporter,
-) -> list[RankingSource]:
+) -> tuple[list[RankingSource], list[tuple[str, str]]]:
     """Run retrievers as ``relocbench evaluate-retrieval --positives pairs`` does, unless they have answered.
 
     The results are the same files, with the same scores.
@@ -95,14 +95,16 @@ def run_retrievers(
     Args:
         retrievers: a string is ``oracle``, or ``LABEL=predictions:PATH`` for rankings made elsewhere.
 
+    Returns:
+        the rankings, and the label and message of each retriever that cannot be made.
+
     Raises:
-        RelocbenchError: a retriever that cannot be made or run, a bad list, or answers that were made differently.
+        RelocbenchError: no retriever can be made, a bad list, or answers that were made differently.
     """
-    out: list[RankingSource] = []
-    for retriever in retrievers:
+
+    def rankings_of(retriever: MethodSpec | str) -> RankingSource:
         if retriever == ORACLE:
-            out.append(Oracle())
-            continue
+            return Oracle()
         if isinstance(retriever, str):
             path = Path(retriever.partition("=")[2].removeprefix(PREDICTIONS))
             folder = import_rankings(opened, opened.chosen, path, label_of(retriever), results)
@@ -115,14 +117,15 @@ def run_retrievers(
                 keep=KEEP,
                 overwrite=overwrite,
                 run=run,
-                hidden=hidden,
                 seed=seed,
                 reporter=reporter,
             )
         write_set_record(results, opened, opened.chosen)
         score_retriever(results.record, folder)
-        out.append(StoredRankings(folder))
-    return out
+        return StoredRankings(folder)
+
+    done, left_out = run_each(retrievers, rankings_of)
+    return [source for _, source in done], left_out
 
 
 def label_of(retriever: MethodSpec | str) -> str:

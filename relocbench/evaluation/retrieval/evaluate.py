@@ -9,6 +9,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from relocbench.datasets.pairs.street_places import Positives
+from relocbench.evaluation.common.folders import result_folders
 from relocbench.evaluation.common.foreign import blind_methods
 from relocbench.evaluation.common.options import AnswerOptions, LimitOptions
 from relocbench.evaluation.common.predictions import predictions_label
@@ -108,7 +109,8 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
     """
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     named = [] if options.predictions else options.methods
-    specs = blind_methods(options.dataset, named, options.set, options.seed, options.run, RETRIEVERS)
+    run = options.run.hiding(options.dataset, *result_folders(options.out))
+    specs = blind_methods(options.dataset, named, options.set, options.seed, run, RETRIEVERS)
     opened = open_set(options.dataset, options.out, _set_options(options), reporter)
     results = set_results(options.out, opened)
     left_out: list[tuple[str, str]] = []
@@ -126,8 +128,7 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
                 results,
                 keep=options.keep,
                 overwrite=options.overwrite,
-                run=options.run,
-                hidden=(options.dataset,),
+                run=run,
                 seed=options.seed,
                 reporter=reporter,
             ),

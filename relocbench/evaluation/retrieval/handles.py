@@ -6,7 +6,6 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, Protocol
 
 from relocbench.evaluation.isolation.worker import (
@@ -127,19 +126,15 @@ class WorkerRetriever:
         return out
 
 
-def retriever_handle(spec: MethodSpec, run: Run, hidden: Sequence[Path] = ()) -> RetrieverHandle:
+def retriever_handle(spec: MethodSpec, run: Run) -> RetrieverHandle:
     """The retriever in a worker process, or in this process if ``run`` has no workers.
-
-    Args:
-        hidden: folders that it finds empty in a process of its own, where the system has a sandbox.
 
     Raises:
         MethodError: the retriever cannot be made.
         ConfigError: there must be a sandbox, and this system has none.
     """
-    if run.workers == 0:
-        return LocalRetriever(create_retriever(spec))
-    return WorkerRetriever(spec, run.limits, run.sandbox_hiding(*hidden))
+    sandbox = run.sandbox_of_methods()
+    return LocalRetriever(create_retriever(spec)) if run.workers == 0 else WorkerRetriever(spec, run.limits, sandbox)
 
 
 _retrievers: dict[str, IsolatedRetriever] = {}

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from relocbench.errors import DatasetError, PredictionError
@@ -60,7 +59,6 @@ def run_retriever(
     keep: int | None,
     overwrite: Overwrite = "never",
     run: Run = Run(),
-    hidden: Sequence[Path] = (),
     seed: int = 0,
     reporter: Reporter,
 ) -> RetrieverResults:
@@ -71,7 +69,6 @@ def run_retriever(
         overwrite: ``never`` keeps every finished task, ``failed`` repeats tasks in which a query failed or broke,
             ``always`` starts over.
         run: where the method runs, in a worker process or, with 0 workers, in this process; and its limits.
-        hidden: folders that its process finds empty, besides ``results``, where the system has a sandbox.
 
     Raises:
         MethodError: the retriever cannot be made, or reports that it cannot go on.
@@ -81,19 +78,19 @@ def run_retriever(
     folder = results.method(spec.label)
     record = _new_record(retrieval_set, spec, seed, keep)
     refuse_submitted(folder)
-    hidden = (*hidden, results.root)
+    run = run.hiding(results.root)
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
     asking = None
     if overwrite == "always":
         # A method that cannot be made must not cost answers.
-        asking = RetrieverSession(lambda: retriever_handle(spec, run, hidden), todo, seed, retrieval_set.fingerprint)
+        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, retrieval_set.fingerprint)
         clear(folder, [task.name for task in tasks])
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
     if asking is None:  # before a folder is made, which a method that cannot be made would leave empty
-        asking = RetrieverSession(lambda: retriever_handle(spec, run, hidden), todo, seed, retrieval_set.fingerprint)
+        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, retrieval_set.fingerprint)
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, retrieval_set, tasks)
     with locked_folder(folder.root, PredictionError):

@@ -13,7 +13,8 @@ from pydantic import model_validator
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, MethodError
+from relocbench.evaluation.common.folders import result_folders
 from relocbench.evaluation.common.foreign import blind_methods
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.options import AnswerOptions, ExecutionOptions
@@ -124,7 +125,9 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     pair_sets = _chosen(dataset, options)
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     named = [name for name in options.methods if name != CLOCK]
-    specs = [] if options.predictions else blind_methods(dataset.root, named, options.set, options.seed, options.run)
+    run = options.run.with_shared_folders(options.out, options.dataset)
+    run = run.hiding(dataset.root, *result_folders(options.out))
+    specs = [] if options.predictions else blind_methods(dataset.root, named, options.set, options.seed, run)
     pictured = _check_images(dataset, pair_sets, specs)
     results = dataset_results(options.out, dataset)
     left_out: list[tuple[str, str]] = []
@@ -135,11 +138,13 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     else:
         write_dataset_record(results, dataset)
         if pictured:
-            done, left_out = run_each(specs, lambda spec: _run(dataset, pair_sets, spec, results, options, reporter))
+            done, left_out = run_each(
+                specs, lambda spec: _run(dataset, pair_sets, spec, results, options, run, reporter)
+            )
         else:
             done = [(spec, run_identity(dataset, pair_sets, spec, results)) for spec in specs]
         if options.matching and pictured:
-            _match(dataset, pair_sets, done, options, reporter)
+            _match(dataset, pair_sets, done, options, run, reporter)
         folders = [folder for _, folder in done]
         if CLOCK in options.methods:
             folders.append(run_clock(dataset, pair_sets, results))
@@ -165,6 +170,7 @@ def _run(
     spec: MethodSpec,
     results: DatasetResults,
     options: EvaluateOptions,
+    run: Run,
     reporter: Reporter,
 ) -> MethodResults:
     return run_method(
@@ -173,7 +179,7 @@ def _run(
         spec,
         results,
         overwrite=options.overwrite,
-        run=options.run.with_shared_folders(options.out, options.dataset),
+        run=run,
         seed=options.seed,
         reporter=reporter,
     )
@@ -184,25 +190,23 @@ def _match(
     pair_sets: list[PairSet],
     done: list[tuple[MethodSpec, MethodResults]],
     options: EvaluateOptions,
+    run: Run,
     reporter: Reporter,
 ) -> None:
     """Measure matching quality of the methods that offer it; whatever is left out is reported."""
     for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
         reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
-    able = [(spec, folder) for spec, folder in done if capabilities_of(spec, options.run).match]
-    unable = [spec.label for spec, _ in done if spec.label not in {spec.label for spec, _ in able}]
+    unable = []
+    for spec, folder in done:
+        try:
+            if capabilities_of(spec, run).match:
+                match_method(dataset, pair_sets, spec, folder, run=run, seed=options.seed, reporter=reporter)
+            else:
+                unable.append(spec.label)
+        except MethodError as bad:  # it was made before, and its answers stand
+            reporter.note(f"matching quality of {spec.label} is not measured: {bad}")
     if unable:
         reporter.note(f"matching quality is not measured without match(): {', '.join(unable)}")
-    for spec, folder in able:
-        match_method(
-            dataset,
-            pair_sets,
-            spec,
-            folder,
-            run=options.run.with_shared_folders(options.out, options.dataset),
-            seed=options.seed,
-            reporter=reporter,
-        )
 
 
 def _chosen(dataset: Dataset, options: EvaluateOptions) -> list[PairSet]:

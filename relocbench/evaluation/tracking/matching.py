@@ -135,7 +135,8 @@ def match_method(
     left = [s for s in with_truth if not folder.matching(s.name).exists()]
     if not left:
         return
-    visibility = visibility_of(spec, run, dataset, folder.root.parent)
+    run = run.hiding(dataset.root, folder.root.parent)
+    visibility = visibility_of(spec, run)
     refuse_mixture(folder, new_record(dataset, spec, run, visibility, seed), work_left=True)
 
     def open_units() -> list[Unit]:

@@ -76,7 +76,8 @@ def run_method(
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
-    visibility = visibility_of(spec, run, dataset, results.root)
+    run = run.hiding(dataset.root, results.root)
+    visibility = visibility_of(spec, run)
     record = new_record(dataset, spec, run, visibility, seed)
     refuse_submitted(folder)
     if overwrite == "always":

@@ -115,6 +115,15 @@ def test_who_knows_where_the_truth_lies_on_the_disk_finds_nothing_there(
     assert cheat.run_record().sandbox == NONE
 
 
+def test_nowhere_is_a_method_made_where_the_truth_can_be_read(tmp_path: Path) -> None:
+    if working_sandbox() == NONE:
+        pytest.skip("no sandbox works on this system: the disk can be read")
+    few = make_small_dataset(tmp_path / "few", pairs=2, correspondences=20)
+    given = f"m.place={str(few.root)[::-1]}", f"m.diary={tmp_path / 'diary'}"
+    evaluate(few, tmp_path / "r", f"m={HERE}:Diarist", matching=True, set=given)
+    assert set((tmp_path / "diary").read_text().split()) == {"0"}
+
+
 def test_a_module_that_changes_the_evaluator_when_it_is_imported_changes_nothing(
     asked: dict[str, MethodResults], dataset: Dataset, tmp_path: Path
 ) -> None:
