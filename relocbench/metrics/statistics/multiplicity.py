@@ -24,11 +24,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from relocbench.arrays import Array, Indices
+from relocbench.arrays import Array
 from relocbench.metrics.statistics.intervals import MANY_ROADS, Difference
-
-_PATTERNS = 2**13
-"""patterns of signs, at most: all those of up to 14 roads, since turning all signs changes no absolute value"""
+from relocbench.metrics.statistics.roads import sign_patterns
 
 
 def controlled(differences: Sequence[Difference], *, seed: int = 0) -> list[Difference]:
@@ -55,22 +53,13 @@ def _by_signs(differences: Sequence[Difference], seed: int) -> Array:
     roads = list(dict.fromkeys(road for difference in differences for road in difference.by_road))
     # A road that a difference does not have counts for nothing in it.
     of_roads = np.array([[difference.by_road.get(road, 0.0) for road in roads] for difference in differences])
-    p: Array = np.stack([_shares_at_least(np.abs(row)) for row in of_roads @ _signs(len(roads), seed)])
+    patterns = sign_patterns(len(roads), np.random.default_rng(seed))
+    p: Array = np.stack([_shares_at_least(np.abs(row)) for row in of_roads @ patterns.T])
     order = np.argsort(p[:, 0], kind="stable")
     smallest: Array = np.minimum.accumulate(p[order[::-1]], axis=0)[::-1]  # of each difference and those that follow it
     out = np.empty(len(differences))
     out[order] = np.maximum.accumulate((smallest <= smallest[:, :1] + 1e-12).mean(axis=1))
     return out
-
-
-def _signs(roads: int, seed: int) -> Array:
-    """(roads, patterns) the signs of the roads; the first pattern has no minus, and no road 0 has one."""
-    if 2 ** (roads - 1) <= _PATTERNS:
-        bits: Indices = np.arange(2 ** (roads - 1)) << 1 >> np.arange(roads)[:, None]
-    else:
-        bits = np.random.default_rng(seed).integers(2, size=(roads, _PATTERNS))
-        bits[:, 0] = 0
-    return np.where(bits & 1, -1.0, 1.0)
 
 
 def _shares_at_least(statistics: Array) -> Array:

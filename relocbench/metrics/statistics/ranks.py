@@ -50,7 +50,7 @@ from relocbench.metrics.statistics.intervals import (
     pairs_in_equal_sets,
     with_two_pairs,
 )
-from relocbench.metrics.statistics.roads import aligned, by_road
+from relocbench.metrics.statistics.roads import aligned, by_road, sign_patterns
 
 DRAWS = 10_000
 """random draws for a critical value"""
@@ -256,13 +256,7 @@ class _ByRoads:
 
     def __init__(self, series: Sequence[Array], rng: np.random.Generator) -> None:
         self._means = np.stack([x.mean(axis=1) for x in series], axis=1)
-        roads = len(series)
-        if 2 ** (roads - 1) <= DRAWS:  # all signs, up to the sign of the first road, which changes no absolute value
-            bits = np.arange(2 ** (roads - 1))[:, None] >> np.arange(roads)
-            self._signs = 1.0 - 2.0 * (bits & 1)
-        else:
-            self._signs = rng.choice([-1.0, 1.0], (DRAWS, roads))
-        self._signs[0] = 1.0
+        self._signs = sign_patterns(len(series), rng)
 
     def drawn(self, method: int, others: Indices) -> tuple[Array, Array]:
         """(K,) how rare the differences are, and (K, signs) how rare they are under random signs, both from 0 to 1."""

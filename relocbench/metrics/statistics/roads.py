@@ -77,6 +77,24 @@ def by_place(pair_sets: Sequence[ArrayLike], places: Sequence[ArrayLike]) -> Arr
     return out
 
 
+MOST_PATTERNS = 2**13
+"""patterns of signs, at most: all those of up to 14 roads"""
+
+
+def sign_patterns(roads: int, rng: np.random.Generator) -> Array:
+    """(patterns, roads) of 1 and -1, of which the first has no minus.
+
+    Between equal methods a road's difference is as likely the one way as the other. All patterns are gone through where
+    they are not too many, but for those with every sign turned, which change no absolute value; else they are drawn.
+    """
+    if 2 ** (roads - 1) <= MOST_PATTERNS:
+        minus = np.arange(2 ** (roads - 1))[:, None] >> np.arange(roads) & 1
+    else:
+        minus = rng.integers(2, size=(MOST_PATTERNS, roads))
+        minus[0] = 0
+    return np.where(minus, -1.0, 1.0)
+
+
 def _sets_of_roads(count: int, roads: Sequence[Hashable] | None) -> list[list[int]]:
     if roads is not None and len(roads) != count:
         raise ValueError(f"expected one road for each of {count} pair sets, got {len(roads)}")
