@@ -37,6 +37,11 @@ class RetrieverHandle(Protocol):
         """The retriever's own ``info``, as plain values."""
         ...
 
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        """The most resident memory of its process so far; None where it has none of its own, or none is told."""
+        ...
+
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult: ...
     def describe(self, images: Sequence[ImageView]) -> CallResult: ...
     def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult: ...
@@ -85,6 +90,11 @@ class WorkerRetriever:
     def info(self) -> dict[str, Any]:
         info, _, crash = self._call("info", (), tries=1)
         return {} if crash else dict(info)
+
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        peak, _, _ = self._call("memory", (), tries=1)
+        return None if peak is None else int(peak)
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
         self._fitted_by = ()
@@ -157,4 +167,6 @@ def _serve(request: _Request) -> Any:
     if request.what == "info":
         with step(""):
             return handler.info, 0.0, ""
+    if request.what == "memory":
+        return handler.peak_memory_bytes, 0.0, ""
     return getattr(handler, request.what)(*request.given)

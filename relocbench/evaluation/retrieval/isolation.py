@@ -42,6 +42,10 @@ class IsolatedRetriever:
         info = answer.get("info") if isinstance(answer, dict) else None
         return dict(json.loads(info_text(info))) if isinstance(info, dict) else {}
 
+    @property
+    def peak_memory_bytes(self) -> int | None:
+        return self._process.peak_memory_bytes
+
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
         def image_of(index: Any) -> Image:
             if type(index) is not int or not 0 <= index < len(gallery):

@@ -22,6 +22,8 @@ CallResult = tuple[Any, float, str]
 class LocalRetriever:
     """A retriever in this process. A bad image, or a MethodError that the method raises, ends the run."""
 
+    peak_memory_bytes: int | None = None
+
     def __init__(self, retriever: Retriever) -> None:
         self._retriever: Any = retriever
         self._warm = False

@@ -117,6 +117,8 @@ class TaskRun(Strict):
     gallery_seconds: float | None = None
     """for describing the gallery, without reading images; None where descriptors of an earlier task were used"""
     fit_seconds: float | None = None
+    peak_memory_bytes: int | None = None
+    """most resident memory of the method's process and its children until the task was done; None where none is told"""
 
 
 class RetrievalRun(RunRecord):

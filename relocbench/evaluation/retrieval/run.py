@@ -171,6 +171,7 @@ class RetrieverSession:
             rerank_top=describer.handle.rerank_top,
             gallery_seconds=None if again else round(float(gallery.seconds.sum()), 3),
             fit_seconds=fit_seconds,
+            peak_memory_bytes=describer.handle.peak_memory_bytes,
         )
         answers = [_with_gallery_failure(answer, gallery.messages) for answer, _ in rows]
         return TaskAnswers(answers, {answer.query: kept for answer, kept in rows}, run)

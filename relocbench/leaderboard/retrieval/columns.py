@@ -86,7 +86,7 @@ def retrieval_columns(board: RetrievalBoard) -> dict[str, RetrievalColumn]:
                 definition="median of the seconds a query",
                 higher_is_better=False,
             ),
-            Column("descriptor_bytes", lambda line: line.of_row(lambda row: _descriptor_bytes(row, line.table))),
+            *(_most_of_tasks(name) for name in ("descriptor_bytes", "peak_memory_bytes")),
             counts_column(),
             *(_metric(metric) for metric in METRICS),
             *bounds_columns(with_interval),
@@ -111,10 +111,14 @@ def _metric(metric: str) -> RetrievalColumn:
     return Column(metric, value, "share", bounds=bounds, definition=defined(metric), higher_is_better=True)
 
 
-def _descriptor_bytes(row: RetrievalRow, table: RetrievalTable) -> Value:
-    """What a map keeps of an image: the most over the tasks of a table; None where it is not known."""
-    known = [of.descriptor_bytes for name, of in row.method.run.tasks.items() if name in table.tasks]
-    return max((size for size in known if size is not None), default=None)
+def _most_of_tasks(name: str) -> RetrievalColumn:
+    """Bytes that a run knows of each task: the most over the tasks of a table; None where they are not known."""
+
+    def most(row: RetrievalRow, table: RetrievalTable) -> Value:
+        known = [getattr(of, name) for task, of in row.method.run.tasks.items() if task in table.tasks]
+        return max((size for size in known if size is not None), default=None)
+
+    return Column(name, lambda line: line.of_row(lambda row: most(row, line.table)))
 
 
 def _seconds(line: RetrievalLine) -> str:

@@ -210,7 +210,10 @@ def test_a_retriever_lives_in_one_process_wherever_the_rest_of_the_work_runs(vie
         described = [asked.describe((one,)) for one in images for _ in range(3)]
         assert all(not broke and len(values) == 1 for values, _, broke in described)
         assert asked.info == before
+        peak = asked.peak_memory_bytes
     assert before["process"] != os.getpid()
+    assert peak is None or 10**7 < peak < 10**10, "that of a Python with NumPy; none is told without /proc"
+    assert (peak is not None) == Path("/proc/self/status").exists()
 
 
 def test_reranking_orders_the_first_and_leaves_the_rest(views: Path, tmp_path: Path) -> None:
