@@ -16,6 +16,8 @@ from typing import Any
 
 import torch
 
+from relocbench.pointers import pointer_fault
+
 _MOST_PICKLE_BYTES = 2**24
 """for names, shapes and plain values; a ResNet-50 with its optimiser has 100 KB"""
 _ARCHIVE = b"PK\x03\x04"
@@ -40,6 +42,9 @@ def load_torch_file(path: Path) -> Any:
     """
     if not path.is_file():
         raise ValueError("no regular file")
+    pointer = pointer_fault(path)
+    if pointer is not None:
+        raise ValueError(pointer)
     try:
         with path.open("rb") as stream:
             archived = stream.read(4) == _ARCHIVE

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from baselines.files import write_whole
 from relocbench.errors import MethodError
+from relocbench.pointers import pointer_fault
 
 _VERSION = 1
 _MOST_HEADER_BYTES = 2**24
@@ -74,6 +75,9 @@ def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     """
     if not path.is_file():
         raise MethodError("no such file of weights", path)
+    pointer = pointer_fault(path)
+    if pointer is not None:
+        raise MethodError(f"{pointer}; expected weights", path)
     fault = "not a readable safetensors file, damaged or cut short"
     try:
         with path.open("rb") as stream:

@@ -7,6 +7,7 @@ import stat
 from pathlib import Path
 
 from relocbench.errors import RelocbenchError
+from relocbench.pointers import pointer_fault
 
 MAX_BYTES = 512 * 2**20
 """a table of two million pairs is smaller"""
@@ -17,13 +18,17 @@ def plain_file(path: Path, what: str, error: type[RelocbenchError] = RelocbenchE
     """``path`` itself. Opening a pipe would wait for whoever writes to it, and a device may never come to an end.
 
     Raises:
-        RelocbenchError: (as ``error``) it is one of them. Other faults are reported when it is opened.
+        RelocbenchError: (as ``error``) it is one of them, or a pointer of Git LFS or git-annex to the content. Other
+            faults are reported when it is opened.
     """
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
         return path
     _check_plain(mode, path, what, error)
+    fault = pointer_fault(path)
+    if fault is not None:
+        raise error(f"{fault}; expected {what}", path)
     return path
 
 
@@ -34,7 +39,7 @@ def read_bytes(
 
     Raises:
         RelocbenchError: (as ``error``) naming the file and what it should have been: missing, not readable, a folder, a
-            pipe or a device (also behind a link), or more than ``most_bytes``.
+            pipe or a device (also behind a link), a pointer of Git LFS, or more than ``most_bytes``.
     """
     try:
         # Should it have become a pipe since it was looked at, opening it does not wait for its writer.

@@ -22,7 +22,7 @@ from relocbench.datasets.sensors.las import read_las
 from relocbench.datasets.sensors.point_clouds import read_point_cloud
 from relocbench.datasets.sensors.text_points import read_text_points
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import read_bytes
+from relocbench.files import plain_file, read_bytes
 from relocbench.geometry import apply
 
 SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".bin", ".npy", ".xyz", ".txt", ".asc", ".pts", ".csv")
@@ -137,6 +137,7 @@ def _read(path: Path, form: CloudFormat, notes: list[str]) -> tuple[Array, Array
 
 def _check_readable(path: Path) -> None:
     """Raise DatasetError, in the words of other formats, if a file that a library will open cannot be read."""
+    plain_file(path, "a point cloud", DatasetError)
     if path.is_dir():
         raise DatasetError("is a folder; expected a point cloud", path)
     try:
