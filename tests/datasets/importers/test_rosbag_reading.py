@@ -17,7 +17,7 @@ import pytest
 from command_line import relocbench
 from made_bags import SECOND, Bag
 from numpy.typing import NDArray
-from refusals import ErrorData, Notes, refused
+from refusals import ErrorData, Notes, noted, refused
 
 from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.groundtruth.odometry.deferred import computed, is_pending, later
@@ -675,9 +675,10 @@ def test_a_topic_that_nobody_needs_may_be_unreadable(tmp_path: Path) -> None:
         bag.laser("/other_scan", START + k * SECOND // 10, np.linspace(1, 5, 20))
     path = bag.write(tmp_path / "drive.bag")
     checksum = bag.store.generate_msgdef("sensor_msgs/msg/LaserScan")[1].encode()
-    path.write_bytes(path.read_bytes().replace(checksum, b"0" * len(checksum)))
+    content = path.read_bytes().replace(checksum, b"0" * len(checksum))
+    path.write_bytes(content.replace(b"float32 scan_time", b"float64 scan_time"))
     assert len(read(path, notes).lidars) == 1
-    assert "/other_scan: its sensor_msgs/LaserScan is not the standard message" in notes
+    assert noted(notes.notes, "cannot be read", "/other_scan", "sensor_msgs/LaserScan", "0" * len(checksum))
     with refused(DatasetError, "drive.bag", None, "--lidars", "other_scan", "sensor_msgs/LaserScan"):
         read(path, wanted=Wanted(lidars=("/other_scan",)))
 

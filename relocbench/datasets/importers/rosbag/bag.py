@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.importers.rosbag import kinds
-from relocbench.datasets.importers.rosbag.mcap_file import McapFile, profile_of
+from relocbench.datasets.importers.rosbag.mcap_file import McapFile, profile_of, search_unindexed_chunks
 from relocbench.errors import ConfigError, DatasetError, quoted, raised
 from relocbench.files import load_yaml_values, plain_file
 
@@ -109,6 +109,7 @@ class Part:
         self._reader: Any = _reader(self.path)
         weakref.finalize(self, _close, self._reader)
         self._reader.open()
+        search_unindexed_chunks(self._reader)
         for connection in self._reader.connections:
             name = connection.topic
             if not (isinstance(name, str) and isinstance(connection.msgtype, str)):
@@ -154,14 +155,24 @@ class Part:
         return DatasetError(f"{topic}, message received at {received_ns} ns: {what}", self.path)
 
     def check_standard(self, topic: str) -> None:
-        """Raise DatasetError if a topic's type is defined otherwise in this file than by ROS."""
+        """Raise DatasetError if a topic's type is defined otherwise in this file than by ROS.
+
+        The checksum decides, or else the definition. Without a definition the type is known by its name alone:
+        converters write any checksum there, such as that of an empty text or zeros.
+        """
         if not self.is_ros1(topic):
             return
-        expected = typestore(True).generate_msgdef(_alias(self.types[topic]))[1]
+        name = self.types[topic]
+        expected = typestore(True).generate_msgdef(_alias(name))[1]
         for connection in self._reader.connections:
-            if connection.topic == topic and connection.digest not in ("", "*", expected):
-                name = kinds.short(self.types[topic])
-                raise DatasetError(f"{topic}: its {name} is not the standard message (checksum differs)", self.path)
+            if connection.topic != topic or connection.digest in ("", "*", expected):
+                continue
+            definition = str(getattr(getattr(connection, "msgdef", None), "data", "")).strip()
+            if definition and _checksum(definition, name) != expected:
+                message = f"its {kinds.short(name)} is not defined as the standard message"
+                raise DatasetError(
+                    f"{topic}: {message} (checksum {quoted(connection.digest, 32)}, not {expected})", self.path
+                )
 
 
 def _close(reader: Any) -> None:
@@ -313,6 +324,18 @@ def typestore(ros1: bool) -> Any:
     scan = get_types_from_msg("std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets", kinds.PACKETS)
     store.register({**packet, **scan})
     return store
+
+
+def _checksum(definition: str, message_type: str) -> str:
+    """The checksum that ROS 1 gives a definition; empty if the definition cannot be read."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    try:
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(definition, message_type))
+        return str(store.generate_msgdef(message_type)[1])
+    except Exception:  # noqa: BLE001  what a definition that nobody can read raises is open
+        return ""
 
 
 def _alias(message_type: str) -> str:

@@ -1,6 +1,7 @@
-"""MCAP files of other profiles than that of ROS 2, which rosbags does not read: messages of ROS 1, or no profile.
+"""MCAP files that rosbags does not read, or not right.
 
-The class has the part of the interface of the readers of rosbags that is used here.
+The class reads those of other profiles than that of ROS 2: messages of ROS 1, or no profile. It has the part of the
+interface of the readers of rosbags that is used here.
 """
 
 from __future__ import annotations
@@ -99,3 +100,35 @@ def _normalised(name: str) -> str:
     """``sensor_msgs/Image`` of ROS 1 as ``sensor_msgs/msg/Image``."""
     package, _, last = name.partition("/")
     return f"{package}/msg/{last}" if last and "/" not in last else name
+
+
+def search_unindexed_chunks(reader: Any) -> None:
+    """Let an opened reader of rosbags look for every topic in the chunks of MCAP whose messages are not indexed.
+
+    The index of chunks may leave out that of messages (MCAP specification, Chunk Index); rosbags takes such a chunk for
+    one without messages, and counts none where the file has no statistics either.
+    """
+    storage = getattr(reader, "storage", None)
+    for store in getattr(storage, "storages", [storage]):
+        unindexed = [chunk for chunk in getattr(store, "chunks", ()) if not chunk.channel_count]
+        if not unindexed:
+            continue
+        if not any(channel.msgcount for channel in store.connections):
+            _count(store)
+        for chunk in unindexed:
+            chunk.channel_count.update({channel.id: 1 for channel in store.connections})
+
+
+def _count(store: Any) -> None:
+    """Count the messages of a file that holds neither statistics nor an index of messages."""
+    store.meta_scan()
+    found = store.statistics
+    counts = found.channel_message_counts
+    store.connections = [c._replace(msgcount=counts.get(c.id, 0)) for c in store.connections]
+    if found.message_count:
+        store.metadata = store.metadata._replace(
+            message_count=found.message_count,
+            start_time=found.start_time,
+            end_time=found.end_time + 1,
+            duration=found.end_time + 1 - found.start_time,
+        )

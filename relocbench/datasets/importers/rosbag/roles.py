@@ -21,6 +21,8 @@ _WORLDS = (*_MAPS, "odom", "world")
 _DEPTHS = ("16UC1", "32FC1", "compressedDepth")
 _LEAST_HZ = 1.0
 """poses and scans come more often than this; a goal or a map does not"""
+_MOST_REASONS = 6
+"""topics whose reasons are told"""
 _LIDAR_ENDINGS = ("points", "points_raw", "points2", "pointcloud", "point_cloud", "scan", "packets", "velodyne_packets")
 _BEST_IMAGES = ("rect_color", "rect", "color", "raw")
 
@@ -134,7 +136,7 @@ def _named(found: Survey, name: str, types: Sequence[str], option: str) -> Topic
     if not topic.count:
         raise DatasetError(f"{option}: {topic.name} has no message", found.source)
     if topic.fault:
-        raise DatasetError(f"{option}: {topic.fault}")
+        raise DatasetError(f"{option}: {topic.fault}", found.source)
     return topic
 
 
@@ -205,11 +207,7 @@ def _guessed_lidars(found: Survey, roles: Roles) -> tuple[list[Topic], dict[str,
         else:
             candidates, what = others, called
     if not candidates:
-        hints = [f"{t.name}: {kinds.UNREADABLE[t.type]}" for t in found.of_types(tuple(kinds.UNREADABLE))]
-        message = (
-            "; ".join(hints[:1]) or "expected PointCloud2, VelodyneScan or LaserScan of a sensor, at least one a second"
-        )
-        raise DatasetError(f"has no lidar that can be read ({message})", found.source)
+        raise DatasetError(f"has no lidar that can be read ({_why_no_lidar(found, roles)})", found.source)
     chosen, why = [], {}
     for frame in dict.fromkeys(t.frame for t in candidates):
         same = [t for t in candidates if t.frame == frame]
@@ -224,6 +222,28 @@ def _guessed_lidars(found: Survey, roles: Roles) -> tuple[list[Topic], dict[str,
         why[timed[0].name] = f"{what} of the frame {frame!r}: {reason}"
         roles.why |= {t.name: ("-", f"same frame as {timed[0].name}, without times") for t in same if t not in timed}
     return chosen, why
+
+
+def _why_no_lidar(found: Survey, roles: Roles) -> str:
+    """Why each topic that might be a lidar is none."""
+    reasons = []
+    for topic in found.topics.values():
+        if topic.type in kinds.UNREADABLE and topic.count:
+            reasons.append(f"{topic.name}: {kinds.UNREADABLE[topic.type]}")
+        elif topic.type in kinds.LIDARS:
+            reasons.append(topic.fault or f"{topic.name}: {_why_no_scans(topic, roles)}")
+    expected = "expected PointCloud2, VelodyneScan or LaserScan of a sensor, at least one a second"
+    return "; ".join(reasons[:_MOST_REASONS]) or expected
+
+
+def _why_no_scans(topic: Topic, roles: Roles) -> str:
+    if not topic.count:
+        return _why_unused(topic)
+    if topic.name in roles.why:
+        return roles.why[topic.name][1]
+    if topic.type == kinds.CLOUD and not {"x", "y", "z"} <= set(topic.fields):
+        return f"has the fields {', '.join(topic.fields) or 'none'}, expected x, y, z among them"
+    return f"has {topic.rate_hz:.2g} messages a second, expected at least {_LEAST_HZ:g}; --lidars names it all the same"
 
 
 def _cameras(found: Survey, wanted: Wanted, roles: Roles) -> None:

@@ -85,7 +85,8 @@ def _peek(found: Survey, topic: Topic) -> Topic:
     try:
         message = found.first(name)
     except DatasetError as bad:
-        return replace(topic, fault=str(bad))
+        file = "" if bad.path in (None, found.source) else f"{bad.path.name}: "
+        return replace(topic, fault=f"{file}{bad.expected}")
     topic = replace(topic, frame=frame_name(str(message.header.frame_id)))
     if kind == kinds.CLOUD:
         return replace(topic, fields=field_names(message))

@@ -1,0 +1,107 @@
+"""Bags that look whole and are not, or look damaged and are whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_bags import SECOND, Bag
+from odd_inputs import odd_input
+from refusals import refused
+
+from relocbench.datasets.importers.rosbag.reading import BagSettings
+from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
+from relocbench.datasets.importers.rosbag.roles import Wanted
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.errors import DatasetError
+
+START = 1_700_000_000 * SECOND
+SCANS = 12
+
+
+def drive(ros1: bool = True, **cloud: Any) -> Bag:
+    """A spinning lidar at 10 Hz and odometry at 20 Hz; ``cloud`` changes fields of all clouds."""
+    bag = Bag(ros1)
+    bag.tf(START, ("base_link", "lidar", (0, 0, 1, 0, 0, 0, 1)))
+    angle = np.linspace(0, 2 * np.pi, 30, endpoint=False)
+    points = np.zeros(len(angle), [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+    points["x"], points["y"], points["z"] = 10 * np.cos(angle), 10 * np.sin(angle), np.linspace(-1, 2, len(angle))
+    for k in range(2 * SCANS):
+        bag.odometry("/odom", START + k * SECOND // 20, (0.2 * k, 0, 0, 0, 0, 0, 1))
+    for k in range(SCANS):
+        bag.cloud("/points", START + k * SECOND // 10, points, **cloud)
+    return bag
+
+
+def read(path: Path) -> FieldRecording:
+    return read_bag(open_bag(path, Wanted()), "drive", BagSettings(motion="compensated"))[0]
+
+
+@pytest.mark.parametrize("statistics", [True, False])
+def test_chunks_whose_messages_are_not_indexed_are_read(tmp_path: Path, statistics: bool) -> None:
+    from mcap.writer import IndexType, Writer
+
+    bag, path = drive(ros1=False), tmp_path / "drive.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=2000, index_types=IndexType.CHUNK, use_statistics=statistics)
+        writer.start(profile="ros2", library="")
+        channels: dict[str, int] = {}
+        for time, topic, message in sorted(bag.rows, key=lambda row: row[0]):
+            kind = message.__msgtype__
+            if topic not in channels:
+                schema = writer.register_schema(kind, "ros2msg", bag.store.generate_msgdef(kind)[0].encode())
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channels[topic], time, bytes(bag.store.serialize_cdr(message, kind)), time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    recording = read(path)
+    assert recording.lidars[0].times_ns.tolist() == [START + k * SECOND // 10 for k in range(SCANS)]
+    assert len(recording.odometry.times_ns) == 2 * SCANS
+    assert [len(recording.lidars[0].read(k).points) for k in (7, 2)] == [30, 30]
+
+
+def test_the_recorded_bag_with_an_index_of_chunks_alone_is_read() -> None:
+    for name in ("a.mcap", "b.mcap"):
+        found = open_bag(odd_input("35_mcap_chunk_index_only") / name, Wanted()).survey.topics
+        assert (found["/points"].count, found["/odom"].count) == (12, 80)
+        assert not found["/points"].fault
+
+
+@pytest.mark.parametrize("checksum", ["d41d8cd98f00b204e9800998ecf8427e", "0" * 32])
+def test_an_empty_definition_is_that_of_the_types_name_whatever_its_checksum(tmp_path: Path, checksum: str) -> None:
+    bag = drive()
+    text, true_sum = bag.store.generate_msgdef("sensor_msgs/msg/PointCloud2")
+    path = bag.write(tmp_path / "drive.bag")
+    whole = path.read_bytes()
+    emptied = whole.replace(text.encode(), b" " * len(text)).replace(true_sum.encode(), checksum.encode())
+    assert emptied != whole
+    path.write_bytes(emptied)
+    assert len(read(path).lidars[0].times_ns) == SCANS
+    path.write_bytes(whole.replace(true_sum.encode(), checksum.encode()))  # the definition tells that it is standard
+    assert len(read(path).lidars[0].times_ns) == SCANS
+    other = whole.replace(true_sum.encode(), checksum.encode()).replace(b"uint32 point_step", b"uint64 point_step")
+    path.write_bytes(other)
+    with refused(DatasetError, "drive.bag", None, "/points", "sensor_msgs/PointCloud2", checksum, true_sum):
+        read(path)
+
+
+def test_the_recorded_bag_with_the_checksum_of_an_empty_text_is_read() -> None:
+    for name in ("a.bag", "b.bag"):
+        found = open_bag(odd_input("38_md5_of_empty") / name, Wanted())
+        assert found.roles.lidars == {"points": "/points"}
+
+
+def test_a_bag_without_a_usable_lidar_says_why_each_topic_is_none(tmp_path: Path) -> None:
+    with refused(DatasetError, "drive.bag", None, "/points", START, "9000"):
+        read(drive(width=9000, point_step=12, row_step=12 * 9000).write(tmp_path / "drive.bag"))
+    bag = drive()
+    bag.rows = [row for row in bag.rows if row[1] != "/points"]
+    flat = np.zeros(3, [("u", "<f4"), ("v", "<f4")])
+    for k in range(SCANS):
+        bag.cloud("/features", START + k * SECOND // 10, flat)
+        bag.cloud("/map", START + k * SECOND // 10, np.zeros(3, [(a, "<f4") for a in "xyz"]), frame="odom")
+    bag.laser("/slow", START, np.ones(20))
+    bag.laser("/slow", START + SECOND, np.ones(20), frame="base_link")
+    with refused(DatasetError, "drive_1.bag", None, "/features", "u, v", "x, y, z", "/map", "odom"):
+        read(bag.write(tmp_path / "drive_1.bag"))
