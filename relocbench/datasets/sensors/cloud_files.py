@@ -19,6 +19,7 @@ from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.sensors.binary_layout import Number, decode_points, detect_layout
 from relocbench.datasets.sensors.e57 import read_e57
 from relocbench.datasets.sensors.las import read_las
+from relocbench.datasets.sensors.plausible_points import check_degrees, note_of_steps
 from relocbench.datasets.sensors.point_clouds import read_point_cloud
 from relocbench.datasets.sensors.text_points import read_text_points
 from relocbench.errors import DatasetError, quoted
@@ -93,6 +94,9 @@ def read_cloud(path: Path, form: CloudFormat | None = None, origin: Array | None
             rows = part == k
             placed[rows], sensors[rows] = apply(T, points[rows]), T[:3, 3]
         points = placed
+    if path.suffix.lower() not in (".las", ".laz"):  # which may state their unit, and have no floats
+        check_degrees(points, path)
+        notes += filter(None, [note_of_steps(points)])
     if origin is None:
         middle = np.median(points, axis=0)
         far = float(np.abs(middle).max()) > _FAR_M
@@ -116,7 +120,7 @@ def _read(path: Path, form: CloudFormat, notes: list[str]) -> tuple[Array, Array
         raise DatasetError(f"is not a point cloud by its name; expected one of {' '.join(SUFFIXES)}", path)
     if suffix in (".las", ".laz"):
         _check_readable(path)
-        return read_las(path, MOST_POINTS), None, None
+        return read_las(path, MOST_POINTS, notes), None, None
     if suffix == ".e57":
         return _setups(path, form, notes)
     if suffix == ".bin":

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import laspy
+import numpy as np
 import pytest
-from refusals import refused
+from odd_inputs import odd_input
+from refusals import ErrorData, noted, refused
 
 from baselines.published_weights import read_weights
 from baselines.weights_file import read_tensors
@@ -34,3 +38,158 @@ def test_a_pointer_of_git_lfs_is_named_as_such_wherever_a_file_is_opened(tmp_pat
     (tmp_path / name).write_text(LFS)
     with refused(kind, name, None, "LFS", "132735"):
         opener(tmp_path / name)
+
+
+def las(points: int = 300, minor: int = 2, **fields: tuple[str, int, object]) -> bytes:
+    """A LAS file of format 0 whose ``points`` are tenths of metres, with some fields of its header as given."""
+    head = bytearray(375 if minor == 4 else 227)
+    struct.pack_into("<4s20xBB", head, 0, b"LASF", 1, minor)
+    struct.pack_into("<HIIBHI", head, 94, len(head), len(head), 0, 0, 20, points)
+    struct.pack_into("<6d", head, 131, 0.1, 0.1, 0.1, 0.0, 0.0, 0.0)
+    for form, at, value in fields.values():
+        struct.pack_into(form, head, at, *(value if isinstance(value, tuple) else (value,)))
+    rows = np.zeros((points, 20), np.uint8)
+    rows[:, :12] = np.random.default_rng(1).integers(-200, 200, (points, 3)).astype("<i4").view(np.uint8)
+    return bytes(head) + rows.tobytes()
+
+
+def with_records(data: bytes, *records: tuple[int, bytes]) -> bytes:
+    """The file with records of variable length that state its coordinate system."""
+    body = b"".join(struct.pack("<2x16sHH32x", b"LASF_Projection", n, len(content)) + content for n, content in records)
+    head = bytearray(data[:227])
+    struct.pack_into("<II", head, 96, 227 + len(body), len(records))
+    return bytes(head) + body + data[227:]
+
+
+def geo_keys(**keys: int) -> bytes:
+    codes = {"model": 1024, "projected": 3072, "unit": 3076, "vertical": 4099, "geographic": 2048}
+    rows = [(codes[name], 0, 1, value) for name, value in keys.items()]
+    return struct.pack(f"<{4 + 4 * len(rows)}H", 1, 1, 0, len(rows), *sum(rows, ()))
+
+
+PROMISES: dict[str, tuple[bytes, ErrorData]] = {
+    "a billion records": (las(count=("<I", 107, 10**9)), (10**9, 300)),
+    "a billion records in 1.4": (las(minor=4, count=("<Q", 247, 10**12), old=("<I", 107, 0)), (10**12, 300)),
+    "a billion records of variable length": (las(vlrs=("<I", 100, 10**9)), (10**9, 0)),
+    "a billion extended ones": (las(minor=4, evlrs=("<QI", 235, (375, 10**9))), (10**9,)),
+    "cut at a whole record": (las()[:-4000], (300, 100)),
+    "points beyond the end": (las(offset=("<I", 96, 10**6)), (10**6,)),
+    "records too short": (las(record=("<H", 105, 12)), (12,)),
+    "more records than promised": (las(count=("<I", 107, 200)), (200, 100)),
+    "two counts": (las(minor=4, count=("<Q", 247, 200)), (200, 300)),
+    "no scale": (las(scale=("<d", 131, 0.0)), ()),
+    "version 2.0": (las(version=("<BB", 24, (2, 0))), ("2.0",)),
+}
+
+
+@pytest.mark.parametrize("case", PROMISES)
+def test_a_las_file_is_refused_for_what_its_header_promises_and_it_lacks(tmp_path: Path, case: str) -> None:
+    data, names = PROMISES[case]
+    (tmp_path / "a.las").write_bytes(data)
+    with refused(DatasetError, "a.las", None, *names):
+        read_cloud(tmp_path / "a.las")
+
+
+@pytest.mark.parametrize(
+    ("at", "form", "value", "names"),
+    [
+        ("count", "<I", 10**9, (10**9, 1)),
+        ("table", "<q", 10**9, (10**9,)),
+        ("chunks", "<I", 10**9, (10**9, 300)),
+        ("end", "", 0, ("truncated",)),
+    ],
+)
+def test_chunks_of_a_laz_file_are_checked(tmp_path: Path, at: str, form: str, value: int, names: tuple) -> None:
+    made = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
+    made.x, made.y, made.z = np.random.default_rng(1).uniform(-9, 9, (3, 300))
+    made.write(str(tmp_path / "a.laz"))
+    assert len(read_cloud(tmp_path / "a.laz").points) == 300
+    data = bytearray((tmp_path / "a.laz").read_bytes())
+    begin = int.from_bytes(data[96:100], "little")
+    table = int.from_bytes(data[begin : begin + 8], "little")
+    if at == "end":
+        data = data[: table + 2]
+    else:
+        struct.pack_into(form, data, {"count": 107, "table": begin, "chunks": table + 4}[at], value)
+    (tmp_path / "a.laz").write_bytes(data)
+    with refused(DatasetError, "a.laz", None, *names):
+        read_cloud(tmp_path / "a.laz")
+
+
+def test_the_odd_las_files_are_refused_at_once_with_the_true_reason() -> None:
+    counts = odd_input("29_las_counts")
+    for name, told in {
+        "vlr_1e9": (1069128089,),
+        "cut_at_record_100": (300, 100),
+        "promises_90_million": (90000000, 300),
+    }.items():
+        with refused(DatasetError, f"{name}.las", None, *told):
+            read_cloud(counts / f"{name}.las")
+    assert len(read_cloud(counts / "full.las").points) == 300
+    with refused(DatasetError, "saturated.las", None, 300, "y", "32-bit"):
+        read_cloud(odd_input("28_las_saturated") / "saturated.las")
+    with refused(DatasetError, "degrees.las", None, "degrees"):
+        read_cloud(odd_input("28_las_saturated") / "degrees.las")
+
+
+def test_a_few_points_at_the_limit_of_integers_are_left_out_with_their_number(tmp_path: Path) -> None:
+    data = bytearray(las())
+    struct.pack_into("<i", data, 227 + 20 * 7 + 4, -(2**31))
+    (tmp_path / "a.las").write_bytes(data)
+    found = read_cloud(tmp_path / "a.las")
+    assert (len(found.points), noted(found.notes, "1 of 300", "y", "32-bit")) == (299, True)
+
+
+WKT = b'COMPD_CS["x",PROJCS["x",GEOGCS["x",UNIT["degree",0.017]],UNIT["metre",1]],VERT_CS["x",UNIT["foot",0.3048]]]\0'
+
+
+@pytest.mark.parametrize(
+    ("records", "factors", "word"),
+    [
+        ([(34735, geo_keys(model=1, projected=2225, unit=9003))], [1200 / 3937] * 3, "US survey feet"),
+        ([(34735, geo_keys(model=1, unit=9002, vertical=9001))], [0.3048, 0.3048, 1.0], "feet"),
+        ([(34735, geo_keys(model=1, projected=32633, unit=9001))], [1.0, 1.0, 1.0], ""),
+        ([(34735, geo_keys(model=1, projected=2225))], [1.0, 1.0, 1.0], "EPSG:2225"),
+        ([(2112, WKT)], [1.0, 1.0, 0.3048], "z feet"),
+        ([(2112, b'PROJCS["x",UNIT["US survey foot",1.0]]')], [1200 / 3937] * 3, "US survey feet"),
+    ],
+)
+def test_feet_become_metres_and_are_reported(
+    tmp_path: Path, records: list[tuple[int, bytes]], factors: list[float], word: str
+) -> None:
+    (tmp_path / "metres.las").write_bytes(las())
+    (tmp_path / "a.las").write_bytes(with_records(las(), *records))
+    found = read_cloud(tmp_path / "a.las")
+    np.testing.assert_allclose(found.points, read_cloud(tmp_path / "metres.las").points * factors)
+    assert noted(found.notes, word) if word else found.notes == ()
+
+
+@pytest.mark.parametrize(
+    "record",
+    [(34735, geo_keys(model=2, geographic=4326)), (2112, b'GEOGCS["WGS 84",UNIT["degree",0.0174]]'),
+     (2112, b'GEODCRS["WGS 84",CS[ellipsoidal,3],AXIS["lat",north]]')],
+)  # fmt: skip
+def test_degrees_are_refused(tmp_path: Path, record: tuple[int, bytes]) -> None:
+    (tmp_path / "a.las").write_bytes(with_records(las(), record))
+    with refused(DatasetError, "a.las", None, "degrees"):
+        read_cloud(tmp_path / "a.las")
+
+
+def test_coordinates_of_a_map_in_single_precision_are_read_with_a_note_of_their_steps(tmp_path: Path) -> None:
+    points = np.random.default_rng(1).uniform(-30, 30, (500, 3)) + np.array([691_234, 5_334_987, 512])
+    np.save(tmp_path / "single.npy", points.astype(np.float32))
+    np.save(tmp_path / "cast.npy", points.astype(np.float32).astype(np.float64))
+    np.save(tmp_path / "double.npy", points)
+    np.save(tmp_path / "rounded.npy", np.round(points))
+    for name, told in {"single": True, "cast": True, "double": False, "rounded": False}.items():
+        notes = read_cloud(tmp_path / f"{name}.npy").notes
+        assert noted(notes, "float32", "50 cm", "6.25 cm") == told, name
+
+
+def test_longitude_and_latitude_are_refused_in_files_that_state_no_unit(tmp_path: Path) -> None:
+    points = np.random.default_rng(1).uniform(-1, 1, (500, 3)) * [1e-3, 1e-3, 10] + np.array([11.57, 48.14, 520])
+    np.save(tmp_path / "a.npy", points)
+    with refused(DatasetError, "a.npy", None, "degrees"):
+        read_cloud(tmp_path / "a.npy")
+    np.save(tmp_path / "pole.npy", points * [200, 200, 1])  # a lamp post
+    assert len(read_cloud(tmp_path / "pole.npy").points) == 500
