@@ -24,6 +24,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
 
 import argparse
 import json
+import resource
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -38,12 +39,13 @@ from sensor_faults_spinning import record_spinning
 
 from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
 from relocbench.datasets.groundtruth.jobs.aligning import align
-from relocbench.datasets.groundtruth.jobs.inputs import motion_faults
+from relocbench.datasets.groundtruth.jobs.inputs import driven_m, motion_faults
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.jumps import interrupted
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
-from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.datasets.sensors.derived_lidar import DerivedLidar
+from relocbench.datasets.sensors.recording import FieldRecording, Scan
 from relocbench.execution import Run
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
 
@@ -54,6 +56,8 @@ T_RIG_BACK = make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]) @ T_RIG
 _LATE_NS = 50_000_000
 _GNSS_OFF_M = 60.0
 """north and east"""
+RETURN, ELSEWHERE = 2, 3
+"""numbers of the drive the other way, and of one through another district"""
 LEGS = (Leg(0, "Sunny", "common"), Leg(1, "Overcast", "common"), Leg(2, "Sunny", "return"))
 
 
@@ -61,9 +65,63 @@ def _same(recording: FieldRecording) -> FieldRecording:
     return recording
 
 
-def late(recording: FieldRecording, lidars: tuple[str, ...]) -> FieldRecording:
-    """The recording with late lidars."""
-    return _spoilt(recording, -_LATE_NS, np.eye(4), lidars)
+def late(recording: FieldRecording, lidars: tuple[str, ...] | None = None, late_ns: int = _LATE_NS) -> FieldRecording:
+    """The recording with late lidars; all of them by default."""
+    return _spoilt(recording, -late_ns, np.eye(4), lidars or tuple(s.name for s in recording.lidars))
+
+
+@dataclass(frozen=True, eq=False)
+class _Repeating(DerivedLidar):
+    """A lidar whose driver sends each scan several times, with new times."""
+
+    times: int
+
+    def read(self, index: int) -> Scan:
+        first = index - index % self.times
+        scan = self.stream.read(first)
+        return Scan(scan.points, scan.times_ns + (self.times_ns[index] - self.times_ns[first]))
+
+
+def repeated(recording: FieldRecording, times: int) -> FieldRecording:
+    """The recording with lidars that send each scan several times."""
+    return replace(recording, lidars=tuple(_Repeating(s, times) for s in recording.lidars))
+
+
+@dataclass(frozen=True, eq=False)
+class _Mounted(DerivedLidar):
+    """A lidar with other extrinsics."""
+
+    T: Array
+
+    @property
+    def T_rig_lidar(self) -> Array:
+        return self.T
+
+
+def mounted(
+    recording: FieldRecording, how: Callable[[Array], Array], lidars: tuple[str, ...] | None = None
+) -> FieldRecording:
+    """The recording whose lidars' extrinsics (4, 4), of all of them by default, are replaced by a function of them."""
+    names = lidars or tuple(s.name for s in recording.lidars)
+    return replace(
+        recording,
+        lidars=tuple(_Mounted(s, how(s.T_rig_lidar)) if s.name in names else s for s in recording.lidars),
+    )
+
+
+def upside_down(T_rig_lidar: Array) -> Array:
+    """The extrinsics of a lidar that is taken to be the other way up, where it is."""
+    return turned(T_rig_lidar, np.array([np.pi, 0.0, 0.0]))
+
+
+def turned(T_rig_lidar: Array, rotation: Array) -> Array:
+    """Extrinsics turned where the lidar is, by a rotation vector (3,) about the rig's axes."""
+    return np.asarray(make_transform(so3_exp(rotation) @ T_rig_lidar[:3, :3], T_rig_lidar[:3, 3]))
+
+
+def mirrored(T_rig_lidar: Array) -> Array:
+    """Extrinsics whose left is right."""
+    return np.asarray(np.diag([1.0, -1.0, 1.0, 1.0]) @ T_rig_lidar)
 
 
 def _spoilt(recording: FieldRecording, early_ns: int, T: Array, lidars: tuple[str, ...]) -> FieldRecording:
@@ -101,15 +159,22 @@ def jumped(recording: FieldRecording) -> FieldRecording:
     return replace(recording, odometry=replace(recording.odometry, T_odom_rig=T))
 
 
-def stretched(recording: FieldRecording, factor: float) -> FieldRecording:
-    """The recording with odometry that is ``factor`` times as long."""
+def stretched(recording: FieldRecording, factor: float, turn_rad_per_m: float = 0.0) -> FieldRecording:
+    """The recording with odometry that is ``factor`` times as long, and turns to the left as it does not."""
     T = recording.odometry.T_odom_rig
     steps = invert(T[:-1]) @ T[1:]
+    turns = turn_rad_per_m * np.linalg.norm(steps[:, :3, 3], axis=1)
+    steps = steps @ make_transform(so3_exp(turns[:, None] * np.array([0.0, 0.0, 1.0])), np.zeros((len(steps), 3)))
     steps[:, :3, 3] *= factor
     poses = [T[0]]
     for step in steps:
         poses.append(poses[-1] @ step)
     return replace(recording, odometry=replace(recording.odometry, T_odom_rig=np.array(poses)))
+
+
+def bent(recording: FieldRecording) -> FieldRecording:
+    """The recording with odometry that is 2 % too long and turns 3 degrees too far in 100 m."""
+    return stretched(recording, 1.02, np.radians(3.0) / 100)
 
 
 @dataclass(frozen=True)
@@ -129,13 +194,36 @@ def cases(seed: int) -> dict[str, Case]:
     def off(recording: FieldRecording) -> FieldRecording:
         return misplaced(recording, seed)
 
+    def over(recording: FieldRecording) -> FieldRecording:
+        return bent(mounted(recording, upside_down))
+
+    def backwards(recording: FieldRecording) -> FieldRecording:
+        return mounted(recording, lambda T: turned(T, np.array([0.0, 0.0, np.pi])))
+
+    def one_over(recording: FieldRecording) -> FieldRecording:
+        return mounted(recording, upside_down, ("lms_rear",))
+
     return {
         "right": Case("nothing wrong", 1),
         "late": Case("both lidars of one drive 50 ms late", 1, spoil=lambda r: late(r, ("lms_front", "lms_rear"))),
+        "late-10": Case("both lidars of one drive 10 ms late", 1, spoil=lambda r: late(r, late_ns=10_000_000)),
         "one-late": Case("one of two lidars 50 ms late", 1, spoil=lambda r: late(r, ("lms_rear",))),
         "return": Case("nothing wrong, driven opposite ways", 2),
         "turned": Case("extrinsics 1 deg and 5 cm off in both drives, driven opposite ways", 2, off, off),
         "turned-one": Case("extrinsics 1 deg and 5 cm off in one drive", 1, spoil=off),
+        "doubled": Case("every second scan repeats the one before", 1, spoil=lambda r: repeated(r, 2)),
+        "tripled": Case("every scan sent three times, in both drives", 1, *[lambda r: repeated(r, 3)] * 2),
+        "over": Case("lidars upside down, odometry 2 % long and 3 deg a 100 m off", 1, spoil=over),
+        "over-both": Case("the same in both drives", 1, over, over),
+        "one-over": Case("one of two lidars upside down", 1, spoil=one_over),
+        "backwards": Case("lidars turned by 180 deg", 1, spoil=backwards),
+        "backwards-both": Case("the same in both drives", 1, backwards, backwards),
+        "mirrored": Case("left and right of the lidars exchanged", 1, spoil=lambda r: mounted(r, mirrored)),
+        "mirrored-both": Case("the same in both drives", 1, *[lambda r: mounted(r, mirrored)] * 2),
+        "inverse": Case("inverse extrinsics of the lidars", 1, spoil=lambda r: mounted(r, invert)),
+        "inverse-both": Case("the same in both drives", 1, *[lambda r: mounted(r, invert)] * 2),
+        "elsewhere": Case("drives that do not meet, GNSS as if they did", ELSEWHERE),
+        "elsewhere-alone": Case("drives that do not meet, no GNSS", ELSEWHERE, unlocated, unlocated),
         "gnss": Case("GNSS 85 m off", 1, spoil=lost),
         "jump": Case("one step of the odometry 32 cm and 1 deg off", 1, spoil=jumped),
         "drift": Case("odometry of one drive 8 % too long", 1, spoil=lambda r: stretched(r, 1.08)),
@@ -155,7 +243,7 @@ def outcomes(
     a: Taken, b: Taken, case: Case, folder: Path, spoken: Spoken, workers: int
 ) -> tuple[list[PairOutcome], Array, list[str]]:
     """The outcomes of a build, the pose (4, 4) of the query's camera on its rig, and what the build said."""
-    options, T_rig_cam = FieldOptions(), T_RIG_BACK if LEGS[case.query].route == "return" else T_RIG_CAM
+    options, T_rig_cam = FieldOptions(), T_RIG_BACK if case.query == RETURN else T_RIG_CAM
     told = _Listening(spoken)
     recordings = [interrupted(r, told) for r in (case.reference(a.recording), case.spoil(b.recording))]
     if faults := [fault for recording in recordings for fault in motion_faults(recording, options, told)]:
@@ -196,13 +284,24 @@ def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[
 
 def line(title: str, f: dict[str, Any]) -> str:
     """A row of the table in Markdown."""
+    seconds = f"{f['processor_s_per_m']:.2f} s"
     if not f["pairs"]:
-        return f"| {title} | refused before any work | | | | {f['refused_because'].removeprefix('refused: ')} |"
+        because = f["refused_because"].removeprefix("refused: ")
+        return f"| {title} | refused before any work | | | | {because} | {seconds} |"
     if not f["accepted"]:
-        return f"| {title} | 0 of {f['pairs']} | | | | {f['refused_because']} |"
+        return f"| {title} | 0 of {f['pairs']} | | | | {f['refused_because']} | {seconds} |"
     return (
         f"| {title} | {f['accepted']} of {f['pairs']} | {100 * float(f['median_m']):.1f} cm, {f['median_deg']:.3f}° | "
-        f"{100 * float(f['max_m']):.1f} cm, {f['max_deg']:.3f}° | {f['normalised']} | {f['refused_because']} |"
+        f"{100 * float(f['max_m']):.1f} cm, {f['max_deg']:.3f}° | {f['normalised']} | {f['refused_because']} | "
+        f"{seconds} |"
+    )
+
+
+def _processor_s() -> float:
+    """Seconds of processor time of this process and of those that it started and that have ended."""
+    return sum(
+        usage.ru_utime + usage.ru_stime
+        for usage in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     )
 
 
@@ -219,28 +318,35 @@ def main() -> None:
     chosen = a.cases.split(",") if a.cases else [*known, *SPINNING]
     if unknown := set(chosen) - {*known, *SPINNING}:
         parser.error(f"no case {', '.join(sorted(unknown))}; there is {', '.join([*known, *SPINNING])}")
-    spoken, work = Spoken(), a.work / f"{a.split}-{a.seed}-{a.frames}"
+    spoken, work, legs = Spoken(), a.work / f"{a.split}-{a.seed}-{a.frames}", LEGS
     folders = record_legs(LEGS, work / "recording", a.split, a.seed, a.frames, EXTENT_M, spoken, a.workers)
+    if any(name in known and known[name].query == ELSEWHERE for name in chosen):
+        other = Leg(ELSEWHERE, "Overcast", "common")
+        folders |= record_legs((other,), work / "other", a.split, a.seed + 1, a.frames, EXTENT_M, spoken, a.workers)
+        legs = (*LEGS, other)
     result: dict[str, dict[str, Any]] = {}
     lines: list[str] = []
     for name in chosen:
         if name in known:
             case = known[name]
-            taken = read_legs(LEGS, folders)
+            taken = read_legs(legs, folders)
             pair = taken[0], taken[case.query]
         else:
             title, rings, distorted = SPINNING[name]
             case = Case(title, 1)
             pair = record_spinning(work / name, a.split, a.seed, a.frames, rings, distorted, spoken, a.workers)
         spoken.note(f"case {name}: {case.title}")
+        began = _processor_s()
         found, T_rig_cam, notes = outcomes(*pair, case, work / "built" / name, spoken, a.workers)
-        result[name] = row(*pair, found, T_rig_cam) | {"notes": notes}
+        spent = (_processor_s() - began) / driven_m(pair[1].recording)
+        result[name] = row(*pair, found, T_rig_cam) | {"notes": notes, "processor_s_per_m": round(spent, 3)}
         if not found:
             result[name]["refused_because"] = notes[-1]
         lines.append(line(case.title, result[name]))
         spoken.note(lines[-1])
-    head = "| situation | accepted | median | largest | normalised squared error | most frequent reason of refusal |"
-    print("\n".join(["", head, "|---" * 6 + "|", *lines, ""]), file=sys.stderr)
+    head = "| situation | accepted | median | largest | normalised squared error | most frequent reason of refusal "
+    head += "| processor time a metre |"
+    print("\n".join(["", head, "|---" * 7 + "|", *lines, ""]), file=sys.stderr)
     print(json.dumps({"benchmark": "sensor_faults", "split": a.split, "seed": a.seed, "cases": result}))
 
 
