@@ -39,7 +39,7 @@ from sensor_faults_spinning import record_spinning
 
 from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
 from relocbench.datasets.groundtruth.jobs.aligning import align
-from relocbench.datasets.groundtruth.jobs.inputs import driven_m, motion_faults
+from relocbench.datasets.groundtruth.jobs.inputs import driven_m, faults_of, motion_faults
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.jumps import interrupted
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
@@ -58,7 +58,7 @@ _GNSS_OFF_M = 60.0
 """north and east"""
 RETURN, ELSEWHERE = 2, 3
 """numbers of the drive the other way, and of one through another district"""
-LEGS = (Leg(0, "Sunny", "common"), Leg(1, "Overcast", "common"), Leg(2, "Sunny", "return"))
+LEGS: tuple[Leg, ...] = (Leg(0, "Sunny", "common"), Leg(1, "Overcast", "common"), Leg(2, "Sunny", "return"))
 
 
 def _same(recording: FieldRecording) -> FieldRecording:
@@ -245,8 +245,12 @@ def outcomes(
     """The outcomes of a build, the pose (4, 4) of the query's camera on its rig, and what the build said."""
     options, T_rig_cam = FieldOptions(), T_RIG_BACK if case.query == RETURN else T_RIG_CAM
     told = _Listening(spoken)
-    recordings = [interrupted(r, told) for r in (case.reference(a.recording), case.spoil(b.recording))]
-    if faults := [fault for recording in recordings for fault in motion_faults(recording, options, told)]:
+    recordings = [case.reference(a.recording), case.spoil(b.recording)]
+    faults = [fault for recording in recordings for fault in faults_of(recording, ())]
+    if not faults:
+        recordings = [interrupted(r, told) for r in recordings]
+        faults = [fault for recording in recordings for fault in motion_faults(recording, options, told)]
+    if faults:
         return [], T_rig_cam, [*told.notes, *(f"refused: {fault.expected}" for fault in faults)]
     aligned = align(recordings, folder, options.alignment, None, True, told, Run(workers))
     name = aligned.drives[1].name

@@ -142,6 +142,22 @@ def test_the_cause_is_named_and_measured(cause: Cause, size: float) -> None:
     assert (np.abs(found.errors - truth) <= 5 * found.sigmas.ravel() + 1e-4).all()
 
 
+@pytest.mark.parametrize(("known_ms", "late_ms", "least"), [(2, 0, 0), (2, 5, 0), (2, 10, 8), (8, 10, 0)])
+def test_a_late_clock_is_found_or_within_its_sigma(known_ms: int, late_ms: int, least: int) -> None:
+    """How late one drive's lidars are relative to the other's is measured to so many milliseconds."""
+    winter, summer = (SENSORS.spread(Cause(name, "time"))[:, 0] for name in ("winter", "summer"))
+    relative, truth = (winter - summer) / 2, winter * late_ms / 1e3
+    squared, found = [], 0
+    for seed in range(12):
+        calibration = calibrate(_evidence_of(truth, seed, sigma=known_ms / 1e3), SENSORS)
+        off = relative @ (calibration.errors - truth)
+        squared.append(off**2 / (relative @ calibration.covariance @ relative))
+        found += Cause("winter", "time") in calibration.causes
+    assert np.mean(squared) < 12.0  # of six axes that are judged together
+    assert found >= least
+    assert late_ms or not found
+
+
 def test_errors_that_are_not_corrected_count_as_uncertainty() -> None:
     truth = np.zeros(SENSORS.unknowns)
     late = SIZE * SENSORS.number("winter", 1) + 6

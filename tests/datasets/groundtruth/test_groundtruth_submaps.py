@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from lidar_street import RIG_HEIGHT_M, START_NS, WALL_M, Box, Street, StreetLidar, drive_street
 from numpy.typing import NDArray
-from refusals import refused
+from refusals import Notes, assert_names, refused
 
 from relocbench.arrays import Array, Floats, Indices
 from relocbench.datasets.groundtruth.blocks import store as store_module
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes, Surface
 from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
-from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height
+from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, reader_of, wheel_height
 from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along, make_nodes
 from relocbench.datasets.groundtruth.blocks.store import BlockStore, build_blocks, read_block, write_block
 from relocbench.datasets.groundtruth.blocks.surfaces import smallest_eigenvector
@@ -24,7 +24,8 @@ from relocbench.datasets.groundtruth.submaps.submaps import Submap, SubmapWindow
 from relocbench.datasets.groundtruth.voxels.claims import VoxelClaims
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels, thin
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
-from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
+from relocbench.datasets.sensors.derived_lidar import DerivedLidar
+from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Scan, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, se3_exp, so3_exp
@@ -36,7 +37,9 @@ _COARSE_M = 0.33
 def blocks_of(recording: FieldRecording, nodes: Nodes, wanted: range | None = None) -> dict[int, Block]:
     arc_length, options = arc_length_along(recording), BlockOptions()
     height = wheel_height(recording, arc_length, nodes, options)
-    return dict(make_blocks(recording, arc_length, nodes, wanted or range(len(nodes)), height, options))
+    return dict(
+        make_blocks(reader_of(recording, arc_length, options), nodes, wanted or range(len(nodes)), height, options)
+    )
 
 
 def in_street(block: Block, nodes: Nodes, node: int) -> tuple[Array, Array]:
@@ -375,6 +378,31 @@ def test_empty_scans_make_empty_blocks(tmp_path: Path) -> None:
     store = build_blocks(recording, nodes, tmp_path)
     assert all(len(store.get(k)) == 0 for k in range(len(nodes)))
     assert len(SubmapWindow(nodes, store).at(5)) == 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Hiccup(DerivedLidar):
+    """A lidar whose driver sends one scan again in place of the next."""
+
+    index: int
+
+    def read(self, index: int) -> Scan:
+        scan = self.stream.read(index)
+        return Scan(self.stream.read(index - 1).points, scan.times_ns) if index == self.index else scan
+
+
+def test_scan_that_repeats_the_one_before_is_left_out(tmp_path: Path) -> None:
+    street = drive_street(Street(length_m=10.0))
+    one = street.lidars[0]
+    assert isinstance(one, StreetLidar)
+    lidars: tuple[LidarStream, ...] = (replace(one, times=np.delete(one.times, 40)), _Hiccup(one, 40))
+    said, stores = Notes(), []
+    for number, lidar in enumerate(lidars):
+        recording = replace(street, lidars=(lidar,))
+        stores.append(build_blocks(recording, make_nodes(recording), tmp_path / str(number), reporter=said))
+    assert all(same(stores[0].get(k), stores[1].get(k)) for k in range(4))
+    (note,) = said.notes
+    assert_names(note, "", None, street.name, one.name, 1, int(one.times[40]))
 
 
 def test_damaged_block_is_named(built: tuple[Nodes, BlockStore], tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.jobs import inputs
 from relocbench.datasets.groundtruth.jobs.inputs import check_space, driven_m, faults_of
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.odometry.deferred import later
 from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 from relocbench.errors import DatasetError, ManyFaults, raise_all
 from relocbench.geometry import Camera, make_transform
@@ -24,7 +25,7 @@ TENTH = 100_000_000
 
 @dataclass(frozen=True, eq=False)
 class Scans:
-    """A lidar whose scans have one point; some are damaged."""
+    """A lidar whose scans have few points; some are damaged, and its driver may send each of them several times."""
 
     times_ns: Times
     damaged: tuple[int, ...] = ()
@@ -33,6 +34,9 @@ class Scans:
     pattern: str = "spinning"
     max_range_m: float = 100.0
     sigma_m: float = 0.02
+    sent: int = 1
+    measured: int = 1000
+    """scans until the lidar stops"""
 
     @property
     def T_rig_lidar(self) -> Array:
@@ -41,7 +45,8 @@ class Scans:
     def read(self, index: int) -> Scan:
         if index in self.damaged:
             raise DatasetError("is cut off", Path(f"{index}.bin"))
-        points = np.zeros((0, 3)) if self.empty else np.ones((1, 3))
+        rng = np.random.default_rng(min(index, self.measured) // self.sent)
+        points = rng.normal(size=(0 if self.empty else 20, 3))
         return Scan(points, np.full(len(points), self.times_ns[index]))
 
 
@@ -101,6 +106,27 @@ def test_what_is_wrong_with_scans_and_images_is_one_line(recording: FieldRecordi
     assert faults
     assert_names(str(faults[0]), "", None, *names)
     assert "\n" not in str(faults[0])
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(
+    ("sent", "measured", "names"),
+    [(2, 1000, (20, 40, TENTH)), (5, 1000, (32, 40)), (1, 0, (39, 40)), (1, 30, (9, 31, 30))],
+)
+def test_a_lidar_that_repeats_its_scans_is_refused(
+    sent: int, measured: int, names: tuple[object, ...], known: bool
+) -> None:
+    recording = drive(Scans(times(40), sent=sent, measured=measured))
+    if not known:
+        recording = replace(recording, odometry=later(recording.lidars[0]))
+        if measured == 30:  # as if the car had stopped there
+            assert faults_of(recording, []) == []
+            return
+    assert_names(str(faults_of(recording, [])[0]), "", None, "top", *names)
+
+
+def test_a_car_that_stands_may_measure_the_same_again() -> None:
+    assert faults_of(drive(Scans(times(40), sent=2), metres=0.1), []) == []
 
 
 def test_images_that_are_not_paired_are_not_looked_at() -> None:

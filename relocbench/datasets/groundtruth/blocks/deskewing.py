@@ -58,6 +58,8 @@ class BeamReader:
         self._moved = [_moving(lidar, arc_length, min_step_m) for lidar in recording.lidars]
         self._slack = [_period(lidar) for lidar in recording.lidars]
         self._read = [lru_cache(maxsize=_KEPT_SCANS)(lidar.read) for lidar in recording.lidars]
+        self.repeats: set[tuple[str, int]] = set()
+        """lidar and index of the scans that were left out, since they have the very points of the scan before"""
 
     def between(self, begin_ns: int, end_ns: int, T_odom_node: Array) -> Beams:
         """The beams of all lidars fired in [begin, end), in the frame of the node.
@@ -79,7 +81,7 @@ class BeamReader:
         lidar, (nearest, farthest) = self._lidars[i], self._ranges[i]
         first = int(np.searchsorted(lidar.times_ns, begin_ns - self._slack[i]))
         last = int(np.searchsorted(lidar.times_ns, end_ns + self._slack[i], side="right"))
-        scans = [self._read[i](s) for s in range(first, last) if self._moved[i][s]]
+        scans = [self._read[i](s) for s in range(first, last) if self._moved[i][s] and not self._is_repeat(i, s)]
         points = np.concatenate([s.points for s in scans]) if scans else np.zeros((0, 3))
         times = np.concatenate([s.times_ns for s in scans]) if scans else np.zeros(0, np.int64)
         squared = np.einsum("ni,ni->n", points, points)
@@ -87,6 +89,14 @@ class BeamReader:
         points, times = np.ascontiguousarray(points[use], dtype=np.float64), times[use]
         placed, origins = _place(points, times, *self._odometry, np.asarray(lidar.T_rig_lidar, dtype=np.float64))
         return placed, origins, times
+
+    def _is_repeat(self, i: int, index: int) -> bool:
+        """Whether a driver sent the scan before again: what is measured is never the same twice on the way."""
+        points = self._read[i](index).points
+        repeated = index > 0 and len(points) > 0 and np.array_equal(points, self._read[i](index - 1).points)
+        if repeated:
+            self.repeats.add((self._lidars[i].name, index))
+        return repeated
 
 
 def _period(lidar: LidarStream) -> int:

@@ -45,8 +45,7 @@ class BlockOptions:
 
 
 def make_blocks(
-    recording: FieldRecording,
-    arc_length: ArcLength,
+    reader: BeamReader,
     nodes: Nodes,
     wanted: Sequence[int],
     wheel_height_m: float,
@@ -55,13 +54,13 @@ def make_blocks(
     """Yield (node, block) for some nodes, in order. Scans that neighbouring nodes share are read once.
 
     Args:
+        reader: of the drive, by :func:`reader_of`.
         wanted: nodes, in increasing order.
         wheel_height_m: height of the road in the rig's frame; nan if it is not known.
 
     Raises:
         DatasetError: a scan is damaged.
     """
-    reader = _reader(recording, arc_length, options)
     ready: dict[int, Beams] = {}
     for node in wanted:
         around = range(max(node - options.reach, 0), min(node + options.reach, len(nodes) - 1) + 1)
@@ -71,14 +70,15 @@ def make_blocks(
 
 def wheel_height(recording: FieldRecording, arc_length: ArcLength, nodes: Nodes, options: BlockOptions) -> float:
     """Height of the road under the rig, in its frame: the median over the drive; nan if no road is seen."""
-    reader = _reader(recording, arc_length, options)
+    reader = reader_of(recording, arc_length, options)
     chosen = np.unique(np.linspace(0, len(nodes) - 1, _LEVELS).astype(int))
     levels = np.array([level_under(_beams(reader, nodes, int(k)).points) for k in chosen])
     seen = levels[np.isfinite(levels)]
     return float(np.median(seen)) if len(seen) else float("nan")
 
 
-def _reader(recording: FieldRecording, arc_length: ArcLength, options: BlockOptions) -> BeamReader:
+def reader_of(recording: FieldRecording, arc_length: ArcLength, options: BlockOptions) -> BeamReader:
+    """The reader of the beams that blocks are made of."""
     return BeamReader(recording, arc_length, options.min_range_m, options.max_range_m, options.min_step_m)
 
 

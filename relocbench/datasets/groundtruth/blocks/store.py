@@ -16,7 +16,7 @@ import numpy as np
 
 from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
-from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height
+from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, reader_of, wheel_height
 from relocbench.datasets.groundtruth.blocks.nodes import ArcLength, arc_length_along
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import DatasetError
@@ -96,18 +96,26 @@ def build_blocks(
     small = replace(recording, cameras={}, prior=None)  # enough for blocks, and quickly sent to a worker
     units = [BlockUnit(small, arc_length, nodes, wanted, height, options, folder) for wanted in _runs(missing)]
     with reporter.stage(f"points of {recording.name}", len(missing)) as advance:
-        for _, done in run_units(make_unit, units, run):
-            advance(done)
+        repeats: set[tuple[str, int]] = set()
+        for at, found in run_units(make_unit, units, run):
+            advance(len(units[at].wanted))
+            repeats |= found
+    if repeats:
+        lidar, index = min(repeats)
+        time = int(next(one for one in recording.lidars if one.name == lidar).times_ns[index])
+        reporter.note(
+            f"{recording.name}: {len(repeats)} scans have the very points of the scan before, though the car moved "
+            f"(the first of {lidar} at {time} ns); they are left out"
+        )
     return store
 
 
-def make_unit(unit: BlockUnit) -> int:
-    """Make and write the blocks of a unit. Returns their number."""
-    store = BlockStore(unit.folder)
-    made = make_blocks(unit.recording, unit.arc_length, unit.nodes, unit.wanted, unit.wheel_height_m, unit.options)
-    for node, block in made:
+def make_unit(unit: BlockUnit) -> set[tuple[str, int]]:
+    """Make and write the blocks of a unit. Returns lidar and index of the scans that repeat the one before."""
+    store, reader = BlockStore(unit.folder), reader_of(unit.recording, unit.arc_length, unit.options)
+    for node, block in make_blocks(reader, unit.nodes, unit.wanted, unit.wheel_height_m, unit.options):
         write_block(store.path(node), block)
-    return len(unit.wanted)
+    return reader.repeats
 
 
 def write_block(path: Path, block: Block) -> None:

@@ -1,17 +1,27 @@
-"""Which causes are in error: the smallest set that explains the measurements, and the calibration that follows."""
+"""Which causes are in error: the smallest set that explains the measurements, and the calibration that follows.
+
+An error that is too small to be certain is not corrected, but part of the covariance: it is the mean over what may be
+in error, each with its probability (Hoeting et al., Bayesian model averaging, 1999).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.calibration.adjustment import Reduced
-from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Cause, Sensors, unknowns_reduced
+from relocbench.datasets.groundtruth.calibration.unknowns import OBSERVED, SIZE, Cause, Sensors, unknowns_reduced
 
-_LEAST_GAIN = 12.0
-"""a cause is in error if it makes the measurements more likely by a factor of exp(this)"""
+_LEAST_GAIN = {"extrinsics": 12.0, "time": 5.0}
+"""a cause is in error if it makes the measurements more likely by a factor of exp(this). What surfaces have in common
+may look like extrinsics that are off, of which there are six; a clock is late on all surfaces alike"""
+_RARE, _SLIGHTLY = -3.0, -2.0
+"""logarithm of the odds of a cause before anything is measured, and of a clock that is off by little"""
+_CLOSELY = 2 / 3
+"""a clock that is off by little has to be observed to this share, 10 ms"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +34,7 @@ class Calibration:
     errors: Array
     """(K,) estimated errors, which are the unknowns of :mod:`.unknowns`"""
     covariance: Array
-    """(K, K)"""
+    """(K, K), with the causes that may be in error and are not certain enough"""
 
     @property
     def in_error(self) -> Mask:
@@ -66,8 +76,9 @@ def find_causes(reduced: Reduced, sensors: Sensors) -> tuple[Cause, ...]:
     best = reduced.log_evidence(sensors.prior())
     while True:
         likely = {c: reduced.log_evidence(sensors.prior([*causes, c])) for c in sensors.causes() if c not in causes}
-        cause = max(likely, key=lambda c: (likely[c], c), default=None)
-        if cause is None or likely[cause] < best + _LEAST_GAIN:
+        surplus = {c: evidence - best - _LEAST_GAIN[c.kind] for c, evidence in likely.items()}
+        cause = max(surplus, key=lambda c: (surplus[c], c), default=None)
+        if cause is None or surplus[cause] < 0:
             return tuple(causes)
         causes.append(cause)
         best = likely[cause]
@@ -76,5 +87,32 @@ def find_causes(reduced: Reduced, sensors: Sensors) -> tuple[Cause, ...]:
 def calibrate(reduced: Reduced, sensors: Sensors) -> Calibration:
     """The calibration by the normal equations of all drives, whose origin is the calibration as it is given."""
     causes = find_causes(reduced, sensors)
-    errors, covariance = reduced.estimate(sensors.prior(causes))
-    return Calibration(sensors, causes, errors, covariance)
+    prior = sensors.prior(causes)
+    errors, covariance = reduced.estimate(prior)
+    best = reduced.log_evidence(prior)
+    total, weights = covariance, 1.0
+    for cause in set(sensors.causes()) - set(causes):
+        for prior, rare, share in _priors_with(cause, causes, sensors):
+            others, spread = reduced.estimate(prior)
+            if _is_observed(cause, sensors, spread, share):
+                weight = float(np.exp(reduced.log_evidence(prior) - best + rare))
+                total = total + weight * (spread + np.outer(others - errors, others - errors))
+                weights += weight
+    return Calibration(sensors, causes, errors, total / weights)
+
+
+def _priors_with(cause: Cause, causes: tuple[Cause, ...], sensors: Sensors) -> Iterator[tuple[Array, float, float]]:
+    """Priors (K, K) with one more cause, the logarithms of their odds, and the share of what counts as observed up to
+    which they take part."""
+    yield sensors.prior([*causes, cause]), _RARE, 1.0
+    if cause.kind == "time":
+        yield sensors.prior(causes, slight=cause), _SLIGHTLY, _CLOSELY
+
+
+def _is_observed(cause: Cause, sensors: Sensors, covariance: Array, share: float) -> bool:
+    """Whether the measurements tell the unknowns of a cause, whose covariance is part of (K, K), to a share of
+    :data:`.unknowns.OBSERVED`. What they do not show is taken as it is given."""
+    unknowns = sensors.spread(cause).any(axis=1).reshape(-1, SIZE)
+    sigmas = np.where(unknowns, np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).reshape(-1, SIZE), 0.0)
+    sigmas *= unknowns_reduced(len(sensors), sensors.enlarged).reshape(-1, SIZE)
+    return all(float(sigmas[:, which].max()) <= share * most for which, most in OBSERVED.values())

@@ -9,14 +9,7 @@ import numpy as np
 from relocbench.datasets.groundtruth.calibration.adjustment import Reduced
 from relocbench.datasets.groundtruth.calibration.faults import Calibration
 from relocbench.datasets.groundtruth.calibration.files import CalibrationFile, LidarErrors
-from relocbench.datasets.groundtruth.calibration.unknowns import SIZE, Sensors, unknowns_reduced
-
-_OBSERVED = {
-    "time": (slice(6, 7), 0.015),
-    "rotation": (slice(3, 6), float(np.radians(0.5))),
-    "position": (slice(0, 3), 0.05),
-}
-"""kind -> unknowns, and the standard deviation up to which it counts as observed if nothing is known of it before"""
+from relocbench.datasets.groundtruth.calibration.unknowns import OBSERVED, SIZE, Sensors, unknowns_reduced
 
 
 def open_kinds(reduced: Reduced, sensors: Sensors) -> dict[str, tuple[str, ...]]:
@@ -27,7 +20,7 @@ def open_kinds(reduced: Reduced, sensors: Sensors) -> dict[str, tuple[str, ...]]
     out = {}
     for k, (drive, lidar) in enumerate(sensors.names):
         if k not in sensors.fixed:
-            hidden = tuple(kind for kind, (which, most) in _OBSERVED.items() if float(sigmas[k, which].max()) > most)
+            hidden = tuple(kind for kind, (which, most) in OBSERVED.items() if float(sigmas[k, which].max()) > most)
             out[f"{drive}/{lidar}"] = hidden
     return out
 

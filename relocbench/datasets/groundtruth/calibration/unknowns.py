@@ -23,6 +23,13 @@ RIG = "all lidars"
 EVERY = "all drives/"
 KINDS = ("extrinsics", "time")
 
+OBSERVED = {
+    "time": (slice(6, 7), 0.015),
+    "rotation": (slice(3, 6), float(np.radians(0.5))),
+    "position": (slice(0, 3), 0.05),
+}
+"""unknowns of a lidar, and the standard deviation up to which they count as observed if nothing is known before"""
+
 
 @dataclass(frozen=True)
 class Sigmas:
@@ -40,10 +47,12 @@ class Sigmas:
 
 NOMINAL = Sigmas(0.005, float(np.radians(0.05)), 0.003)
 """of a calibration that is as good as it should be"""
-STEADY = Sigmas(0.0015, float(np.radians(0.015)), 0.0005)
+STEADY = Sigmas(0.001, float(np.radians(0.01)), 0.00025)
 """of its changes from drive to drive"""
 FAULTY = Sigmas(0.10, float(np.radians(2.0)), 0.10)
 """of one that is not"""
+SLIGHT = Sigmas(0.02, float(np.radians(0.4)), 0.01)
+"""of one that is off by little"""
 
 
 @dataclass(frozen=True, order=True)
@@ -137,14 +146,15 @@ class Sensors:
                 out[SIZE * k + rows, np.arange(len(rows))] = 1.0
         return out
 
-    def prior(self, faulty: Iterable[Cause] = ()) -> Array:
-        """(K, K) covariance of all unknowns, if some causes are in error and the others as good as they should be."""
+    def prior(self, faulty: Iterable[Cause] = (), slight: Cause | None = None) -> Array:
+        """(K, K) covariance of all unknowns, if some causes are in error, one of them slightly so, and the others as
+        good as they should be."""
         bad = set(faulty)
         out = np.zeros((self.unknowns, self.unknowns))
         for cause in self.causes():
             spread = self.spread(cause)
-            variances = (FAULTY if cause in bad else cause.nominal).variances(cause.kind, self.enlarged)
-            out += spread @ (variances[:, None] * spread.T)
+            sigmas = SLIGHT if cause == slight else FAULTY if cause in bad else cause.nominal
+            out += spread @ (sigmas.variances(cause.kind, self.enlarged)[:, None] * spread.T)
         return out
 
 

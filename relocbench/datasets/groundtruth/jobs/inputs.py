@@ -15,6 +15,7 @@ import numpy as np
 from relocbench.arrays import Times
 from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.jobs.repeats import repeat_faults
 from relocbench.datasets.groundtruth.jobs.scaling import enlarged
 from relocbench.datasets.groundtruth.odometry.length import LARGEST_STRETCH, length_ratio
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream
@@ -54,7 +55,7 @@ def _scan_faults(recording: FieldRecording, lidar: LidarStream) -> list[DatasetE
     if not faults and not any(points):
         message = f"{lidar.name}: its first, middle and last scan have no point within {lidar.max_range_m:g} m"
         faults = [DatasetError(message, recording.folder)]
-    return faults
+    return faults or repeat_faults(recording, lidar)
 
 
 def _image_faults(recording: FieldRecording, stream: CameraStream) -> list[DatasetError]:
