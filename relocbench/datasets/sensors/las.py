@@ -32,14 +32,15 @@ def read_las(path: Path, most_points: int, notes: list[str]) -> Array:
         notes: what was assumed, converted or left out is added.
 
     Raises:
-        ConfigError: laspy or lazrs is not installed.
+        ConfigError: laspy, lazrs or pyproj is not installed.
         DatasetError: the file is damaged, does not hold what its header promises, has no point, more than
             ``most_points``, coordinates in degrees, or many that their integers cannot hold.
     """
     try:
         import laspy
+        import pyproj  # noqa: F401  looks up coordinate systems
     except ImportError:
-        raise ConfigError(f"{path.suffix} files need the package laspy: {EXTRA}") from None
+        raise ConfigError(f"{path.suffix} files need the packages laspy and pyproj: {EXTRA}") from None
     with path.open("rb") as stream:
         header = read_header(stream, path.stat().st_size, path)
     if not header.points:
@@ -48,7 +49,7 @@ def read_las(path: Path, most_points: int, notes: list[str]) -> Array:
         raise DatasetError(f"holds {header.points} points, more than {most_points}; thin it first", path)
     if header.compressed and not laspy.LazBackend.detect_available():
         raise ConfigError(f"compressed LAS files need the package lazrs: {EXTRA}")
-    system = coordinate_system(header.projection, header.prefers_wkt, path)
+    system = coordinate_system(header.projection, header.prefers_wkt, path, notes)
     factors = _factors(system, path, notes)
     integers = without_saturated(_integers(laspy, path, header), path, notes)
     points = integers * header.scales + header.offsets

@@ -62,7 +62,7 @@ def with_records(data: bytes, *records: tuple[int, bytes]) -> bytes:
 
 
 def geo_keys(**keys: int) -> bytes:
-    codes = {"model": 1024, "projected": 3072, "unit": 3076, "vertical": 4099, "geographic": 2048}
+    codes = {"model": 1024, "projected": 3072, "unit": 3076, "vertical": 4099, "heights": 4096, "geographic": 2048}
     rows = [(codes[name], 0, 1, value) for name, value in keys.items()]
     return struct.pack(f"<{4 + 4 * len(rows)}H", 1, 1, 0, len(rows), *sum(rows, ()))
 
@@ -140,7 +140,9 @@ def test_a_few_points_at_the_limit_of_integers_are_left_out_with_their_number(tm
     assert (len(found.points), noted(found.notes, "1 of 300", "y", "32-bit")) == (299, True)
 
 
-WKT = b'COMPD_CS["x",PROJCS["x",GEOGCS["x",UNIT["degree",0.017]],UNIT["metre",1]],VERT_CS["x",UNIT["foot",0.3048]]]\0'
+GEOGRAPHIC = 'GEOGCS["g",DATUM["d",SPHEROID["s",6378137,298.25]],PRIMEM["p",0],UNIT["degree",0.0174532925]]'
+PROJECTED = f'PROJCS["p",{GEOGRAPHIC},PROJECTION["Transverse_Mercator"],UNIT["%s",1]]'
+WKT = f'COMPD_CS["x",{PROJECTED % "metre"},VERT_CS["v",VERT_DATUM["v",2005],UNIT["foot",0.3048]]]\0'
 
 
 @pytest.mark.parametrize(
@@ -149,9 +151,12 @@ WKT = b'COMPD_CS["x",PROJCS["x",GEOGCS["x",UNIT["degree",0.017]],UNIT["metre",1]
         ([(34735, geo_keys(model=1, projected=2225, unit=9003))], [1200 / 3937] * 3, "US survey feet"),
         ([(34735, geo_keys(model=1, unit=9002, vertical=9001))], [0.3048, 0.3048, 1.0], "feet"),
         ([(34735, geo_keys(model=1, projected=32633, unit=9001))], [1.0, 1.0, 1.0], ""),
-        ([(34735, geo_keys(model=1, projected=2225))], [1.0, 1.0, 1.0], "EPSG:2225"),
-        ([(2112, WKT)], [1.0, 1.0, 0.3048], "z feet"),
-        ([(2112, b'PROJCS["x",UNIT["US survey foot",1.0]]')], [1200 / 3937] * 3, "US survey feet"),
+        ([(34735, geo_keys(model=1, projected=2225))], [1200 / 3937] * 3, "US survey feet"),
+        ([(34735, geo_keys(model=1, projected=32633, heights=6360))], [1.0, 1.0, 1200 / 3937], "US survey feet"),
+        ([(34735, geo_keys(model=1, projected=32767))], [1.0, 1.0, 1.0], "not stated"),
+        ([(2112, WKT.encode())], [1.0, 1.0, 0.3048], "z feet"),
+        ([(2112, (PROJECTED % "US survey foot").encode())], [1200 / 3937] * 3, "US survey feet"),
+        ([(2112, b'PROJCS["of nowhere"')], [1.0, 1.0, 1.0], "of nowhere"),
     ],
 )
 def test_feet_become_metres_and_are_reported(
@@ -166,9 +171,8 @@ def test_feet_become_metres_and_are_reported(
 
 @pytest.mark.parametrize(
     "record",
-    [(34735, geo_keys(model=2, geographic=4326)), (2112, b'GEOGCS["WGS 84",UNIT["degree",0.0174]]'),
-     (2112, b'GEODCRS["WGS 84",CS[ellipsoidal,3],AXIS["lat",north]]')],
-)  # fmt: skip
+    [(34735, geo_keys(model=2, geographic=4326)), (2112, GEOGRAPHIC.encode())],
+)
 def test_degrees_are_refused(tmp_path: Path, record: tuple[int, bytes]) -> None:
     (tmp_path / "a.las").write_bytes(with_records(las(), record))
     with refused(DatasetError, "a.las", None, "degrees"):
