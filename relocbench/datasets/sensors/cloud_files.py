@@ -7,9 +7,10 @@ an origin near them, which is stated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,9 @@ from relocbench.datasets.sensors.binary_layout import Number, decode_points, det
 from relocbench.datasets.sensors.e57 import read_e57
 from relocbench.datasets.sensors.las import read_las
 from relocbench.datasets.sensors.plausible_points import check_degrees, note_of_steps
-from relocbench.datasets.sensors.point_clouds import read_point_cloud
+from relocbench.datasets.sensors.point_clouds import read_point_cloud, with_axes
 from relocbench.datasets.sensors.text_points import read_text_points
-from relocbench.errors import DatasetError, quoted
+from relocbench.errors import DatasetError
 from relocbench.files import plain_file, read_bytes
 from relocbench.geometry import apply
 
@@ -136,7 +137,7 @@ def _read(path: Path, form: CloudFormat, notes: list[str]) -> tuple[Array, Array
         names = next((n for n in (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z")) if fields.keys() >= set(n)),
                      None)  # fmt: skip
         return _stacked(fields, "xyz"), None if names is None else _stacked(fields, names), None
-    return read_text_points(path, MOST_BYTES), None, None
+    return _stacked(read_text_points(path, MOST_BYTES), "xyz"), None, None
 
 
 def _check_readable(path: Path) -> None:
@@ -167,13 +168,11 @@ def _setups(path: Path, form: CloudFormat, notes: list[str]) -> tuple[Array, Non
 def _array(path: Path) -> Array:
     values = parse_npy(read_bytes(path, "a point cloud", DatasetError, MOST_BYTES), path)
     if values.dtype.names:
-        if not set(values.dtype.names) >= set("xyz"):
-            raise DatasetError(f"has no x, y and z; its fields are {quoted(', '.join(values.dtype.names))}", path)
-        return _stacked({name: np.ravel(values[name]) for name in "xyz"}, "xyz")
+        return _stacked(with_axes({name: np.ravel(values[name]) for name in values.dtype.names}, path), "xyz")
     if values.ndim != 2 or not 3 <= values.shape[1] <= 64:
         raise DatasetError(f"is an array of shape {values.shape}, expected (points, 3 or more columns)", path)
     return values[:, :3].astype(np.float64)
 
 
-def _stacked(fields: dict[str, NDArray[np.generic]], names: Sequence[str]) -> Array:
+def _stacked(fields: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Array:
     return np.column_stack([np.asarray(fields[name], dtype=np.float64) for name in names])

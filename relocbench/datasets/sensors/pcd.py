@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.sensors.lzf import RATIO, decompress
-from relocbench.datasets.sensors.point_table import check_count, decode_rows, parse_count, parse_rows
-from relocbench.errors import DatasetError
+from relocbench.datasets.sensors.point_table import check_behind, check_count, decode_rows, parse_count, parse_rows
+from relocbench.errors import DatasetError, quoted
 
 _TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
 _HEADER_BYTES = 65536
@@ -26,33 +26,48 @@ def parse_pcd(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
     """The scalar fields of the points, name -> (N,), with the file's types.
 
     Raises:
-        DatasetError: the file is not a PCD, its header is inconsistent or promises more points than there are, or a
-            field is not a number.
+        DatasetError: the file is not a PCD, its header is inconsistent or promises more or fewer points than there
+            are, or a field is not a number.
     """
     lines, body = _header(data, path)
-    words = {line.split()[0]: line.split()[1:] for line in lines if line.strip()}
+    words = {line.split()[0].upper(): line.split()[1:] for line in lines if line.strip()}
     row = _row(words, path)
-    count = parse_count(" ".join(words.get("POINTS", [])), path)
-    encoding = " ".join(words["DATA"])
+    count = _count(words, path)
+    encoding = " ".join(words["DATA"]).lower()
     if encoding == "ascii":
-        return _single(parse_rows(body, row, count, path, first_line=len(lines) + 1))
+        return _single(parse_rows(body, row, count, path, first_line=len(lines) + 1, alone=True))
     if encoding == "binary":
-        check_count(len(body) // row.itemsize, count, path)
+        held = len(body) // row.itemsize
+        check_count(held, count, path)
+        check_behind(np.frombuffer(body, row, held), count, path)
         return _single(decode_rows(body, row, count))
     if encoding == "binary_compressed":
         return _single(_compressed(body, row, count, path))
     raise DatasetError("its DATA is not ascii, binary or binary_compressed", path)
 
 
+def _count(words: dict[str, list[str]], path: Path) -> int:
+    """The number of points, which the header gives twice."""
+    sides = [parse_count(" ".join(words[key]), path) for key in ("WIDTH", "HEIGHT") if key in words]
+    if len(sides) == 2 and "POINTS" not in words:
+        return sides[0] * sides[1]
+    count = parse_count(" ".join(words.get("POINTS", [])), path)
+    if len(sides) == 2 and sides[0] * sides[1] != count:
+        raise DatasetError(f"its WIDTH x HEIGHT is {sides[0]} x {sides[1]}, but its POINTS is {count}", path)
+    return count
+
+
 def _row(words: dict[str, list[str]], path: Path) -> np.dtype[Any]:
     """Data type of one point; padding fields, all called ``_``, get distinct names."""
-    names, kinds = words.get("FIELDS", words.get("COLUMNS", [])), words.get("TYPE", [])
+    names, kinds = words.get("FIELDS", words.get("COLUMNS", [])), [kind.upper() for kind in words.get("TYPE", [])]
     sizes = [parse_count(text, path) for text in words.get("SIZE", [])]
     counts = [parse_count(text, path) for text in words.get("COUNT", ["1"] * len(names))]
     if not names or not len(names) == len(kinds) == len(sizes) == len(counts):
         raise DatasetError("its FIELDS, SIZE, TYPE and COUNT differ in length", path)
-    if any(pair not in _TYPES for pair in zip(kinds, sizes, strict=True)):
-        raise DatasetError("its points have a field whose TYPE and SIZE are not those of a number", path)
+    for name, kind, size in zip(names, kinds, sizes, strict=True):
+        if (kind, size) not in _TYPES:
+            message = f"its field {quoted(name, 40)} has TYPE {quoted(kind, 10)} and SIZE {size}"
+            raise DatasetError(f"{message}; expected F of 4 or 8, or I or U of 1, 2, 4 or 8", path)
     if sum(counts) > _MOST_VALUES or min(counts) < 1:
         raise DatasetError(f"its COUNT is out of range; expected 1 or more, in total {_MOST_VALUES} at most", path)
     plain = [f"_ {i}" if name == "_" else name for i, name in enumerate(names)]
@@ -101,6 +116,6 @@ def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
         line = head[at : end if end >= 0 else len(head)].decode("ascii", "replace").strip()
         at = end + 1 if end >= 0 else len(head)
         lines.append(line)
-        if line.split(None, 1)[:1] == ["DATA"]:
+        if line.split(None, 1)[:1] and line.split(None, 1)[0].upper() == "DATA":
             return lines, data[at:]
     raise DatasetError("is not a PCD file: it has no header", path)

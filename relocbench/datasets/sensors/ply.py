@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.sensors.point_table import check_count, decode_rows, parse_count, parse_rows
+from relocbench.datasets.sensors.point_table import check_behind, check_count, decode_rows, parse_count, parse_rows
 from relocbench.errors import DatasetError
 
 _TYPES = {
@@ -28,8 +28,8 @@ def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
     """The properties of the points, name -> (N,), with the file's types.
 
     Raises:
-        DatasetError: the file is not a PLY, has another layout, promises more points than there are, or a property is
-            not a number.
+        DatasetError: the file is not a PLY, has another layout, promises more or fewer points than there are, or a
+            property is not a number.
     """
     lines, body = _header(data, path)
     words = [line.split() for line in lines]
@@ -48,9 +48,13 @@ def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
     if len(set(names)) != len(names):
         raise DatasetError("its points have two properties of the same name", path)
     row = np.dtype([(name, _ORDER[encoding] + _TYPES[kind]) for kind, name in properties])
+    alone = len(starts) == 1
     if encoding == "ascii":
-        return parse_rows(body, row, count, path, first_line=len(lines) + 1)
-    check_count(len(body) // max(row.itemsize, 1), count, path)
+        return parse_rows(body, row, count, path, first_line=len(lines) + 1, alone=alone)
+    held = len(body) // max(row.itemsize, 1)
+    check_count(held, count, path)
+    if alone and held > count:
+        check_behind(np.frombuffer(body, row, held), count, path)
     return decode_rows(body, row, count)
 
 

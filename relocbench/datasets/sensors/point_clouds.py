@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.sensors.pcd import parse_pcd
 from relocbench.datasets.sensors.ply import parse_ply
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
-from relocbench.errors import DatasetError
+from relocbench.errors import DatasetError, quoted
 from relocbench.files import read_bytes
 
 
@@ -30,6 +30,19 @@ def read_point_cloud(path: Path, most_bytes: int = MOST_SCAN_BYTES) -> dict[str,
     fields = parse_ply(data, path) if kind == "PLY" else parse_pcd(data, path)
     if fields and all(len(values) == 0 for values in fields.values()):
         return {axis: np.empty(0) for axis in "xyz"}
-    if not fields.keys() >= set("xyz"):
-        raise DatasetError(f"cannot be read as {kind}, or has no x, y, z", path)
-    return fields
+    return with_axes(fields, path)
+
+
+def with_axes(fields: dict[str, NDArray[Any]], path: Path) -> dict[str, NDArray[Any]]:
+    """The fields, whose coordinates are called ``x``, ``y`` and ``z`` even if the file writes X, Y and Z.
+
+    Raises:
+        DatasetError: there are no coordinates.
+    """
+    named = {
+        name.lower() if name in ("X", "Y", "Z") and name.lower() not in fields else name: v
+        for name, v in fields.items()
+    }
+    if not named.keys() >= set("xyz"):
+        raise DatasetError(f"has no x, y and z; its fields are {quoted(', '.join(fields) or 'none')}", path)
+    return named

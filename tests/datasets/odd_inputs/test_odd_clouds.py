@@ -197,3 +197,95 @@ def test_longitude_and_latitude_are_refused_in_files_that_state_no_unit(tmp_path
         read_cloud(tmp_path / "a.npy")
     np.save(tmp_path / "pole.npy", points * [200, 200, 1])  # a lamp post
     assert len(read_cloud(tmp_path / "pole.npy").points) == 500
+
+
+ROWS = [[1.5, 2.25, 3.0], [4.0, 5.0, 6.0]]
+TEXTS: dict[str, tuple[str, ErrorData | list[list[float]]]] = {
+    "a header with an id first": ("id,x,y,z\n7,1.5,2.25,3\n8,4,5,6\n", ROWS),
+    "a header in another order": ("y,x,z\n2.25,1.5,3\n5,4,6\n", ROWS),
+    "CloudCompare": ("//X Y Z R G B\n2\n1.5 2.25 3 9 9 9\n4 5 6 9 9 9\n", ROWS),
+    "capitals": ("X Y Z R G B\n1.5 2.25 3 9 9 9\n4 5 6 9 9 9\n", ROWS),
+    "an index without a name": (",x,y,z\n0,1.5,2.25,3\n1,4,5,6\n", ROWS),
+    "ParaView": ('"i","Points:0","Points:1","Points:2"\n0,1.5,2.25,3\n1,4,5,6\n', ROWS),
+    "units": ("x[m]; y[m]; z[m]\n1.5;2.25;3\n4;5;6\n", ROWS),
+    "a title": ("scanned on a Friday\n1.5 2.25 3 9\n4 5 6 9\n", ROWS),
+    "two blocks of .pts": ("1\n1.5 2.25 3\n1\n4 5 6\n", ROWS),
+    "a sentence with x y z": ("# columns are x y z\n1.5 2.25 3\n4 5 6\n", ROWS),
+    "decimal commas": ("1,5 2,25 3,0\n", (1, "1,5 2,25 3,0")),
+    "decimal commas between semicolons": ("x;y;z\n1,5;2,25;3\n", (2, "1,5;2,25;3")),
+    "decimal commas between commas": ("x,y,z\n1,5,2,25,3,0\n", (2, 6, 3)),
+    "longitude and latitude": ("lon,lat,height\n11.5,48.1,500\n", (1, "lon lat")),
+    "millimetres": ("x_mm,y_mm,z_mm\n1,2,3\n", (1, "mm")),
+    "a header without x": ("id,intensity,range\n1,2,3\n", (1, "id intensity range")),
+    "fewer points than promised": ("3\n1 2 3\n4 5 6\n", (1, 3, 2)),
+    "more points than promised": ("1\n1 2 3\n4 5 6\n", (1, 1, 2)),
+    "an index and no header": ("".join(f"{k} 1.5 2.25 3\n" for k in range(30)), (None, "0")),
+    "a word": ("1 2 3\n1 two 3\n", (2, "1 two 3")),
+    "a word in the first line": ("1_0 2 3\n1 2 3\n", (1, "1_0 2 3")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TEXTS)
+def test_columns_of_a_text_are_those_of_its_header(tmp_path: Path, case: str) -> None:
+    text, expected = TEXTS[case]
+    (tmp_path / "a.csv").write_text(text)
+    if isinstance(expected, list):
+        np.testing.assert_array_equal(read_cloud(tmp_path / "a.csv").points, expected)
+        return
+    with refused(DatasetError, "a.csv", expected[0], *expected[1:]):
+        read_cloud(tmp_path / "a.csv")
+
+
+HEADS = {
+    "pcd": "VERSION .7\nFIELDS X Y Z\nSIZE 4 4 4\nTYPE f f f\nCOUNT 1 1 1\n"
+    "WIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA {kind}\n",
+    "ply": "ply\nformat {kind} 1.0\nelement vertex {n}\n"
+    "property float X\nproperty float Y\nproperty float Z\nend_header\n",
+}  # fmt: skip
+KINDS = [("pcd", "ascii"), ("pcd", "binary"), ("ply", "ascii"), ("ply", "binary_little_endian")]
+
+
+@pytest.mark.parametrize(("suffix", "kind"), KINDS)
+@pytest.mark.parametrize("promised", [0, 30, 40, 41])
+def test_as_many_points_as_the_header_promises(tmp_path: Path, suffix: str, kind: str, promised: int) -> None:
+    points = np.random.default_rng(1).uniform(-9, 9, (40, 3)).astype("<f4")
+    lines = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in points.astype(float).tolist())
+    body = lines.encode() if kind == "ascii" else points.tobytes()
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(HEADS[suffix].format(n=promised, kind=kind).encode() + body)
+    if promised == 40:
+        np.testing.assert_array_equal(read_cloud(path).points, points)
+        path.write_bytes(path.read_bytes() + bytes(4096) * (kind != "ascii"))  # a padded page is no point
+        assert len(read_cloud(path).points) == 40
+        return
+    with refused(DatasetError, path.name, None, promised, 40 if promised > 40 else 40 - promised):
+        read_cloud(path)
+
+
+def test_width_and_height_of_a_pcd_are_its_number_of_points(tmp_path: Path) -> None:
+    head = HEADS["pcd"].format(n=2, kind="ascii")
+    (tmp_path / "a.pcd").write_text(head.replace("HEIGHT 1", "HEIGHT 2") + "1 2 3\n4 5 6\n")
+    with refused(DatasetError, "a.pcd", None, "2 x 2", 2):
+        read_cloud(tmp_path / "a.pcd")
+
+
+def test_text_keeps_its_digits_whatever_the_header_says_and_may_have_commas_between_numbers(tmp_path: Path) -> None:
+    head = HEADS["pcd"].format(n=1, kind="ascii")
+    for between in " ", "\t", ",":
+        (tmp_path / "a.pcd").write_text(head + f"{between.join(['289814.15', '4320978.61', '170.76'])}\n")
+        found = read_cloud(tmp_path / "a.pcd")
+        np.testing.assert_allclose(found.points + found.origin, [[289814.15, 4320978.61, 170.76]], atol=1e-9)
+    (tmp_path / "a.pcd").write_text(head + "1,5 2,5 3,5\n")
+    with refused(DatasetError, "a.pcd", 10, "1,5 2,5 3,5"):
+        read_cloud(tmp_path / "a.pcd")
+
+
+def test_the_odd_pcd_and_text_files_are_read_as_what_they_are() -> None:
+    folder = odd_input("27_pcd_refusals_and_text_columns")
+    rows = np.loadtxt(folder / "id_first.csv", delimiter=",", skiprows=1)[:, 1:4]
+    np.testing.assert_array_equal(read_cloud(folder / "id_first.csv").points, rows)
+    for name in ("lower_types.pcd", "upper_fields.pcd"):
+        rows = np.loadtxt((folder / name).read_text().splitlines()[9:])[:, :3]
+        np.testing.assert_array_equal(read_cloud(folder / name).points, rows)
+    with refused(DatasetError, "decimal_comma.xyz", 1, "-2,684 -1,019 8,536"):
+        read_cloud(folder / "decimal_comma.xyz")
