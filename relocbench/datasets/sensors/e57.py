@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.sensors.e57_header import check_header
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import make_transform, project_to_rotation
 
@@ -44,6 +45,7 @@ def read_e57(path: Path, wanted: Sequence[int], most_points: int) -> tuple[list[
         import pye57
     except ImportError:
         raise ConfigError(f".e57 files need the package pye57: {EXTRA}") from None
+    check_header(path)
     try:
         file = pye57.E57(str(path))
         try:

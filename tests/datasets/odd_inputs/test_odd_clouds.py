@@ -8,6 +8,7 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+import pye57
 import pytest
 from odd_inputs import odd_input
 from refusals import ErrorData, noted, refused
@@ -289,3 +290,27 @@ def test_the_odd_pcd_and_text_files_are_read_as_what_they_are() -> None:
         np.testing.assert_array_equal(read_cloud(folder / name).points, rows)
     with refused(DatasetError, "decimal_comma.xyz", 1, "-2,684 -1,019 8,536"):
         read_cloud(folder / "decimal_comma.xyz")
+
+
+@pytest.mark.parametrize(
+    ("damage", "names"),
+    [
+        (lambda d: d[: len(d) // 2048 * 1024], ("truncated",)),
+        (lambda d: d + bytes(1024), ("promises",)),
+        (lambda d: d[:24] + struct.pack("<Q", 10**12) + d[32:], (10**12,)),
+        (lambda d: d[:40] + struct.pack("<Q", 1000) + d[48:], (1000,)),
+        (lambda d: d.replace(b'recordCount="900"', b'recordCount="9e9"'), ("9e9",)),
+        (lambda d: d.replace(b'recordCount="900"', b'recordCount="999"'), (999, 96)),
+        (lambda d: d.replace(b'fileOffset="48"', b'fileOffset="99"'), (99,)),
+    ],
+)
+def test_an_e57_file_holds_what_it_promises(
+    tmp_path: Path, damage: Callable[[bytes], bytes], names: tuple[object, ...]
+) -> None:
+    path = tmp_path / "a.e57"
+    with pye57.E57(str(path), mode="w") as file:
+        file.write_scan_raw({f"cartesian{axis}": np.random.default_rng(1).uniform(-9, 9, 900) for axis in "XYZ"})
+    assert len(read_cloud(path).points) == 900
+    path.write_bytes(damage(path.read_bytes()))
+    with refused(DatasetError, "a.e57", None, *names):
+        read_cloud(path)
