@@ -28,7 +28,7 @@ from relocbench.files.numbers import (
 )
 from relocbench.files.plain import plain_file, read_bytes
 from relocbench.files.tables import CHUNK_ROWS, read_csv, read_table, read_table_chunks, values_by_time, write_table
-from relocbench.files.text import lines_of, read_rows, read_text
+from relocbench.files.text import fields_of, lines_of, read_rows, read_text
 from relocbench.files.writing import (
     atomic_write,
     link_file,
@@ -61,6 +61,7 @@ __all__ = [
     "check_name",
     "did_you_mean",
     "dump_yaml",
+    "fields_of",
     "first_fault",
     "fitting_name",
     "json_text",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from relocbench.errors import RelocbenchError
+from relocbench.errors import RelocbenchError, quoted
 from relocbench.files.plain import MAX_BYTES, read_bytes
+
+_WITH_DECIMAL_COMMAS = re.compile(r"[+-]?[0-9]+(,[0-9]+([eE][+-]?[0-9]+)?)?")
 
 
 def read_text(
@@ -40,8 +43,24 @@ def lines_of(text: str) -> list[str]:
 
 
 def read_rows(path: Path, what: str, error: type[RelocbenchError] = RelocbenchError) -> Iterator[tuple[int, list[str]]]:
-    """Line number and fields of each line of a text table; commas or spaces part fields, ``#`` starts a comment."""
+    """Line number and fields of each line of a text table; commas or spaces part fields, ``#`` starts a comment.
+
+    Raises:
+        RelocbenchError: (as ``error``) as :func:`read_text`, or with the line where commas are decimal points.
+    """
     for number, line in enumerate(lines_of(read_text(path, what, error)), start=1):
-        content = line.split("#", 1)[0].replace(",", " ").split()
+        content = fields_of(line.split("#", 1)[0], path, number, error)
         if content:
             yield number, content
+
+
+def fields_of(text: str, path: Path, line: int, error: type[RelocbenchError] = RelocbenchError) -> list[str]:
+    """The fields of a line, parted by commas or spaces. Raises ``error`` where commas are decimal points."""
+    if "," not in text:
+        return text.split()
+    if "." not in text or ";" in text:
+        words = text.replace(";", " ").split()
+        if len(words) > 1 and all(map(_WITH_DECIMAL_COMMAS.fullmatch, words)):
+            message = f"{quoted(next(word for word in words if ',' in word), 30)} has a decimal comma"
+            raise error(f"{message}; expected numbers with decimal points, parted by commas or spaces", path, line)
+    return text.replace(",", " ").split()

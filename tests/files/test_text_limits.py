@@ -25,7 +25,7 @@ from relocbench.datasets.importers.four_seasons import files as four_seasons_fil
 from relocbench.datasets.importers.four_seasons.receiver import read_gga
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.robotcar import files as robotcar_files
-from relocbench.datasets.sensors.trajectories import read_trajectory
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.errors import DatasetError, RelocbenchError, quoted
 from relocbench.evaluation.relocalization.answers import read_pipeline
 from relocbench.evaluation.relocalization.basin import read_basins
@@ -64,7 +64,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "points": read_points,
     "KITTI times": lambda path: KittiSequence(path.parent, "00").times(10.0, 1, Silent()),
     "a trajectory": read_trajectory,
-    "4Seasons poses": four_seasons_files.read_poses,
     "GNSS poses": four_seasons_files.read_gnss_poses,
     "4Seasons times": four_seasons_files.read_times,
     "RobotCar times": robotcar_files.read_timestamps,

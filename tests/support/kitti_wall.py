@@ -30,7 +30,7 @@ def write_kitti_recording(root: Path, frames: Sequence[int] = (2, 3, 4, 6, 9), p
 
     Args:
         frames: numbers of the frames there are; the last two have no right image.
-        posed: frames from this on have no pose.
+        posed: frames from this on have no pose, but an empty line in the file of poses.
     """
     folder = root / "sequences" / "03"
     for number in frames:
@@ -42,5 +42,5 @@ def write_kitti_recording(root: Path, frames: Sequence[int] = (2, 3, 4, 6, 9), p
     (folder / "times.txt").write_text("".join(f"{0.1 * i:.6e}\n" for i in range(max(frames) + 1)))
     (root / "poses").mkdir()
     lines = [f"1 0 0 {0.2 * i!r} 0 1 0 0 0 0 1 0\n" for i in range(posed)]
-    (root / "poses" / "03.txt").write_text("".join(lines))
+    (root / "poses" / "03.txt").write_text("".join(lines) + "\n" * (max(frames) + 1 - posed))
     return root

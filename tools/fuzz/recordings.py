@@ -212,16 +212,16 @@ def _four_seasons(name: str) -> Read:
         from relocbench.datasets.importers.four_seasons import calibration as four_seasons_calibration
         from relocbench.datasets.importers.four_seasons import files as four_seasons_files
         from relocbench.datasets.importers.four_seasons import receiver as four_seasons_receiver
-        from relocbench.datasets.sensors import trajectories as sources
+        from relocbench.datasets.sensors.pose_tables import read_trajectory
 
         readers: dict[str, Callable[[Path], object]] = {
-            "poses": four_seasons_files.read_poses,
+            "poses": read_trajectory,
             "times": four_seasons_files.read_times,
             "GNSSPoses": four_seasons_files.read_gnss_poses,
             "Transformations": lambda path: four_seasons_files.read_transformations(path).T_e_w,
             "KeyFrame": lambda path: four_seasons_files.read_keyframe(path).points(1.0),
             "nmea": four_seasons_receiver.read_gga,
-            "result": sources.read_trajectory,
+            "result": read_trajectory,
             "camera": four_seasons_calibration.read_camera,
             "stereo": four_seasons_calibration.read_stereo,
         }

@@ -30,6 +30,10 @@ class DatasetOptions(Strict):
         """The condition that is given for a traversal; unknown by default."""
         return self.conditions.get(traversal, Condition())
 
+    def given(self, name: str) -> Any:
+        """The value of an option if it was given; None if it is left to its default."""
+        return getattr(self, name) if name in self.model_fields_set else None
+
     def check_conditions(self, traversals: Sequence[str]) -> None:
         """Raise ConfigError if a condition is given for a traversal that does not exist."""
         for name in self.conditions:

@@ -202,7 +202,7 @@ def _one_by_one(
         if key in keys:
             raise error(f"pair {key[0]} {key[1]} occurs again (first on line {keys[key]})", path, number)
         keys[key] = number
-        withheld = len(fields) == 2 or (allow_non_finite and _any_non_finite(fields[2:]))
+        withheld = len(fields) == 2 or (allow_non_finite and any_non_finite(fields[2:]))
         if not withheld:
             poses[number] = parse_pose_numbers(fields[2:], path, number, error)
     values = np.array(list(poses.values()), dtype=np.float64).reshape(-1, 7)
@@ -373,9 +373,15 @@ def table_columns(header: Sequence[str], pair_table: Path) -> tuple[str, ...]:
     raise DatasetError(wanted, pair_table, 1)
 
 
-def _any_non_finite(fields: list[str]) -> bool:
+def any_non_finite(fields: Sequence[str]) -> bool:
+    """Whether one of the fields is NaN or infinite."""
     # All three words contain an n, which no number does: hardly any line needs a look at each field.
     return "n" in "".join(fields).lower() and any(f.lower().lstrip("+-") in ("nan", "inf", "infinity") for f in fields)
+
+
+def missing(fields: Sequence[str]) -> bool:
+    """Whether the numbers of a pose say that there is none: one of them is blank, NaN or infinite."""
+    return "" in fields or any_non_finite(fields)
 
 
 def _number(value: float | None) -> str:

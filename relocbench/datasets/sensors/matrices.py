@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Indices
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats
 from relocbench.geometry import is_rotation, make_transform, project_to_rotation
 
-_POSE = "r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
+POSE_ENTRIES = "r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
 _ROTATION_TOLERANCE = 1e-3
 
 
@@ -28,5 +28,11 @@ def as_transform(matrix: Array, path: Path, line: int | None = None) -> Array:
 
 def parse_matrix(fields: list[str], path: Path, line: int) -> Array:
     """The transform (4, 4) whose upper three rows are twelve fields. Raises DatasetError with file and line."""
-    matrix = np.array(parse_floats(fields, path, line, _POSE, DatasetError)).reshape(3, 4)
+    matrix = np.array(parse_floats(fields, path, line, POSE_ENTRIES, DatasetError)).reshape(3, 4)
     return as_transform(matrix, path, line)
+
+
+def rotations_at_fault(rotations: Array) -> Indices:
+    """Indices of those of (N, 3, 3) that are no rotations within what printing leaves of one."""
+    near = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= _ROTATION_TOLERANCE
+    return np.flatnonzero(~(near & (np.linalg.det(rotations) > 0)))

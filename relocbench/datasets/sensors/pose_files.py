@@ -3,8 +3,8 @@
 =======  ==========================================================================================================
 columns  what a line holds
 =======  ==========================================================================================================
-8        ``t tx ty tz qx qy qz qw`` (TUM), or ``t tx ty tz qw qx qy qz``, which nothing but the user can tell
-8, csv   the header of ``poses.csv`` and its rows: ``timestamp_ns,tx,ty,tz,qx,qy,qz,qw``
+8        ``t tx ty tz qx qy qz qw`` (TUM), or ``t tx ty tz qw qx qy qz``, which the user or a header tells
+any      a header that names the columns of a time and a pose in any order, such as that of ``poses.csv``, and its rows
 12       the upper three rows of a pose (KITTI); times are in a file of their own
 13       a time, and the same
 =======  ==========================================================================================================
@@ -12,17 +12,24 @@ columns  what a line holds
 
 from __future__ import annotations
 
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.core.traversal import POSE_COLUMNS, read_poses
-from relocbench.datasets.sensors.matrices import parse_matrix
-from relocbench.datasets.sensors.trajectories import QuaternionOrder, read_time, read_trajectory
+from relocbench.datasets.sensors.numbered_rows import read_numbered_rows, read_numbered_times
+from relocbench.datasets.sensors.pose_columns import read_pose_columns
+from relocbench.datasets.sensors.pose_tables import (
+    MATRIX,
+    QuaternionOrder,
+    Row,
+    pose_table,
+    read_matrix_rows,
+    read_trajectory,
+    short_name,
+)
 from relocbench.errors import DatasetError
-from relocbench.files import read_rows
+from relocbench.progress import Reporter
 
 _EXPECTED = (
     "expected 8 columns (t tx ty tz and a quaternion), 12 (the upper three rows of a pose) or 13 (a time before them)"
@@ -36,84 +43,67 @@ second it need not be; and how many times farther from 1 it must be in the wrong
 _FEWEST_STEPS = 20
 
 
-def read_pose_file(path: Path, order: QuaternionOrder = "xyzw", times: Path | None = None) -> dict[int, Array]:
-    """Read a file of poses: timestamp_ns -> (4, 4) ``T_world_rig``, in time order.
+def read_pose_file(
+    path: Path,
+    order: QuaternionOrder | None = None,
+    times: Path | None = None,
+    reporter: Reporter | None = None,
+) -> dict[int, Array]:
+    """Read a file of poses: timestamp_ns -> (4, 4) ``T_world_rig``, in time order, without rows that have no pose.
 
     Args:
-        order: order of the quaternion's components; the header of ``poses.csv`` says it itself.
+        order: order of the quaternion's components; None: as a header says, or ``xyzw``.
         times: file with the time of each line, for poses without times; default: ``STEM.times.txt`` beside the file.
+        reporter: is told which rows were left out.
 
     Raises:
-        DatasetError: with file and line: a wrong number of columns, a field that is not a number, a rotation that is
-            none, times that do not increase, or none at all.
+        DatasetError: with file and line: a wrong number of columns, a header that names another order than ``order``, a
+            field that is not a number, a rotation that is none, times that go back, or no pose at all.
     """
     if path.is_dir():
         raise DatasetError("is a folder; expected a file of poses", path)
-    first = next(islice(read_rows(path, "a file of poses", DatasetError), 1), None)
-    if first is None:
+    _, rows = read_pose_columns(path, _EXPECTED.removeprefix("expected "))
+    if not rows:
         raise DatasetError(f"holds no pose; {_EXPECTED}", path)
-    number, fields = first
-    if fields == list(POSE_COLUMNS):
-        return _some(read_poses(path), path)
+    line, fields = rows[0]
     if len(fields) == 8:
-        return read_trajectory(path, order)
-    if len(fields) not in (12, 13):
-        raise DatasetError(f"{_EXPECTED}, found {len(fields)}", path, number)
-    return _matrices(path, len(fields), times)
-
-
-def _some(poses: dict[int, Array], path: Path) -> dict[int, Array]:
+        poses = read_trajectory(path, order, reporter=reporter).by_time
+    elif len(fields) == 12:
+        poses = _matrices_of_frames(path, times or _beside(path), reporter)
+    elif len(fields) == 13:
+        poses = read_matrix_rows(path, reporter).by_time
+    else:
+        raise DatasetError(f"{_EXPECTED}, found {len(fields)}", path, line)
     if not poses:
-        raise DatasetError("holds no pose below its header", path)
+        raise DatasetError("holds no pose", path)
     return poses
 
 
-def _matrices(path: Path, columns: int, times: Path | None) -> dict[int, Array]:
-    """Poses of twelve numbers a line, with their times before them or in another file."""
-    listed = None if columns == 13 else _times(path, times)
-    poses: dict[int, Array] = {}
-    last: int | None = None
-    for row, (number, fields) in enumerate(read_rows(path, "a file of poses", DatasetError)):
-        if len(fields) != columns:
-            raise DatasetError(f"expected {columns} columns as in the first line, found {len(fields)}", path, number)
-        if listed is None:
-            time = read_time(fields[0], path, number)
-            if last is not None and time <= last:
-                raise DatasetError(f"time {fields[0]} is not later than the previous one", path, number)
-        elif row < len(listed):
-            time = listed[row]
-        else:
-            break
-        poses[time] = parse_matrix(fields[-12:], path, number)
-        last = time
-    if listed is not None:
-        _check_count(path, listed, times)
-    return poses
-
-
-def _check_count(path: Path, listed: list[int], times: Path | None) -> None:
-    rows = sum(1 for _ in read_rows(path, "a file of poses", DatasetError))
-    if rows != len(listed):
-        raise DatasetError(f"holds {len(listed)} times, but {path.name} has {rows} poses", times or _beside(path))
+def _matrices_of_frames(path: Path, times: Path, reporter: Reporter | None) -> dict[int, Array]:
+    """Poses of twelve numbers a line, with their times in the same lines of another file."""
+    if times == _beside(path) and not times.exists():
+        raise DatasetError(
+            f"12 columns are poses without times; expected {times.name} beside it, or --times FILE", path
+        )
+    rows = read_numbered_rows(path, "a file of poses")
+    timed, read, numbers = read_numbered_times(times)
+    timed.check_agrees(rows)
+    time_of = dict(zip(numbers, read.ns, strict=True))
+    both = {number: row for number, row in rows.filled.items() if number in time_of}
+    found = pose_table(
+        [Row(row.line, "", row.fields) for row in both.values()],
+        MATRIX,
+        path,
+        reporter,
+        times=[time_of[number] for number in both],
+    )
+    if reporter is not None and len(both) < len(rows):
+        reporter.note(f"{short_name(path)}: {len(rows) - len(both)} of {len(rows)} frames are without a pose or a time")
+    return found.by_time
 
 
 def _beside(path: Path) -> Path:
     return path.with_name(f"{path.stem}.times.txt")
-
-
-def _times(path: Path, times: Path | None) -> list[int]:
-    """The times of a file's lines, nanoseconds, from the file that is named or the one beside it."""
-    file = times or _beside(path)
-    if times is None and not file.exists():
-        raise DatasetError(f"12 columns are poses without times; expected {file.name} beside it, or --times FILE", path)
-    found: list[int] = []
-    for number, fields in read_rows(file, "times, one a line", DatasetError):
-        if len(fields) != 1:
-            raise DatasetError(f"expected one time, found {len(fields)} columns", file, number)
-        found.append(read_time(fields[0], file, number))
-        if len(found) > 1 and found[-1] <= found[-2]:
-            raise DatasetError(f"time {fields[0]} is not later than the previous one", file, number)
-    return found
 
 
 def likely_order(T_world_rig: Array, order: QuaternionOrder) -> QuaternionOrder:

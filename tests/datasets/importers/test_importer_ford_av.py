@@ -19,7 +19,7 @@ from refusals import ErrorData, Notes, assert_names, noted, refused
 
 from relocbench.datasets.importers.ford_av.calibration import read_camera_pose, read_lidar_pose
 from relocbench.datasets.importers.ford_av.files import find_logs
-from relocbench.datasets.importers.ford_av.recording import ReadingOptions, image_time, read_ford
+from relocbench.datasets.importers.ford_av.recording import ReadingOptions, read_ford
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.errors import ConfigError, DatasetError
@@ -182,25 +182,6 @@ def test_small_images_of_the_bag_stand_in_for_missing_ones(
     (calibration / "cameraFrontLeft_body.yaml").unlink()
     _, spoken = read(bag, calibration=calibration)
     assert noted(spoken.notes, "front_left", "cameraFrontLeft_body.yaml")
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("1501822145979544", 1_501_822_145_979_544_000),
-        ("1501822145.979544", 1_501_822_145_979_544_000),
-        ("1501822145979544001", 1_501_822_145_979_544_001),
-        ("1501822145979", 1_501_822_145_979_000_000),
-    ],
-)
-def test_names_of_images_are_times_in_any_unit(name: str, expected: int) -> None:
-    assert image_time(name, Path(f"{name}.png")) == expected
-
-
-@pytest.mark.parametrize("name", ["000017", "frame_3", "15018221459", "-1501822145", "nan"])
-def test_a_name_that_is_no_time_is_told(name: str) -> None:
-    with refused(DatasetError, "", None, "1970"):
-        image_time(name, Path(f"{name}.png"))
 
 
 def test_calibrations_are_found_where_users_keep_them(logs: list[Made], tmp_path: Path) -> None:

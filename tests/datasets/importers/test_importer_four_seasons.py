@@ -21,14 +21,13 @@ from relocbench.datasets.importers.four_seasons.files import (
     keyframe_files,
     read_gnss_poses,
     read_keyframe,
-    read_poses,
     read_times,
     read_transformations,
 )
 from relocbench.datasets.importers.four_seasons.receiver import agreement, read_gga
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.sensors.geodesy import ecef_from_geodetic
-from relocbench.datasets.sensors.trajectories import read_trajectory
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, so3_exp
@@ -93,7 +92,7 @@ def test_path_length_agrees_with_the_receivers_track_only_with_the_scale(
 
 def test_real_recording_files_have_as_many_lines_as_the_recording_says(sample: Path) -> None:
     assert len(read_gnss_poses(sample / "GNSSPoses.txt")) == 2874
-    assert len(read_trajectory(sample / "result.txt")) == 10026
+    assert len(read_trajectory(sample / "result.txt").times_ns) == 10026
     assert len(read_times(sample / "times.txt")) == 10030
     assert len(read_gga(sample / "septentrio.nmea")) == 3414
     assert read_transformations(sample / "Transformations.txt").scale == 0.962356
@@ -141,7 +140,7 @@ def test_reference_timestamps_of_pair_files_are_keyframes_of_their_trajectory(
 ) -> None:
     """Trajectory times are printed to 0.1 us and went through a double (238 ns apart): half of both is 0.17 us off."""
     poses = read_trajectory(real_data("fourseasons_trajectories") / f"4seasons_{trajectory}_{recording}.txt", "wxyz")
-    times = np.array(list(poses))
+    times = poses.times_ns
     (path,) = (real_data("mlad_pair_files") / "spatialai-eccv2024").glob(f"*_recording_{recording}_to_*.txt")
     references = [line.ref_timestamp_ns for line in read_pose_lines(path)]
     assert len(references) == count
@@ -154,8 +153,8 @@ def test_published_trajectory_is_the_gnss_poses_times_their_scale(sample: Path, 
         real_data("fourseasons_trajectories") / "4seasons_neighbor_2020-10-07_14-47-51.txt", "wxyz"
     )
     own = read_gnss_poses(sample / "GNSSPoses.txt")
-    assert len(published) == len(own)
-    theirs = np.array(list(published.values()))
+    theirs = published.transforms
+    assert len(theirs) == len(own)
     ours = np.array([pose.metric for pose in own.values()])
     np.testing.assert_allclose(theirs[:, :3, 3], ours[:, :3, 3], atol=2e-6)
     assert np.asarray(rotation_angle(np.swapaxes(theirs[:, :3, :3], 1, 2) @ ours[:, :3, :3])).max() < 5e-6
@@ -418,7 +417,7 @@ def test_mlad_layout_needs_no_transformations_and_takes_depth_as_metres(
         (source / "GNSSPoses.txt").unlink()
     for path in (sources[1] / "KeyFrameData").iterdir():
         path.unlink()
-    assert list(read_poses(sources[0] / "poses.txt")) == list(two_drives[0].T_true_cam)
+    assert read_trajectory(sources[0] / "poses.txt").times_ns.tolist() == list(two_drives[0].T_true_cam)
     file = relocalization_file(tmp_path / "relocalizationFile_x_hard.txt", two_drives, poses=False)
     dataset, notes = build(sources, tmp_path / "out", relocalization_files=(str(tmp_path / file.name),))
     (pair_set,) = dataset.pair_sets()

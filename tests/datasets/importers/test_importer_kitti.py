@@ -159,7 +159,7 @@ def test_what_stereo_depth_lacks_is_named(recording: Path, tmp_path: Path) -> No
 
 def test_what_a_sequence_lacks_is_named(recording: Path, tmp_path: Path) -> None:
     (recording / "poses/03.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
-    with refused(DatasetError, "poses/03.txt", None, "1 poses"):
+    with refused(DatasetError, "poses/03.txt", None, "1 rows", "10 rows"):
         build(recording, tmp_path / "out")
     for path in (recording / "sequences/03/image_0").iterdir():
         path.unlink()
@@ -191,7 +191,6 @@ def test_a_calibration_without_names_is_read_in_order(recording: Path, tmp_path:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("1 0 0 nan 0 1 0 0 0 0 1 0", ("03.txt", 3, "tx")),
         ("1 0 0 0 0 1 0 0 0 0 1", ("03.txt", 3, "12 numbers", "found 11")),
         ("1 0 0 0 0 1 0 0 0 0 2 0", ("03.txt", 3, "3x3")),
         ("1 0 0 0 0 one 0 0 0 0 1 0", ("03.txt", 3, "one", "r22")),

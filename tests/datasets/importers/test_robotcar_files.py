@@ -11,7 +11,7 @@ from refusals import ErrorData, refused
 
 from relocbench.datasets.importers.lidar_drives.texts import transform_from_xyzrpy
 from relocbench.datasets.importers.robotcar import files
-from relocbench.datasets.importers.robotcar.sensors import present_times
+from relocbench.datasets.importers.robotcar.sensors import present_files
 from relocbench.datasets.importers.robotcar.track import MapOrigin, map_trajectory, visual_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.errors import DatasetError
@@ -227,4 +227,4 @@ def test_a_scan_that_is_a_link_to_nowhere_is_named(tmp_path: Path) -> None:
     (tmp_path / "lms").mkdir()
     (tmp_path / "lms" / "1416316800100000.bin").symlink_to("nowhere")
     with refused(DatasetError, "1416316800100000.bin"):
-        present_times(tmp_path / "lms", tmp_path / "lms.timestamps", ".bin", "scans", Silent())
+        present_files(tmp_path / "lms", tmp_path / "lms.timestamps", ".bin", "scans", Silent())

@@ -97,7 +97,7 @@ LINE = f"{START_NS} 1 0 0 0 0 1 0 0 0 0 1 0"
         ("1.0 0 0 0 0 0 0 1\n2.0 0 0 0\n", ("t.txt", 2, 8, 4)),
         ("1.0 0 0 0 0 0 0 2\n", ("t.txt", 1, "qx qy qz qw", 2)),
         ("2.0 0 0 0 0 0 0 1\n1.0 0 0 0 0 0 0 1\n", ("t.txt", 2, "1.0")),
-        (f"{LINE}\n{LINE}\n", ("t.txt", 2, START_NS)),
+        (f"{LINE}\n{LINE[:-1]}1\n", ("t.txt", 2, START_NS, "line 1")),
         (f"{LINE} 7\n", ("t.txt", 1, 14)),
         (f"{LINE}\n{START_NS + 1} 1\n", ("t.txt", 2, 13, 2)),
         (LINE.replace(" 1 ", " 2 ", 1), ("t.txt", 1)),

@@ -10,8 +10,8 @@ import numpy as np
 
 from relocbench.datasets.core.pairfile import pose_fields
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
-from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError
 from relocbench.files import atomic_write
 from relocbench.progress import Reporter
@@ -72,10 +72,9 @@ def kept_in(path: Path) -> FromLidar:
             _write(path, lidar_odometry(lidar, reporter, max_gap_ns=max_gap_ns))
         # Always use the file, so that a fresh build and a resumed one use the same numbers.
         poses = read_trajectory(path)
-        times = np.array(list(poses), dtype=np.int64)
-        if len(times) < 2 or not np.isin(times, lidar.times_ns).all():
+        if len(poses.times_ns) < 2 or not np.isin(poses.times_ns, lidar.times_ns).all():
             raise DatasetError(f"is not the odometry of the scans of {lidar.name}; remove it and build again", path)
-        return Trajectory(times, np.array(list(poses.values())), max_gap_ns, smooth=True)
+        return Trajectory(poses.times_ns, poses.transforms, max_gap_ns, smooth=True)
 
     return odometry
 

@@ -31,4 +31,4 @@ class Options(DriveOptions, LinkingOptions):
     def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
         from relocbench.datasets.importers.boreas.recording import read_boreas
 
-        return read_boreas(folder, name, self.odometry)
+        return read_boreas(folder, name, self.odometry, reporter)

@@ -26,20 +26,19 @@ from scipy.spatial.transform import Rotation
 
 from relocbench.arrays import Array
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import files_by_time, pinhole_files
 from relocbench.datasets.importers.lidar_drives.texts import (
-    microseconds_to_ns,
     read_matrix,
     read_named_columns,
     read_transform,
-    seconds_or_microseconds_to_ns,
 )
+from relocbench.datasets.sensors.pose_tables import PoseNumbers, Row, pose_table
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns, seconds_as_offsets
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats
 from relocbench.geometry import invert, make_transform
+from relocbench.progress import Reporter
 
 OdometrySource = Literal["auto", "applanix", "lidar-poses", "lidar"]
 
@@ -49,6 +48,8 @@ POSE_COLUMNS = ("easting", "northing", "altitude", "roll", "pitch", "heading")
 _SCAN_COLUMNS = "x y z intensity laser time"
 _NAME = re.compile(r"boreas-[0-9]{4}-([0-9]{2})-[0-9]{2}-[0-9]{2}-[0-9]{2}.*")
 T_RIG_APPLANIX = make_transform(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), [0.0, 0.0, 0.0])
+_US, _S = 10**3, 10**9
+"""nanoseconds"""
 _MAX_RANGE_M = 200.0
 _SIGMA_M = 0.03
 """typical accuracy of the range by the data sheet of the Velodyne Alpha Prime"""
@@ -68,22 +69,25 @@ class Calibration:
     """the file of the intrinsics"""
 
 
-def read_boreas(folder: Path, name: str, odometry: OdometrySource = "auto") -> DriveFiles:
+def read_boreas(
+    folder: Path, name: str, odometry: OdometrySource = "auto", reporter: Reporter | None = None
+) -> DriveFiles:
     """Read a drive; scans and images are opened later, on demand.
 
     Args:
         odometry: ``applanix`` is ``gps_post_process.csv``, ``lidar-poses`` is ``lidar_poses.csv``, ``lidar`` is
             computed from the scans; ``auto`` is the first of these that there is.
+        reporter: is told which rows have no pose.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
     """
-    scans = files_by_time(folder / "lidar", (".bin",), microseconds_to_ns)
+    scans = files_by_time(folder / "lidar", (".bin",), _US)
     if not scans[0]:
         raise DatasetError("holds no lidar scan; expected TIME.bin in microseconds", folder / "lidar")
     T_rig_lidar = T_RIG_APPLANIX @ read_transform(folder / "calib" / "T_applanix_lidar.txt", "the lidar's pose")
     lidar = ScanFiles("lidar", *scans, T_rig_lidar, decode, _MAX_RANGE_M, _SIGMA_M, min_range_m=1.0)
-    track, origin = _track(folder, T_rig_lidar, odometry)
+    track, origin = _track(folder, T_rig_lidar, odometry, reporter)
     found = _NAME.fullmatch(folder.resolve().name)
     return DriveFiles(
         name=name,
@@ -110,7 +114,9 @@ def T_enu_sensor(values: Array) -> Array:
     return make_transform(np.swapaxes(rotation, -1, -2), values[:, :3])
 
 
-def _track(folder: Path, T_rig_lidar: Array, odometry: OdometrySource) -> tuple[Trajectory | None, str]:
+def _track(
+    folder: Path, T_rig_lidar: Array, odometry: OdometrySource, reporter: Reporter | None
+) -> tuple[Trajectory | None, str]:
     """The poses of the rig, and where they are from; None if there are none and none were asked for."""
     wanted = {"applanix": (APPLANIX_FILE,), "lidar-poses": (LIDAR_POSES_FILE,)}.get(
         odometry, (APPLANIX_FILE, LIDAR_POSES_FILE)
@@ -120,21 +126,17 @@ def _track(folder: Path, T_rig_lidar: Array, odometry: OdometrySource) -> tuple[
         return None, ""
     path = folder / (found or wanted[0])
     applanix = path.name == APPLANIX_FILE.name
-    parse = seconds_or_microseconds_to_ns if applanix else microseconds_to_ns
-    times, values = [], []
-    names = " ".join(POSE_COLUMNS)
-    for line, (time, *numbers) in read_named_columns(path, ("GPSTime", *POSE_COLUMNS), "poses"):
-        times.append(parse(time, path, line))
-        values.append(parse_floats(numbers, path, line, names, DatasetError))
-    if not times:
-        raise DatasetError("holds no pose", path)
+    found_rows = read_named_columns(path, ("GPSTime", *POSE_COLUMNS), "poses")
+    rows = [Row(line, time, numbers) for line, (time, *numbers) in found_rows]
+    kind = PoseNumbers(" ".join(POSE_COLUMNS), T_enu_sensor)
+    table = pose_table(rows, kind, path, reporter, own_ns=_S if applanix else _US)
     T_body_rig = invert(T_RIG_APPLANIX if applanix else T_rig_lidar)
-    return trajectory_of(times, T_enu_sensor(np.array(values)), T_body_rig, path), str(path.relative_to(folder))
+    return rig_trajectory(table, T_body_rig), str(path.relative_to(folder))
 
 
 def _cameras(folder: Path, T_rig_lidar: Array) -> dict[str, CameraStream]:
     """The camera, if there are images of it."""
-    found = files_by_time(folder / "camera", (".png", ".jpg"), microseconds_to_ns)
+    found = files_by_time(folder / "camera", (".png", ".jpg"), _US)
     if not found[0]:
         return {}
     path = folder / "calib" / "P_camera.txt"

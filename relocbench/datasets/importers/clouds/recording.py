@@ -22,15 +22,14 @@ from relocbench.datasets.importers.clouds.times import clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
 from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, GenericLidarStream
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import check_file
 from relocbench.datasets.sensors.derived_lidar import DerivedLidar
-from relocbench.datasets.sensors.matrices import parse_matrix
+from relocbench.datasets.sensors.numbered_rows import read_numbered_rows
+from relocbench.datasets.sensors.pose_tables import MATRIX, Row, pose_table, read_trajectory
 from relocbench.datasets.sensors.recording import CameraStream, Scan, Trajectory
 from relocbench.datasets.sensors.scan_files import swept
-from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError
-from relocbench.files import read_rows
 from relocbench.progress import Reporter
 
 OdometrySource = Literal["auto", "poses", "lidar"]
@@ -75,16 +74,22 @@ def read_clouds(
         DatasetError: with file and line: there are no clouds or no times, or something in them is damaged.
     """
     files = _cloud_files(folder)
-    found, times_from = clouds_with_times(files, folder, rate_hz)
-    times = np.array(list(found), dtype=np.int64)
+    listed, times_from = clouds_with_times(files, folder, rate_hz)
+    timed = [(time, path) for time, path in listed if time is not None]
+    times = np.array([time for time, _ in timed], dtype=np.int64)
+    scans = tuple(path for _, path in timed)
+    if len(timed) < len(listed):
+        reporter.note(f"{name}: {len(listed) - len(timed)} of {len(listed)} clouds have no time and are left out")
+    if not timed:
+        raise DatasetError("none of its clouds has a time", folder)
     least = min(0.5, max_range / 2)
     given = GenericLidar(pattern=pattern, max_range=max_range, min_range=least, columns=tuple(columns))
-    settings, words = _look(list(found.values()), times, given)
-    clouds = GenericLidarStream("lidar", settings, np.eye(4), tuple(found.values()), times)
+    settings, words = _look(scans, times, given)
+    clouds = GenericLidarStream("lidar", settings, np.eye(4), scans, times)
     poses = next((folder / p for p in POSE_FILES if (folder / p).is_file()), None)
     if poses is None and odometry == "poses":
         raise DatasetError(f"holds no poses; expected {' or '.join(POSE_FILES)}", folder)
-    reporter.note(f"{name}: {len(found)} clouds, times from {times_from}")
+    reporter.note(f"{name}: {len(timed)} clouds, times from {times_from}")
     reporter.note(f"{name}: points are {words}{_assumed(settings.time, motion, pattern)}")
     turning = settings.time is None and motion != "compensated" and pattern == "spinning"
     if turning and motion == "auto":
@@ -96,7 +101,7 @@ def read_clouds(
         folder=folder,
         condition=condition,
         lidars=(SweptClouds(clouds) if turning else clouds,),
-        poses=None if use is None else _trajectory(use, times),
+        poses=None if use is None else _trajectory(use, [time for time, _ in listed], reporter),
         poses_from="" if use is None else use.name,
         cameras=cameras,
     )
@@ -144,19 +149,23 @@ def _cloud_files(folder: Path) -> list[Path]:
     )
 
 
-def _trajectory(path: Path, times: Times) -> Trajectory:
-    """Poses of the lidar: ``t x y z qx qy qz qw`` a line, or twelve numbers for each cloud in the order of times."""
-    rows = read_rows(path, "poses (t x y z qx qy qz qw, or 12 numbers for each cloud)", DatasetError)
-    first = next(rows, None)
-    if first is None:
+def _trajectory(path: Path, times: Sequence[int | None], reporter: Reporter) -> Trajectory:
+    """Poses of the lidar: ``t x y z qx qy qz qw`` a line, or twelve numbers for each cloud.
+
+    Args:
+        times: nanoseconds of the clouds, None for those without time.
+    """
+    rows = read_numbered_rows(path, "poses (t x y z qx qy qz qw, or 12 numbers for each cloud)")
+    if not rows.filled:
         raise DatasetError("holds no pose", path)
-    if len(first[1]) != 12:
-        found = read_trajectory(path)
-        return trajectory_of(list(found), np.array(list(found.values())), np.eye(4), path)
-    poses = [parse_matrix(fields, path, line) for line, fields in (first, *rows)]
-    if len(poses) != len(times):
-        raise DatasetError(f"holds {len(poses)} poses without times for {len(times)} clouds", path)
-    return trajectory_of(times, np.array(poses), np.eye(4), path)
+    if any(len(row.fields) != 12 for row in rows.filled.values()):
+        return rig_trajectory(read_trajectory(path, reporter=reporter))
+    if not len(rows) <= len(times) <= len(rows) + rows.spare:
+        message = f"holds {len(rows)} poses without times for {len(times)} clouds"
+        raise DatasetError(f"{message}; expected a row for each, empty where there is no pose", path)
+    both = [(time, row) for number, row in rows.filled.items() if (time := times[number]) is not None]
+    numbers = [Row(row.line, "", row.fields) for _, row in both]
+    return rig_trajectory(pose_table(numbers, MATRIX, path, reporter, times=[time for time, _ in both]))
 
 
 def _described(folder: Path, name: str) -> tuple[Condition, dict[str, CameraStream]]:

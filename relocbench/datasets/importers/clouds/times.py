@@ -6,20 +6,20 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from relocbench.arrays import Times
+from relocbench.datasets.sensors.numbered_rows import read_numbered_times
+from relocbench.datasets.sensors.times import times_in_ns
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import parse_seconds, read_rows, whole_number
+from relocbench.files import read_rows, whole_number
 
 TIME_FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv")
-NS_BY_DIGITS = {10: 10**9, 13: 10**6, 16: 10**3, 19: 1}
-"""digits of a whole number that is a time between 2001 and 2286 -> nanoseconds of its unit"""
-_UNITS = {10**9: "seconds", 10**6: "milliseconds", 10**3: "microseconds", 1: "nanoseconds"}
 
 
-def clouds_with_times(files: list[Path], folder: Path, rate_hz: float | None) -> tuple[dict[int, Path], str]:
-    """The clouds by time, in the order of their times, and where these are from.
+def clouds_with_times(
+    files: list[Path], folder: Path, rate_hz: float | None
+) -> tuple[list[tuple[int | None, Path]], str]:
+    """The clouds with their times, in the order of these, and where the times are from.
+
+    A cloud whose row in the file of times is empty has None.
 
     Args:
         files: the clouds.
@@ -34,12 +34,16 @@ def clouds_with_times(files: list[Path], folder: Path, rate_hz: float | None) ->
     table = next((path for path in candidates if path.is_file()), None)
     if table is not None:
         return _from_table(ordered, table)
-    values = [path.stem for path in ordered]
     if rate_hz is not None:
-        numbered = {round(number * 1e9 / rate_hz): path for number, path in enumerate(ordered)}
-        return numbered, f"{rate_hz:g} clouds a second, in the order of their names"
-    times, unit = _parsed(values, [(path, None) for path in ordered])
-    return _by_time(ordered, times, None), f"names of the files, in {unit}"
+        numbered = [(round(number * 1e9 / rate_hz), path) for number, path in enumerate(ordered)]
+        return [*numbered], f"{rate_hz:g} clouds a second, in the order of their names"
+    texts = [path.stem for path in ordered]
+    try:
+        read = times_in_ns(texts, lambda i: (ordered[i], None), dates_only=True)
+    except DatasetError as bad:
+        message = f"{bad.expected}; for numbered clouds give {TIME_FILES[0]} or --rate-hz"
+        raise DatasetError(message, bad.path) from None
+    return _by_time(ordered, read.ns, None), f"names of the files, in {read.unit}"
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
@@ -48,28 +52,33 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(part), "") if part.isdigit() and part.isascii() else (-1, part) for part in parts], path.name
 
 
-def _from_table(files: list[Path], table: Path) -> tuple[dict[int, Path], str]:
+def _from_table(files: list[Path], table: Path) -> tuple[list[tuple[int | None, Path]], str]:
     """Times from a file with a time a line, or the name of a cloud and its time, or its time and name."""
     rows = list(read_rows(table, "times of clouds", DatasetError))
     if rows and not any(_is_number(word) for word in rows[0][1]):
         rows = rows[1:]  # a header
     if rows and all(len(fields) == 2 and sum(map(_is_number, fields)) >= 1 for _, fields in rows):
         return _named(files, rows, table)
-    for line, fields in rows:
-        if len(fields) != 1:
-            raise DatasetError(f"expected a time, or a cloud and its time, found {len(fields)} columns", table, line)
-    if len(rows) != len(files):
-        raise DatasetError(f"holds {len(rows)} times for {len(files)} clouds", table)
-    times, unit = _parsed([fields[0] for _, fields in rows], [(table, line) for line, _ in rows])
-    return _by_time(files, times, table), f"{table.name}, in {unit}"
+    numbered, read, numbers = read_numbered_times(table, dates_only=True)
+    time_of: dict[int, int] = dict(zip(numbers, read.ns, strict=True))
+    if not len(numbered) <= len(files) <= len(numbered) + numbered.spare:
+        names = [whole_number(path.stem) for path in files]
+        if names != numbers:
+            lost = len(numbered) - len(numbers)
+            message = f"holds {len(numbered)} rows, {lost} of them empty, for {len(files)} clouds"
+            raise DatasetError(f"{message}; expected a row for each, empty where there is no time", table)
+        return list(zip(read.ns, files, strict=True)), f"{table.name}, in {read.unit}"
+    return [(time_of.get(row), path) for row, path in enumerate(files)], f"{table.name}, in {read.unit}"
 
 
-def _named(files: list[Path], rows: list[tuple[int, list[str]]], table: Path) -> tuple[dict[int, Path], str]:
+def _named(
+    files: list[Path], rows: list[tuple[int, list[str]]], table: Path
+) -> tuple[list[tuple[int | None, Path]], str]:
     known = {path.name: path for path in files} | {path.stem: path for path in files}
     hits = [sum(Path(fields[k]).name in known for _, fields in rows) for k in (0, 1)]
     name_first = hits[0] >= hits[1]
     chosen: dict[Path, str] = {}
-    places = []
+    lines = []
     for line, fields in rows:
         name, time = fields if name_first else fields[::-1]
         path = known.get(Path(name).name)
@@ -78,38 +87,19 @@ def _named(files: list[Path], rows: list[tuple[int, list[str]]], table: Path) ->
         if path in chosen:
             raise DatasetError(f"names {path.name} a second time", table, line)
         chosen[path] = time
-        places.append((table, line))
-    times, unit = _parsed(list(chosen.values()), places)
-    return _by_time(list(chosen), times, table), f"{table.name}, in {unit}"
+        lines.append(line)
+    read = times_in_ns(list(chosen.values()), lambda i: (table, lines[i]), dates_only=True)
+    return _by_time(list(chosen), read.ns, table), f"{table.name}, in {read.unit}"
 
 
 def _is_number(text: str) -> bool:
     return re.fullmatch(r"[+-]?[0-9]*\.?[0-9]+([eE][+-]?[0-9]+)?", text) is not None
 
 
-def _parsed(texts: list[str], places: Sequence[tuple[Path, int | None]]) -> tuple[Times, str]:
-    """Times and their unit: a point means seconds, else the number of digits decides."""
-    if any(whole_number(text) is None for text in texts):
-        seconds = [parse_seconds(text, *place, DatasetError) for text, place in zip(texts, places, strict=True)]
-        return np.array(seconds), "seconds"
-    longest = max(texts, key=lambda text: len(text.lstrip("0")))
-    digits = len(longest.lstrip("0"))
-    factor = NS_BY_DIGITS.get(digits)
-    if factor is None:
-        path, line = places[texts.index(longest)]
-        raise DatasetError(
-            f"{quoted(longest, 40)} is not a time since 1970: whole numbers have 10 (s), 13 (ms), 16 (us) or 19 (ns) "
-            f"digits, seconds a decimal point; for numbered clouds give {TIME_FILES[0]} or --rate-hz",
-            path,
-            line,
-        )
-    return np.array([int(text) * factor for text in texts], dtype=np.int64), _UNITS[factor]
-
-
-def _by_time(files: list[Path], times: Times, table: Path | None) -> dict[int, Path]:
+def _by_time(files: Sequence[Path], times: Sequence[int], table: Path | None) -> list[tuple[int | None, Path]]:
     found: dict[int, Path] = {}
-    for path, time in zip(files, times.tolist(), strict=True):
+    for path, time in zip(files, times, strict=True):
         if time in found:
             raise DatasetError(f"{path.name} has the same time as {found[time].name}", table or path)
         found[time] = path
-    return dict(sorted(found.items()))
+    return [*sorted(found.items())]

@@ -31,4 +31,4 @@ class Options(DriveOptions):
     def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
         from relocbench.datasets.importers.complex_urban.recording import read_complex_urban
 
-        return read_complex_urban(folder, name, self.lidars, self.odometry)
+        return read_complex_urban(folder, name, self.lidars, self.odometry, reporter)

@@ -25,15 +25,16 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.importers.complex_urban.images import T_left_right, read_intrinsics
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of, read_matrix_rows
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import files_by_time
-from relocbench.datasets.importers.lidar_drives.texts import nanoseconds
 from relocbench.datasets.sensors.image_files import BayerImages
 from relocbench.datasets.sensors.matrices import as_transform
+from relocbench.datasets.sensors.pose_tables import read_matrix_rows
 from relocbench.datasets.sensors.recording import CameraStream
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_rows
+from relocbench.progress import Reporter
 
 OdometrySource = Literal["lidar", "poses"]
 
@@ -52,7 +53,11 @@ _PRIOR_SIGMA_M = 5.0
 
 
 def read_complex_urban(
-    folder: Path, name: str, lidars: Sequence[str] = (), odometry: OdometrySource = "lidar"
+    folder: Path,
+    name: str,
+    lidars: Sequence[str] = (),
+    odometry: OdometrySource = "lidar",
+    reporter: Reporter | None = None,
 ) -> DriveFiles:
     """Read a drive; scans and images are opened later, on demand.
 
@@ -60,6 +65,7 @@ def read_complex_urban(
         lidars: those to use; default: both VLP-16, or of them what there is.
         odometry: ``lidar`` registers the scans of the first VLP-16, ``poses`` is ``global_pose.csv``, the result of the
             dataset's own SLAM.
+        reporter: is told which rows have no pose.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
@@ -68,7 +74,7 @@ def read_complex_urban(
     streams = []
     for lidar in chosen_of(lidars or None, tuple(LIDARS), _DEFAULT, "Complex Urban has no lidar"):
         where = folder / "sensor_data" / lidar
-        scans = files_by_time(where, (".bin",), nanoseconds)
+        scans = files_by_time(where, (".bin",))
         if not scans[0]:
             if lidars:
                 raise DatasetError("holds no lidar scan; expected TIME.bin in nanoseconds", where)
@@ -81,7 +87,8 @@ def read_complex_urban(
     if not streams:
         raise DatasetError(f"holds no scan of {' or '.join(_DEFAULT)}; expected TIME.bin", folder / "sensor_data")
     path = folder / "global_pose.csv"
-    track = None if odometry == "lidar" and not path.exists() else read_matrix_rows(path, nanoseconds)
+    needless = odometry == "lidar" and not path.exists()
+    track = None if needless else rig_trajectory(read_matrix_rows(path, reporter))
     return DriveFiles(
         name=name,
         folder=folder,
@@ -134,7 +141,7 @@ def read_calibration(path: Path) -> Array:
 def _cameras(folder: Path) -> dict[str, CameraStream]:
     """The stereo cameras that have images."""
     names = ("stereo_left", "stereo_right")
-    found = {name: files_by_time(folder / "image" / name, (".png",), nanoseconds) for name in names}
+    found = {name: files_by_time(folder / "image" / name, (".png",)) for name in names}
     if not any(files for files, _ in found.values()):
         return {}
     calibration = folder / "calibration"

@@ -23,7 +23,6 @@ from typing import Literal
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Transform
-from relocbench.datasets.importers.clouds.times import NS_BY_DIGITS
 from relocbench.datasets.importers.ford_av.axes import TURNS, LidarAxes, axes_by_scans
 from relocbench.datasets.importers.ford_av.calibration import (
     FULL_SIZE,
@@ -34,7 +33,7 @@ from relocbench.datasets.importers.ford_av.calibration import (
 )
 from relocbench.datasets.importers.ford_av.files import CAMERAS, Log
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of, trajectory_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import files_by_time, image_size, pinhole_files
 from relocbench.datasets.importers.rosbag import kinds, motion
 from relocbench.datasets.importers.rosbag.bag import parts_of
@@ -48,9 +47,9 @@ from relocbench.datasets.importers.rosbag.roles import CameraTopic, Roles
 from relocbench.datasets.importers.rosbag.stamps import check_clocks
 from relocbench.datasets.importers.rosbag.streams import BagCamera, BagLidar, read_picture
 from relocbench.datasets.importers.rosbag.survey import Survey, survey
+from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
-from relocbench.errors import DatasetError, quoted
-from relocbench.files import seconds_to_ns, whole_number
+from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 
@@ -171,7 +170,7 @@ def _poses(reading: Reading, log: Log) -> Trajectory | None:
     times, kept = reading.times(topic, found.times_ns, found.received_ns)
     T_ned_body = motion.poses(found.values[kept])
     # The map is turned like the body: from north, east, down to north, west, up.
-    return trajectory_of(times, T_RIG_BODY @ T_ned_body, invert(T_RIG_BODY), log.bag)
+    return rig_trajectory(PoseTable(log.bag, times, T_RIG_BODY @ T_ned_body), invert(T_RIG_BODY))
 
 
 def _turned(
@@ -196,7 +195,7 @@ def _cameras(reading: Reading, log: Log) -> dict[str, CameraStream]:
     """The cameras whose images are there; those without calibration are noted."""
     out: dict[str, CameraStream] = {}
     for name, folder in log.images.items():
-        images = files_by_time(folder, (".png",), image_time)
+        images = files_by_time(folder, (".png",), dates_only=True)
         calibrated = _calibration(reading, log, name)
         if calibrated is not None:
             path, intrinsics, size, T_rig_cam = calibrated
@@ -245,22 +244,3 @@ def _smaller(
     x, y = size[0] / full[0], size[1] / full[1]
     fx, fy, cx, cy = intrinsics
     return Camera("pinhole", *size, fx * x, fy * y, (cx + 0.5) * x - 0.5, (cy + 0.5) * y - 0.5)
-
-
-def image_time(text: str, path: Path, line: int | None = None) -> int:
-    """Nanoseconds of the name of an image: seconds with a point, or whole s, ms, us or ns by the number of digits.
-
-    Raises:
-        DatasetError: it is no time since 1970.
-    """
-    whole = whole_number(text)
-    factor = NS_BY_DIGITS.get(len(text))
-    if whole is not None and factor is not None:
-        return whole * factor
-    try:
-        if whole is None and text[:1].isdigit():
-            return seconds_to_ns(text)
-    except ValueError:
-        pass
-    message = "seconds with a point, or a whole number of 10 (s), 13 (ms), 16 (us) or 19 (ns) digits"
-    raise DatasetError(f"{quoted(text, 30)} is not a time since 1970; expected {message}", path, line)

@@ -87,7 +87,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     if writer.complete:
         return Dataset(out)
     job = Build(writer, options, reporter, run)
-    recordings = [read_recording(source, name) for source, name in zip(sources, names, strict=True)]
+    recordings = [read_recording(source, name, reporter) for source, name in zip(sources, names, strict=True)]
     frames = common_frames(recordings, reporter)
     listed = read_relocalization_files(options.relocalization_files, recordings)
     if not options.relocalization_files:

@@ -13,10 +13,13 @@ import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import parse_pose
-from relocbench.datasets.sensors.trajectories import read_time
+from relocbench.datasets.sensors.pose_columns import read_pose_columns
+from relocbench.datasets.sensors.pose_tables import TQ, Row, pose_table
+from relocbench.datasets.sensors.times import times_in_ns
 from relocbench.errors import DatasetError
 from relocbench.files import lines_of, parse_floats, parse_timestamp, read_rows, read_text
 from relocbench.geometry import Camera, invert
+from relocbench.progress import Reporter
 from relocbench.tracking import KeyframePoints
 
 _POINT_FIELDS = "u v idepth idepth_hessian maxRelBaseline numGoodRes status"
@@ -169,44 +172,33 @@ def _check_gps(rows: list[tuple[int, list[str]]], path: Path) -> None:
 
 def keyframe_files(recording: Path) -> dict[int, Path]:
     """Keyframe files of a recording by timestamp, in time order. Raises DatasetError if a name has no timestamp."""
-    found = {}
-    for path in (recording / "KeyFrameData").glob("KeyFrame_*.txt"):
-        found[parse_timestamp(path.stem.removeprefix("KeyFrame_"), path, None, DatasetError)] = path
-    return dict(sorted(found.items()))
+    files = sorted((recording / "KeyFrameData").glob("KeyFrame_*.txt"))
+    texts = [path.stem.removeprefix("KeyFrame_") for path in files]
+    return dict(sorted(zip(times_in_ns(texts, lambda i: (files[i], None)).ns, files, strict=True)))
 
 
-def read_gnss_poses(path: Path) -> dict[int, GnssPose]:
+def read_gnss_poses(path: Path, reporter: Reporter | None = None) -> dict[int, GnssPose]:
     """Read ``GNSSPoses.txt``: timestamp_ns -> the fused pose of a keyframe.
 
-    Columns: timestamp_ns tx ty tz qx qy qz qw scale [fusion_quality ...].
+    Columns: timestamp_ns tx ty tz qx qy qz qw scale [fusion_quality ...], those of the pose as a header names them.
 
     Raises:
         DatasetError: with file and line.
     """
-    poses: dict[int, GnssPose] = {}
-    for line, fields in read_rows(path, "GNSS poses (timestamp_ns tx ty tz qx qy qz qw scale ...)", DatasetError):
+    what = "GNSS poses (timestamp_ns tx ty tz qx qy qz qw scale ...)"
+    _, found = read_pose_columns(path, what, more=True)
+    rows, scales = [], {}
+    for line, fields in found:
         if len(fields) < 9:
             raise DatasetError(
                 f"expected 9 columns or more (... qw scale fusion_quality), found {len(fields)}", path, line
             )
-        time = parse_timestamp(fields[0], path, line, DatasetError)
-        if time in poses:
-            raise DatasetError(f"timestamp {time} occurs again", path, line)
-        poses[time] = GnssPose(parse_pose(fields[1:8], path, line), _parse_scale(fields[8], path, line))
-    return dict(sorted(poses.items()))
-
-
-def read_poses(path: Path) -> dict[int, Array]:
-    """Read MLAD's ``poses.txt``, ``timestamp tx ty tz qx qy qz qw``: timestamp_ns -> (4, 4) ``T_w_cam`` in metres."""
-    poses: dict[int, Array] = {}
-    for line, fields in read_rows(path, "poses (timestamp tx ty tz qx qy qz qw)", DatasetError):
-        if len(fields) != 8:
-            raise DatasetError(f"expected 8 columns (timestamp tx ty tz qx qy qz qw), found {len(fields)}", path, line)
-        time = read_time(fields[0], path, line)
-        if time in poses:
-            raise DatasetError(f"timestamp {fields[0]} occurs again", path, line)
-        poses[time] = parse_pose(fields[1:], path, line)
-    return dict(sorted(poses.items()))
+        rows.append(Row(line, fields[0], fields[1:8]))
+        scales[line] = fields[8]
+    table = pose_table(rows, TQ, path, reporter)
+    poses = zip(table.transforms, table.lines, strict=True)
+    metric = [GnssPose(T_w_cam, _parse_scale(scales[line], path, line)) for T_w_cam, line in poses]
+    return dict(zip(table.times_ns.tolist(), metric, strict=True))
 
 
 def read_times(path: Path) -> list[int]:
@@ -215,13 +207,16 @@ def read_times(path: Path) -> list[int]:
     Raises:
         DatasetError: with file and line, also if the two times of a line differ by a microsecond or more.
     """
-    times = []
-    for line, fields in read_rows(path, "frame times (timestamp_ns seconds exposure_ms)", DatasetError):
-        time = parse_timestamp(fields[0], path, line, DatasetError)
+    rows = list(read_rows(path, "frame times (timestamp_ns seconds exposure_ms)", DatasetError))
+    for line, fields in rows:
         parse_floats(fields[1:], path, line, "seconds exposure_ms", DatasetError)
-        if abs(read_time(fields[1], path, line) - time) >= 1000:
+    times, seconds = (
+        times_in_ns([fields[column] for _, fields in rows], lambda i: (path, rows[i][0]), own_ns).ns
+        for column, own_ns in ((0, 1), (1, 10**9))
+    )
+    for time, same, (line, fields) in zip(times, seconds, rows, strict=True):
+        if abs(same - time) >= 1000:
             raise DatasetError(f"{fields[0]} ns and {fields[1]} s are not the same time", path, line)
-        times.append(time)
     return times
 
 

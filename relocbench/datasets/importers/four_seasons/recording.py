@@ -13,10 +13,10 @@ from relocbench.arrays import Array
 from relocbench.datasets.importers.four_seasons.files import (
     keyframe_files,
     read_gnss_poses,
-    read_poses,
     read_times,
     read_transformations,
 )
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
@@ -61,7 +61,7 @@ class Recording:
         return self.scales.get(timestamp_ns, self.default_scale)
 
 
-def read_recording(root: Path, name: str) -> Recording:
+def read_recording(root: Path, name: str, reporter: Reporter | None = None) -> Recording:
     """Read poses and transforms of a recording and list its files; keyframes and images are not opened.
 
     Raises:
@@ -70,11 +70,12 @@ def read_recording(root: Path, name: str) -> Recording:
     file = root / "Transformations.txt"
     transformations = read_transformations(file) if file.exists() else None
     if (root / GNSS_POSES).exists():
-        gnss = read_gnss_poses(root / GNSS_POSES)
+        gnss = read_gnss_poses(root / GNSS_POSES, reporter)
         poses = {t: pose.metric for t, pose in gnss.items()}
         source, scales = GNSS_POSES, {t: pose.scale for t, pose in gnss.items()}
     else:
-        poses = read_poses(root / MLAD_POSES) if (root / MLAD_POSES).exists() else {}
+        file = root / MLAD_POSES
+        poses = read_trajectory(file, reporter=reporter).by_time if file.exists() else {}
         source, scales = MLAD_POSES if poses else "", {}
     # Nothing says that the world of MLAD's poses.txt is the one that Transformations.txt refers to.
     on_earth = transformations is not None and source == GNSS_POSES

@@ -22,8 +22,9 @@ from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Tran
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import import_image, open_writer, write_pairs
 from relocbench.datasets.sensors.image_files import ImageFiles
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
-from relocbench.datasets.sensors.trajectories import read_trajectory, timed_files, traversal_names
+from relocbench.datasets.sensors.trajectories import timed_files, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort, undistort_points
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
@@ -126,7 +127,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     writer = open_writer("generic", sources, options, out, fitting_name("generic-" + "-".join(names)))
     if writer.complete:
         return Dataset(out)
-    folders = [read_folder(source, name) for source, name in zip(sources, names, strict=True)]
+    folders = [read_folder(source, name, reporter=reporter) for source, name in zip(sources, names, strict=True)]
     reference, *others = folders
     job = Build(writer, options, reporter, run)
     for folder in folders:
@@ -140,11 +141,12 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     return writer.finish()
 
 
-def read_folder(root: Path, name: str, need_poses: bool = True) -> GenericFolder:
+def read_folder(root: Path, name: str, need_poses: bool = True, reporter: Reporter | None = None) -> GenericFolder:
     """Read the text files of a generic folder and list its images, which are not opened.
 
     Args:
         need_poses: read ``poses.txt``, which recordings with lidar do not need.
+        reporter: is told which rows have no pose.
 
     Raises:
         DatasetError: with file and line.
@@ -161,16 +163,17 @@ def read_folder(root: Path, name: str, need_poses: bool = True) -> GenericFolder
         location=header.location,
         rate_hz=header.rate_hz,
         cameras={c: _read_camera_folder(root, "" if single else c, entry) for c, entry in cameras.items()},
-        T_world_rig=read_trajectory(root / POSE_FILE) if need_poses else {},
+        T_world_rig=read_trajectory(root / POSE_FILE, reporter=reporter).by_time if need_poses else {},
     )
 
 
 def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera) -> CameraFolder:
+    shown = timed_files(root / "images" / subfolder)
     folder = CameraFolder(
         entry,
-        timed_files(root / "images" / subfolder),
-        timed_files(root / "depth" / subfolder, (".png",)),
-        timed_files(root / "points" / subfolder, (".csv",)),
+        shown,
+        timed_files(root / "depth" / subfolder, (".png",), like=shown.values()),
+        timed_files(root / "points" / subfolder, (".csv",), like=shown.values()),
     )
     if not folder.images:
         raise DatasetError("holds no image; expected TIMESTAMP.png or .jpg", root / "images" / subfolder)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
-
-import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
@@ -17,9 +14,10 @@ from relocbench.datasets.importers.generic.dataset import (
     read_folder,
 )
 from relocbench.datasets.importers.generic.scans import LIDAR_FILE, T_NEW_RIG, read_lidar_file, read_lidars
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
-from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert
 from relocbench.progress import Reporter, Silent
@@ -69,17 +67,15 @@ def read_generic(
         folder=folder,
         condition=files.condition if files else Condition(),
         lidars=lidars,
-        poses=_trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns) if by_poses else None,
+        poses=_trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns, report) if by_poses else None,
         poses_from=POSE_FILE,
         cameras=files.streams(T_new_rig) if files else {},
-        prior=_trajectory(prior, T_new_rig, max_gap_ns) if prior.exists() else None,
+        prior=_trajectory(prior, T_new_rig, max_gap_ns, report) if prior.exists() else None,
         location=files.location if files else "",
         max_gap_ns=max_gap_ns,
     )
     return drive.recording(from_lidar, report)
 
 
-def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int) -> Trajectory:
-    poses = read_trajectory(path)
-    T_world_rig = np.array(list(poses.values())).reshape(-1, 4, 4)
-    return replace(trajectory_of(list(poses), T_world_rig, invert(T_new_rig), path), max_gap_ns=max_gap_ns)
+def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int, reporter: Reporter) -> Trajectory:
+    return rig_trajectory(read_trajectory(path, reporter=reporter), invert(T_new_rig), max_gap_ns)

@@ -29,4 +29,4 @@ class Options(DriveOptions):
     def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
         from relocbench.datasets.importers.helipr.recording import read_helipr
 
-        return read_helipr(folder, name, self.lidars, self.odometry)
+        return read_helipr(folder, name, self.lidars, self.odometry, reporter)

@@ -24,14 +24,15 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of, trajectory_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import files_by_time
-from relocbench.datasets.importers.lidar_drives.texts import nanoseconds
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, records, seconds_as_offsets, xyz
-from relocbench.datasets.sensors.trajectories import read_trajectory
+from relocbench.datasets.sensors.times import time_in_ns
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform, project_to_rotation
+from relocbench.progress import Reporter
 
 OdometrySource = Literal["lidar", "poses"]
 
@@ -104,19 +105,26 @@ class HeLiPRPoints:
 
     def __call__(self, data: bytes, path: Path, /) -> Returns:
         row = RECORDS[self.lidar]
-        if self.lidar == "Aeva" and nanoseconds(path.stem, path) <= LAST_WITHOUT_INTENSITY_NS:
+        if self.lidar == "Aeva" and time_in_ns(path.stem, path) <= LAST_WITHOUT_INTENSITY_NS:
             row = AEVA_WITHOUT_INTENSITY
         table = records(data, row, path)
         times = table["t"].astype(np.int64) if "t" in (row.names or ()) else seconds_as_offsets(table["time"])
         return Returns(xyz(table), times)
 
 
-def read_helipr(folder: Path, name: str, lidars: Sequence[str] = (), odometry: OdometrySource = "lidar") -> DriveFiles:
+def read_helipr(
+    folder: Path,
+    name: str,
+    lidars: Sequence[str] = (),
+    odometry: OdometrySource = "lidar",
+    reporter: Reporter | None = None,
+) -> DriveFiles:
     """Read a drive; scans are opened later, on demand.
 
     Args:
         lidars: those to use; default: Ouster and Velodyne, or of them what there is.
         odometry: ``lidar`` registers the scans of the first lidar, ``poses`` is its file in ``LiDAR_GT``.
+        reporter: is told which rows have no pose.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
@@ -125,7 +133,7 @@ def read_helipr(folder: Path, name: str, lidars: Sequence[str] = (), odometry: O
     streams = []
     for lidar in chosen_of(lidars or None, LIDARS, _DEFAULT, "HeLiPR has no lidar"):
         where = folder / "LiDAR" / lidar
-        scans = files_by_time(where, (".bin",), nanoseconds)
+        scans = files_by_time(where, (".bin",))
         if scans[0]:
             decode, pose = HeLiPRPoints(lidar), T_INS_LIDAR[lidar]
             streams.append(ScanFiles(lidar, *scans, pose, decode, _MAX_RANGE_M[lidar], _SIGMA_M, min_range_m=1.0))
@@ -140,13 +148,12 @@ def read_helipr(folder: Path, name: str, lidars: Sequence[str] = (), odometry: O
         folder=folder,
         condition=dated(None, folder),
         lidars=tuple(streams),
-        poses=_poses(files[0], first) if odometry == "poses" else None,
+        poses=_poses(files[0], first, reporter) if odometry == "poses" else None,
         poses_from=str(files[0].relative_to(folder)),
-        prior=_poses(files[1], first) if files[1].exists() else None,
+        prior=_poses(files[1], first, reporter) if files[1].exists() else None,
         prior_sigma_m=_PRIOR_SIGMA_M,
     )
 
 
-def _poses(path: Path, lidar: ScanFiles) -> Trajectory:
-    found = read_trajectory(path)
-    return trajectory_of(list(found), np.array(list(found.values())), invert(lidar.T_rig_lidar), path)
+def _poses(path: Path, lidar: ScanFiles, reporter: Reporter | None) -> Trajectory:
+    return rig_trajectory(read_trajectory(path, reporter=reporter), invert(lidar.T_rig_lidar))

@@ -15,6 +15,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.named_poses import POSE_NUMBERS, pose_of_numbers
+from relocbench.datasets.core.pairfile import missing
 from relocbench.datasets.importers.photos.cameras import camera_of
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import lines_of, parse_count, parse_floats, read_text
@@ -254,8 +255,8 @@ def _camera_sensor(kind: str, parameters: list[str], path: Path, line: int) -> S
 
 
 def _pose(texts: list[str], path: Path, line: int) -> Array | None:
-    """The pose (4, 4) of seven fields; None if one is blank."""
-    if "" in texts:
+    """The pose (4, 4) of seven fields; None if one is blank or not finite."""
+    if missing(texts):
         return None
     try:
         return pose_of_numbers(parse_floats(texts, path, line, POSE_NUMBERS, DatasetError))

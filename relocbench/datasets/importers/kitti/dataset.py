@@ -59,10 +59,10 @@ class _Plan:
     sequence: KittiSequence
     frames: dict[int, Path]
     """frame number -> image, for frames with a pose and a time"""
-    poses: list[Array]
-    """``T_world_cam0`` of frame 0, 1, 2, ..."""
-    times: list[int]
-    """nanoseconds of frame 0, 1, 2, ..."""
+    poses: dict[int, Array]
+    """frame number -> ``T_world_cam0``"""
+    times: dict[int, int]
+    """frame number -> nanoseconds"""
     kind: Literal["stereo", "velodyne"] | None
     depth_files: dict[int, Path]
     """frame number -> right image or scan"""
@@ -118,7 +118,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     options.check_conditions([s.traversal for s in sequences])
     plans = [_read(s, options, needs_depth=s is sequences[0], reporter=reporter) for s in sequences]
     reference, query = plans[0], plans[-1]
-    if query is not reference and all(np.allclose(p.poses[0], np.eye(4), atol=1e-6) for p in plans):
+    if query is not reference and all(
+        np.allclose(p.poses.get(0, np.zeros((4, 4))), np.eye(4), atol=1e-6) for p in plans
+    ):
         reporter.note(
             f"the poses of {reference.sequence.name} and {query.sequence.name} both begin at the identity, as KITTI's "
             "own do, so each is probably in a world of its own and pairs across them would have wrong true poses. "
@@ -161,9 +163,8 @@ def _read(sequence: KittiSequence, options: Options, needs_depth: bool, reporter
     found = sequence.image_frames(options.camera)
     if not found:
         raise DatasetError("holds no images (000000.png, ...)", sequence.folder / options.camera)
-    poses = sequence.poses()
-    times = sequence.times(options.rate_hz, len(poses), reporter)
-    frames = {i: path for i, path in found.items() if i < min(len(poses), len(times))}
+    times, poses = sequence.times_and_poses(options.rate_hz, max(found) + 1, reporter)
+    frames = {i: path for i, path in found.items() if i in poses and i in times}
     if len(frames) < len(found):
         reporter.note(f"{sequence.name}: {len(found) - len(frames)} images without a pose or time are left out")
     if not frames:
@@ -256,5 +257,5 @@ def _stereo_geometry(sequence: KittiSequence, options: Options) -> StereoGeometr
     return StereoGeometry(focal_baseline, offset, options.max_depth, options.max_disparity)
 
 
-def _rate(times: list[int]) -> float | None:
-    return round(1e9 / float(np.median(np.diff(times))), 3) if len(times) > 1 else None
+def _rate(times: dict[int, int]) -> float | None:
+    return round(1e9 / float(np.median(np.diff(list(times.values())))), 3) if len(times) > 1 else None

@@ -10,12 +10,14 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
-from relocbench.datasets.sensors.matrices import parse_matrix
+from relocbench.datasets.sensors.numbered_rows import NumberedRows, read_numbered_rows, read_numbered_times
+from relocbench.datasets.sensors.pose_tables import MATRIX, Row, pose_table
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, parse_seconds, read_rows, read_text, whole_number
+from relocbench.files import parse_floats, read_rows, whole_number
 from relocbench.geometry import Camera, make_transform, project_to_rotation
 from relocbench.progress import Reporter
 
+_SECOND_NS = 10**9
 _CALIBRATION_LINES = ("P0", "P1", "P2", "P3", "Tr")
 _MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))
 
@@ -109,24 +111,45 @@ class KittiSequence:
         except ValueError as bad:
             raise DatasetError(f"line 'P{camera[-1]}:' is not a projection ({bad})", self.calibration.path) from None
 
-    def poses(self) -> list[Array]:
-        """``T_world_cam0`` (4, 4) of frames 0, 1, 2, ... Raises DatasetError with file and line."""
-        rows = read_rows(self.poses_file, f"poses of sequence {self.name} (12 numbers a line)", DatasetError)
-        return [parse_matrix(fields, self.poses_file, number) for number, fields in rows]
-
-    def times(self, rate_hz: float, frames: int, reporter: Reporter) -> list[int]:
-        """Times of frames 0, 1, 2, ... in nanoseconds, from ``times.txt`` or ``rate_hz``.
+    def poses(self, reporter: Reporter | None = None) -> tuple[NumberedRows, dict[int, Array]]:
+        """The rows of the file of poses, and ``T_world_cam0`` (4, 4) by frame, without frames that have none.
 
         Raises:
             DatasetError: with file and line.
         """
+        rows = read_numbered_rows(self.poses_file, f"poses of sequence {self.name} (12 numbers a line)")
+        filled = [Row(row.line, "", row.fields) for row in rows.filled.values()]
+        return rows, pose_table(filled, MATRIX, self.poses_file, reporter, times=list(rows.filled)).by_time
+
+    def times(self, rate_hz: float, frames: int, reporter: Reporter) -> tuple[NumberedRows | None, dict[int, int]]:
+        """The rows of ``times.txt``, if there is one, and nanoseconds by frame, from it or by ``rate_hz``.
+
+        Args:
+            frames: the number of the last one, and one.
+
+        Raises:
+            DatasetError: with file and line: a row is no time, times do not increase, or there are fewer than frames.
+        """
         path = self.folder / "times.txt"
         if not path.exists():
             reporter.note(f"{self.name}: no times.txt; {rate_hz:g} frames per second are assumed")
-            return [round(i * 1e9 / rate_hz) for i in range(frames)]
-        times: list[int] = []
-        for number, line in enumerate(read_text(path, "times in seconds", DatasetError).split(), start=1):
-            times.append(parse_seconds(line, path, number, DatasetError))
-            if len(times) > 1 and times[-1] <= times[-2]:
-                raise DatasetError(f"time {line} is not later than the previous one", path, number)
-        return times
+            return None, {i: round(i * 1e9 / rate_hz) for i in range(frames)}
+        rows, read, numbers = read_numbered_times(path, _SECOND_NS)
+        rows.check_covers(frames, "frames")
+        return rows, dict(zip(numbers, read.ns, strict=True))
+
+    def times_and_poses(
+        self, rate_hz: float, frames: int, reporter: Reporter
+    ) -> tuple[dict[int, int], dict[int, Array]]:
+        """Nanoseconds and ``T_world_cam0`` (4, 4) by frame, of those that have one.
+
+        Raises:
+            DatasetError: with file and line: as :meth:`times` and :meth:`poses`, or the files have different numbers of
+                rows, or fewer than there are frames: then nothing tells which row belongs to which frame.
+        """
+        rows, poses = self.poses(reporter)
+        rows.check_covers(frames, "frames")
+        timed, times = self.times(rate_hz, max(frames, len(rows)), reporter)
+        if timed is not None:
+            rows.check_agrees(timed)
+        return times, poses

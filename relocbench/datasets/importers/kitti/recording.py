@@ -5,7 +5,7 @@ The rig is the lidar: x forward, y left, z up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -113,12 +113,20 @@ def read_kitti(
         raise DatasetError("holds no lidar scan; expected velodyne/NNNNNN.bin", files.folder)
     found = _image_files(files, cameras)
     frames = 1 + max(max(numbers) for numbers in (scans, *found.values()))
-    times = _times(files, rate_hz, frames, report)
+    poses: dict[int, Array] | None = None
+    if odometry == "poses":
+        times, poses = files.times_and_poses(rate_hz, frames, report)
+    else:
+        _, times = files.times(rate_hz, frames, report)
     missing = 1 + max(scans) - min(scans) - len(scans)
     if missing:
         report.note(f"{files.traversal}: {missing} scans between the first and the last are missing")
-    streams = {camera: _camera(files, camera, numbers, times) for camera, numbers in found.items()}
-    lidar = VelodyneStream(tuple(scans.values()), times[list(scans)], "compensated", elevation_deg)
+    scans = _timed(scans, times, files.traversal, report)
+    found = {camera: _timed(numbers, times, f"{files.traversal}/{camera}", report) for camera, numbers in found.items()}
+    if not scans:
+        raise DatasetError("has no time of a scan", files.folder / "times.txt")
+    streams = {camera: _camera(files, camera, numbers, times) for camera, numbers in found.items() if numbers}
+    lidar = VelodyneStream(tuple(scans.values()), _at(scans, times), "compensated", elevation_deg)
     if motion == "auto":
         motion = detected_motion(files.traversal, lidar, replace(lidar, motion="distorted"), report)
     lidar = replace(lidar, motion=motion)
@@ -127,7 +135,7 @@ def read_kitti(
         folder=files.folder,
         condition=Condition(),
         lidars=(lidar,),
-        poses=_poses(files, times) if odometry == "poses" else None,
+        poses=None if poses is None else _motion(files, poses, times),
         poses_from=f"poses/{sequence}.txt",
         cameras=streams,
     )
@@ -146,28 +154,29 @@ def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[st
     return found
 
 
-def _times(files: KittiSequence, rate_hz: float, frames: int, reporter: Reporter) -> Times:
-    times = files.times(rate_hz, frames, reporter)
-    if len(times) < frames:
-        raise DatasetError(f"holds {len(times)} times for {frames} frames", files.folder / "times.txt")
-    return np.array(times, dtype=np.int64)
+def _timed(found: dict[int, Path], times: dict[int, int], what: str, reporter: Reporter) -> dict[int, Path]:
+    """The files of frames that have a time."""
+    kept = {frame: path for frame, path in found.items() if frame in times}
+    if len(kept) < len(found):
+        reporter.note(f"{what}: {len(found) - len(kept)} of {len(found)} frames have no time and are left out")
+    return kept
 
 
-def _poses(files: KittiSequence, times: Times) -> Trajectory:
+def _at(frames: Iterable[int], times: dict[int, int]) -> Times:
+    return np.array([times[frame] for frame in frames], dtype=np.int64)
+
+
+def _motion(files: KittiSequence, poses: dict[int, Array], times: dict[int, int]) -> Trajectory:
     """The motion of the lidar by ``poses/NN.txt``, whose poses are those of camera 0."""
-    T_world_cam0 = files.poses()
-    if len(T_world_cam0) < 2:
-        raise DatasetError(f"holds {len(T_world_cam0)} poses; odometry needs at least 2", files.poses_file)
-    if len(times) < len(T_world_cam0):
-        # times.txt may be shorter than the poses; poses without a time are not used.
-        T_world_cam0 = T_world_cam0[: len(times)]
-    T_cam0_rig = files.calibration.T_cam0_lidar()
-    T_world_rig = np.array(T_world_cam0) @ T_cam0_rig
-    return Trajectory(times[: len(T_world_rig)], T_world_rig)
+    frames = [frame for frame in poses if frame in times]
+    if len(frames) < 2:
+        raise DatasetError(f"holds {len(frames)} poses; odometry needs at least 2", files.poses_file)
+    T_world_cam0 = np.array([poses[frame] for frame in frames])
+    return Trajectory(_at(frames, times), T_world_cam0 @ files.calibration.T_cam0_lidar())
 
 
-def _camera(files: KittiSequence, name: str, numbers: dict[int, Path], times: Times) -> CameraStream:
+def _camera(files: KittiSequence, name: str, numbers: dict[int, Path], times: dict[int, int]) -> CameraStream:
     camera = files.camera(name, next(iter(numbers.values())))
     T_rig_cam = invert(files.calibration.T_cam0_lidar()) @ files.calibration.T_cam0_cam(name)
     size_from = f"the first image of {name}"
-    return ImageFiles(name, camera, T_rig_cam, tuple(numbers.values()), times[list(numbers)], size_from)
+    return ImageFiles(name, camera, T_rig_cam, tuple(numbers.values()), _at(numbers, times), size_from)

@@ -37,7 +37,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     for sequence in options.sequence:
         check_folder(root / "data_3d_raw" / drive_name(sequence), "a sequence of KITTI-360")
     drives = [
-        read_kitti360(root, sequence, name, options.odometry)
+        read_kitti360(root, sequence, name, options.odometry, reporter)
         for sequence, name in zip(options.sequence, names, strict=True)
     ]
     return build_from(drives, "kitti-360", sources, options, out, reporter, run)

@@ -24,17 +24,21 @@ from typing import Literal
 
 import numpy as np
 
-from relocbench.arrays import Array, Times
+from relocbench.arrays import Array
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, read_matrix_rows
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import check_file, pinhole_files
 from relocbench.datasets.importers.lidar_drives.texts import read_transform
 from relocbench.datasets.sensors.matrices import as_transform, parse_matrix
+from relocbench.datasets.sensors.numbered_rows import read_numbered_rows
+from relocbench.datasets.sensors.pose_tables import read_matrix_rows, short_name
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns, swept
+from relocbench.datasets.sensors.times import check_increasing
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import lines_of, parse_count, parse_floats, read_rows, read_text, whole_number
+from relocbench.files import parse_count, parse_floats, read_rows, whole_number
 from relocbench.geometry import invert, is_rotation, make_transform, project_to_rotation
+from relocbench.progress import Reporter, Silent
 
 OdometrySource = Literal["lidar", "poses"]
 
@@ -50,35 +54,40 @@ def drive_name(sequence: str) -> str:
     return f"2013_05_28_drive_{sequence}_sync" if re.fullmatch(r"[0-9]{4}", sequence) else sequence
 
 
-def read_kitti360(root: Path, sequence: str, name: str, odometry: OdometrySource = "lidar") -> DriveFiles:
+def read_kitti360(
+    root: Path, sequence: str, name: str, odometry: OdometrySource = "lidar", reporter: Reporter | None = None
+) -> DriveFiles:
     """Read a sequence; scans and images are opened later, on demand.
 
     Args:
         root: folder that holds ``calibration``, ``data_3d_raw`` and the others.
         sequence: its number with four digits, or the name of its folders.
         odometry: ``lidar`` registers the scans, ``poses`` is ``poses.txt``, by GNSS/INS and fitted to images and scans.
+        reporter: is told which rows have no time or pose.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
     """
+    report = reporter or Silent()
     drive = drive_name(sequence)
     folder = root / "data_3d_raw" / drive / "velodyne_points"
     files = frames(folder / "data", ".bin")
     if not files:
         raise DatasetError("holds no lidar scan; expected FRAME.bin", folder / "data")
     times = read_times(folder / "timestamps.txt")
-    scans = tuple(files.values()), _times_of(list(files), times, folder / "timestamps.txt")
-    lidar = ScanFiles("velodyne", *scans, np.eye(4), decode, 120.0, 0.02, min_range_m=1.5)
+    scans = _timed(files, times, folder / "timestamps.txt", report)
+    scan_times = np.array([times[frame] for frame in scans], dtype=np.int64)
+    lidar = ScanFiles("velodyne", tuple(scans.values()), scan_times, np.eye(4), decode, 120.0, 0.02, min_range_m=1.5)
     calibration = Calibration(root / "calibration")
     path = root / "data_poses" / drive / "poses.txt"
-    track = None if odometry == "lidar" and not path.exists() else read_poses(path, times, calibration)
+    track = None if odometry == "lidar" and not path.exists() else read_poses(path, times, calibration, report)
     month = _NAMED.fullmatch(drive)
     return DriveFiles(
         name=name,
         folder=root / "data_3d_raw" / drive,
         condition=dated(int(month[1]) if month else None, root),
         lidars=(lidar,),
-        cameras=_cameras(root / "data_2d_raw" / drive, calibration),
+        cameras=_cameras(root / "data_2d_raw" / drive, calibration, times, report),
         poses=track if odometry == "poses" else None,
         poses_from=f"data_poses/{drive}/poses.txt",
         prior=track,
@@ -100,33 +109,64 @@ def frames(folder: Path, suffix: str) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def read_times(path: Path) -> Times:
-    """Nanoseconds (N,) of frames 0, 1, ... from dates and times of day, taken for UTC.
+def read_times(path: Path) -> dict[int, int]:
+    """Nanoseconds by frame from dates and times of day, one a line, taken for UTC; empty lines are lost frames.
 
     Raises:
         DatasetError: with file and line: a line is no date and time, or times do not increase.
     """
-    times: list[int] = []
-    for number, line in enumerate(lines_of(read_text(path, "times of frames", DatasetError)), start=1):
-        if not line.strip():
-            continue
-        found = _TIME.fullmatch(line.strip())
+    rows = read_numbered_rows(path, "times of frames").filled
+    times: dict[int, int] = {}
+    for frame, row in rows.items():
+        text = " ".join(row.fields)
+        found = _TIME.fullmatch(text)
         try:
             if found is None:
                 raise ValueError
             second = datetime.fromisoformat(f"{found[1]}T{found[2]}").replace(tzinfo=UTC).timestamp()
         except ValueError:
-            raise DatasetError(f"{quoted(line.strip())} is not a date and time of day", path, number) from None
-        times.append(int(second) * 10**9 + int((found[3] or "0").ljust(9, "0")))
-        if len(times) > 1 and times[-1] <= times[-2]:
-            raise DatasetError("the time is not later than that of the frame before", path, number)
-    return np.array(times, dtype=np.int64)
+            raise DatasetError(f"{quoted(text)} is not a date and time of day", path, row.line) from None
+        times[frame] = int(second) * 10**9 + int((found[3] or "0").ljust(9, "0"))
+    texts, lines = [" ".join(row.fields) for row in rows.values()], [row.line for row in rows.values()]
+    check_increasing(list(times.values()), texts, path, lines)
+    return times
 
 
-def _times_of(numbers: list[int], times: Times, path: Path) -> Times:
-    if numbers and max(numbers) >= len(times):
-        raise DatasetError(f"holds {len(times)} times, but there is a frame {max(numbers)}", path)
-    return times[numbers]
+def _timed(files: dict[int, Path], times: dict[int, int], table: Path, report: Reporter) -> dict[int, Path]:
+    """The files of the frames that have a time.
+
+    Raises:
+        DatasetError: there are frames beyond the last time, or none has one.
+    """
+    last = max(times, default=-1)
+    if max(files) > last:
+        raise DatasetError(f"holds {last + 1} times, but there is a frame {max(files)}", table)
+    kept = {frame: path for frame, path in files.items() if frame in times}
+    if len(kept) < len(files):
+        report.note(
+            f"{short_name(table)}: {len(files) - len(kept)} of {len(files)} frames have no time and are left out"
+        )
+    if not kept:
+        raise DatasetError("has no time of a frame", table)
+    return kept
+
+
+def _check_together(times: dict[int, int], scans: dict[int, int], table: Path) -> None:
+    """Check that cameras and lidar have the same time at the same frame, which a row too few or too many shifts.
+
+    Raises:
+        DatasetError: they do not.
+    """
+    frames = np.array(sorted(times.keys() & scans.keys()))
+    if len(frames) < 2:
+        return
+    apart = np.array([times[frame] - scans[frame] for frame in frames.tolist()])
+    step = np.median(np.diff([scans[frame] for frame in frames.tolist()]) / np.diff(frames))
+    off = np.flatnonzero(np.abs(apart) > step / 2)
+    if off.size:
+        frame, seconds = int(frames[off[0]]), float(apart[off[0]]) / 1e9
+        message = f"the time of frame {frame} is {seconds:+.3f} s from that of its scan, as if rows were missing"
+        raise DatasetError(f"{message}; expected one clock, and a row for each frame", table)
 
 
 class Calibration:
@@ -174,26 +214,38 @@ class Calibration:
         raise DatasetError(f"line '{name}:' is missing", path)
 
 
-def read_poses(path: Path, times: Times, calibration: Calibration) -> Trajectory:
-    """Poses of the lidar at frames. Raises DatasetError with file and line."""
+def read_poses(
+    path: Path, times: dict[int, int], calibration: Calibration, reporter: Reporter | None = None
+) -> Trajectory:
+    """Poses of the lidar at frames.
 
-    def time_of(frame: str, path: Path, line: int) -> int:
-        number = parse_count(frame, "frame", path, line, DatasetError)
-        if number >= len(times):
-            raise DatasetError(f"frame {number} has no time; there are {len(times)}", path, line)
-        return int(times[number])
+    Raises:
+        DatasetError: with file and line: a row is no frame and pose, or frames do not increase or have no times.
+    """
+    last = max(times, default=-1)
 
-    return read_matrix_rows(path, time_of, invert(calibration.T_velo_imu()))
+    def time_of(text: str, path: Path, line: int) -> int | None:
+        frame = parse_count(text, "frame", path, line, DatasetError)
+        if frame > last:
+            raise DatasetError(f"frame {frame} has no time; there are {last + 1}", path, line)
+        return times.get(frame)
+
+    return rig_trajectory(read_matrix_rows(path, reporter, time_of=time_of), invert(calibration.T_velo_imu()))
 
 
-def _cameras(folder: Path, calibration: Calibration) -> dict[str, CameraStream]:
+def _cameras(
+    folder: Path, calibration: Calibration, scans: dict[int, int], report: Reporter
+) -> dict[str, CameraStream]:
     streams: dict[str, CameraStream] = {}
     for camera in CAMERAS:
         files = frames(folder / camera / "data_rect", ".png")
         if not files:
             continue
         table = folder / camera / "timestamps.txt"
-        found = tuple(files.values()), _times_of(list(files), read_times(table), table)
+        times = read_times(table)
+        _check_together(times, scans, table)
+        timed = _timed(files, times, table, report)
+        found = tuple(timed.values()), np.array([times[frame] for frame in timed], dtype=np.int64)
         path = calibration.folder / "perspective.txt"
         pose = calibration.T_velo_rect(camera)
         streams[camera] = pinhole_files(camera, found, calibration.intrinsics(camera), pose, path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,10 +11,9 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
-from relocbench.datasets.sensors.matrices import parse_matrix
+from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.errors import ConfigError, DatasetError, available
-from relocbench.files import read_rows
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
 
@@ -111,41 +110,16 @@ def _start(prior: Trajectory) -> Array:
     return np.asarray(np.floor(prior.T_odom_rig[0, :3, 3] / 1000.0) * 1000.0)
 
 
-def trajectory_of(times: Sequence[int] | Times, T_map_body: Array, T_body_rig: Array, path: Path) -> Trajectory:
-    """Poses of the rig from those of another body on it.
-
-    Args:
-        times: (N,) nanoseconds, which need not be sorted; of equal times the first is kept.
-        path: the file that the poses are from.
+def rig_trajectory(table: PoseTable, T_body_rig: Array | None = None, max_gap_ns: int = 1_000_000_000) -> Trajectory:
+    """Poses of the rig from those of another body on it; default: the body is the rig.
 
     Raises:
         DatasetError: there are fewer than two poses.
     """
-    unique, first = np.unique(np.asarray(times, dtype=np.int64), return_index=True)
-    if len(unique) < 2:
-        raise DatasetError(f"holds {len(unique)} poses; a trajectory has at least 2", path)
-    return Trajectory(unique, T_map_body[first] @ T_body_rig)
-
-
-def read_matrix_rows(
-    path: Path, time_of: Callable[[str, Path, int], int], T_body_rig: Array | None = None
-) -> Trajectory:
-    """Poses of the rig from rows of a time and the upper three rows of ``T_map_body``, between commas or spaces.
-
-    Args:
-        time_of: nanoseconds of the first field of a row, with file and line for messages.
-        T_body_rig: default: the body is the rig.
-
-    Raises:
-        DatasetError: with file and line: a field is no number, or a matrix is no transform.
-    """
-    times, poses = [], []
-    for line, (time, *fields) in read_rows(path, "poses (time and 12 numbers a line)", DatasetError):
-        times.append(time_of(time, path, line))
-        poses.append(parse_matrix(fields, path, line))
-    if not poses:
-        raise DatasetError("holds no pose", path)
-    return trajectory_of(times, np.array(poses), np.eye(4) if T_body_rig is None else T_body_rig, path)
+    if len(table.times_ns) < 2:
+        raise DatasetError(f"holds {len(table.times_ns)} poses; a trajectory has at least 2", table.path)
+    T_map_body = table.transforms
+    return Trajectory(table.times_ns, T_map_body if T_body_rig is None else T_map_body @ T_body_rig, max_gap_ns)
 
 
 def chosen_of(wanted: Sequence[str] | None, known: Sequence[str], default: Sequence[str], what: str) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +16,14 @@ from relocbench.geometry import Camera, CameraModel
 
 
 def files_by_time(
-    folder: Path, suffixes: tuple[str, ...], parse: Callable[[str, Path], int]
+    folder: Path, suffixes: tuple[str, ...], own_ns: int = 1, *, dates_only: bool = False
 ) -> tuple[tuple[Path, ...], Times]:
     """The files of a folder and their times (N,), as :func:`timed_files`.
 
     Raises:
         DatasetError: a name is not a time, two files have the same time, or a file is empty.
     """
-    found = timed_files(folder, suffixes, parse)
+    found = timed_files(folder, suffixes, own_ns, dates_only=dates_only)
     for path in found.values():
         check_file(path)
     return tuple(found.values()), np.array(list(found), dtype=np.int64)

@@ -12,11 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from relocbench.arrays import Array
 from relocbench.datasets.sensors.matrices import as_transform
-from relocbench.errors import DatasetError, quoted
-from relocbench.files import lines_of, parse_floats, read_rows, read_text, seconds_to_ns, whole_number
+from relocbench.errors import DatasetError
+from relocbench.files import lines_of, parse_floats, read_rows, read_text
 from relocbench.geometry import make_transform
-
-_MOST_US = (2**63 - 1) // 1000
 
 
 def read_named_columns(path: Path, columns: Sequence[str], what: str) -> Iterator[tuple[int, list[str]]]:
@@ -77,34 +75,3 @@ def transform_from_xyzrpy(values: ArrayLike) -> Array:
     # Lower-case axes are fixed (extrinsic): about x first, about z last.
     rotation = Rotation.from_euler("xyz", v[..., 3:].reshape(-1, 3)).as_matrix()
     return make_transform(rotation.reshape(*v.shape[:-1], 3, 3), v[..., :3])
-
-
-def microseconds_to_ns(text: str, path: Path, line: int | None = None) -> int:
-    """Nanoseconds of a time in whole microseconds since 1970. Raises DatasetError with file and line."""
-    value = whole_number(text)
-    if value is None or value > _MOST_US:
-        raise DatasetError(f"{quoted(text, 30)} is not a time in whole microseconds", path, line)
-    return value * 1000
-
-
-def nanoseconds(text: str, path: Path, line: int | None = None) -> int:
-    """A time in whole nanoseconds since 1970. Raises DatasetError with file and line."""
-    value = whole_number(text)
-    if value is None:
-        raise DatasetError(f"{quoted(text, 30)} is not a time in whole nanoseconds", path, line)
-    return value
-
-
-def seconds_or_microseconds_to_ns(text: str, path: Path, line: int | None = None) -> int:
-    """Nanoseconds of a time in seconds, or in microseconds if it is whole and has 14 digits or more.
-
-    Raises:
-        DatasetError: with file and line.
-    """
-    value = whole_number(text)
-    if value is not None and len(text) >= 14:
-        return microseconds_to_ns(text, path, line)
-    try:
-        return seconds_to_ns(text)
-    except ValueError as bad:
-        raise DatasetError(f"{bad}; expected a time in seconds or whole microseconds", path, line) from None

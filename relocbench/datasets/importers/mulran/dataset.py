@@ -32,4 +32,4 @@ class Options(DriveOptions):
     def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
         from relocbench.datasets.importers.mulran.recording import read_mulran
 
-        return read_mulran(folder, name, self.odometry, self.scan_time)
+        return read_mulran(folder, name, self.odometry, self.scan_time, reporter)

@@ -21,12 +21,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, read_matrix_rows
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import files_by_time
-from relocbench.datasets.importers.lidar_drives.texts import nanoseconds
+from relocbench.datasets.sensors.pose_tables import read_matrix_rows
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns
 from relocbench.errors import DatasetError
 from relocbench.geometry import make_transform
+from relocbench.progress import Reporter
 
 OdometrySource = Literal["lidar", "poses"]
 ScanTime = Literal["start", "middle", "end"]
@@ -56,25 +57,31 @@ class ColumnsInOrder:
 
 
 def read_mulran(
-    folder: Path, name: str, odometry: OdometrySource = "lidar", scan_time: ScanTime = "start"
+    folder: Path,
+    name: str,
+    odometry: OdometrySource = "lidar",
+    scan_time: ScanTime = "start",
+    reporter: Reporter | None = None,
 ) -> DriveFiles:
     """Read a drive; scans are opened later, on demand.
 
     Args:
         odometry: ``lidar`` registers the scans, ``poses`` is ``global_pose.csv``.
         scan_time: the moment of a turn that a scan's name states.
+        reporter: is told which rows have no pose.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
     """
     places = [folder / "sensor_data" / "Ouster", folder / "Ouster"]
     where = next((place for place in places if place.is_dir()), places[0])
-    scans = files_by_time(where, (".bin",), nanoseconds)
+    scans = files_by_time(where, (".bin",))
     if not scans[0]:
         raise DatasetError("holds no lidar scan; expected TIME.bin in nanoseconds", where)
     lidar = ScanFiles("Ouster", *scans, T_BASE_OUSTER, ColumnsInOrder(scan_time), 120.0, 0.03, min_range_m=0.8)
     path = folder / "global_pose.csv"
-    track = None if odometry == "lidar" and not path.exists() else read_matrix_rows(path, nanoseconds)
+    needless = odometry == "lidar" and not path.exists()
+    track = None if needless else rig_trajectory(read_matrix_rows(path, reporter))
     return DriveFiles(
         name=name,
         folder=folder,

@@ -32,4 +32,4 @@ class Options(DriveOptions):
     def read(self, folder: Path, name: str, reporter: Reporter) -> DriveFiles:
         from relocbench.datasets.importers.nclt.recording import read_nclt
 
-        return read_nclt(folder, name, self.odometry, self.camera_parameters)
+        return read_nclt(folder, name, self.odometry, self.camera_parameters, reporter)

@@ -26,14 +26,16 @@ import numpy as np
 
 from relocbench.datasets.core.image_header import MOST_FILE_BYTES
 from relocbench.datasets.importers.lidar_drives.conditions import dated
-from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, trajectory_of
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import camera_of, files_by_time
-from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns, read_matrix, transform_from_xyzrpy
+from relocbench.datasets.importers.lidar_drives.texts import read_matrix, transform_from_xyzrpy
 from relocbench.datasets.importers.nclt.images import LadybugImages, tiff_size
+from relocbench.datasets.sensors.pose_tables import PoseNumbers, Row, pose_table
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, records
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_bytes, read_rows
+from relocbench.progress import Reporter
 
 OdometrySource = Literal["lidar", "wheels", "poses"]
 
@@ -42,6 +44,8 @@ T_RIG_BODY = np.diag([1.0, -1.0, -1.0, 1.0])
 CAMERAS = ("Cam5", "Cam1", "Cam2", "Cam3", "Cam4", "Cam0")
 """the one that looks ahead first; Cam0 looks up"""
 _STEP_M, _OFFSET_M = 0.005, -100.0
+_US = 10**3
+"""nanoseconds"""
 _SIX = "x y z roll pitch yaw"
 _NAME = re.compile(r"[0-9]{4}-([0-9]{2})-[0-9]{2}")
 _PRIOR_SIGMA_M = 3.0
@@ -56,6 +60,7 @@ def read_nclt(
     name: str,
     odometry: OdometrySource = "lidar",
     calibration: Path | None = None,
+    reporter: Reporter | None = None,
 ) -> DriveFiles:
     """Read a drive; scans and images are opened later, on demand.
 
@@ -64,20 +69,22 @@ def read_nclt(
         odometry: ``lidar`` registers the scans, ``wheels`` is ``odometry_mu_100hz.csv``, ``poses`` the ground truth.
         calibration: folder of ``K_camN.csv``, ``x_lb3_cN.csv`` and ``U2D_CamN_*.txt``; default: ``cam_params`` in the
             drive's folder or the one above it.
+        reporter: is told which rows have no pose.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
     """
-    scans = files_by_time(folder / "velodyne_sync", (".bin",), microseconds_to_ns)
+    scans = files_by_time(folder / "velodyne_sync", (".bin",), _US)
     if not scans[0]:
         raise DatasetError("holds no lidar scan; expected TIME.bin in microseconds", folder / "velodyne_sync")
     lidar = ScanFiles("velodyne_sync", *scans, T_RIG_BODY, decode, 80.0, 0.03, min_range_m=1.0)
     truth = next(iter([*sorted(folder.glob("groundtruth_*.csv")), *_beside(folder)]), None)
-    prior = None if truth is None else read_poses(truth)
+    prior = None if truth is None else read_poses(truth, reporter)
     wheels = folder / "odometry_mu_100hz.csv"
     if odometry == "poses" and truth is None:
         raise DatasetError("holds no ground truth; expected groundtruth_DATE.csv", folder)
     source = {"lidar": None, "wheels": wheels, "poses": truth}[odometry]
+    poses = read_poses(wheels, reporter) if odometry == "wheels" else prior if odometry == "poses" else None
     found = _NAME.fullmatch(folder.resolve().name)
     return DriveFiles(
         name=name,
@@ -85,7 +92,7 @@ def read_nclt(
         condition=dated(int(found[1]) if found else None, folder),
         lidars=(lidar,),
         cameras=_cameras(folder, calibration),
-        poses=None if source is None else read_poses(source),
+        poses=poses,
         poses_from="" if source is None else source.name,
         prior=prior,
         prior_sigma_m=_PRIOR_SIGMA_M,
@@ -102,29 +109,22 @@ def decode(data: bytes, path: Path) -> Returns:
     return Returns(np.column_stack([table[axis] * _STEP_M + _OFFSET_M for axis in "xyz"]))
 
 
-def read_poses(path: Path) -> Trajectory:
+def read_poses(path: Path, reporter: Reporter | None = None) -> Trajectory:
     """Poses of the rig in a map with z up, without the rows that are NaN.
 
     Raises:
-        DatasetError: with file and line: a field is no number, or there are no poses.
+        DatasetError: with file and line: a field is no number, times go back, or there are fewer than two poses.
     """
-    times, values = [], []
-    for line, (time, *fields) in read_rows(path, f"poses (time {_SIX})", DatasetError):
-        if any(field.lower() == "nan" for field in fields):
-            continue
-        values.append(parse_floats(fields, path, line, _SIX, DatasetError))
-        times.append(microseconds_to_ns(time, path, line))
-    if not times:
-        raise DatasetError("holds no pose", path)
-    T_map_rig = T_RIG_BODY @ transform_from_xyzrpy(values) @ T_RIG_BODY
-    return trajectory_of(times, T_map_rig, np.eye(4), path)
+    rows = [Row(line, time, fields) for line, (time, *fields) in read_rows(path, f"poses (time {_SIX})", DatasetError)]
+    kind = PoseNumbers(_SIX, lambda values: T_RIG_BODY @ transform_from_xyzrpy(values) @ T_RIG_BODY)
+    return rig_trajectory(pose_table(rows, kind, path, reporter, own_ns=_US))
 
 
 def _cameras(folder: Path, calibration: Path | None) -> dict[str, CameraStream]:
     """The cameras that have images."""
     streams: dict[str, CameraStream] = {}
     for name in CAMERAS:
-        found = files_by_time(folder / "lb3" / name, (".tiff", ".tif"), microseconds_to_ns)
+        found = files_by_time(folder / "lb3" / name, (".tiff", ".tif"), _US)
         if not found[0]:
             continue
         where = _calibration(folder, calibration)

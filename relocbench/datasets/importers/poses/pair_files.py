@@ -191,7 +191,7 @@ def _poses(listed: Sequence[_Listed], placed: Mapping[str, Path], job: Build[Opt
     """
     poses: dict[str, dict[int, Array]] = {name: {} for one in listed for name in one.key[:2]}
     for name, file in placed.items():
-        own = read_pose_file(file, job.options.quaternions)
+        own = read_pose_file(file, job.options.given("quaternions"), reporter=job.reporter)
         times = {t for one in listed for p in one.pairs for n, t in zip(one.key[:2], p.key, strict=True) if n == name}
         poses[name], unmatched = at_times(own, times)
         if unmatched:

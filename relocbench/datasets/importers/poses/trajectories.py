@@ -114,7 +114,7 @@ def build(sources: list[Path], options: DatasetOptions, out: Path, reporter: Rep
     with reporter.stage("reading poses", len(sources)) as advance:
         drives = []
         for name, source, times in zip(names, sources, files, strict=True):
-            drives.append(_Drive(name, source, read_pose_file(source, options.quaternions, times)))
+            drives.append(_Drive(name, source, read_pose_file(source, options.given("quaternions"), times, reporter)))
             advance(1)
     _tell_doubts(drives, job)
     for drive in drives:

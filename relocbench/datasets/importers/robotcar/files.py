@@ -14,20 +14,26 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array, Times
+from relocbench.datasets.core.pairfile import missing
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.importers.lidar_drives.conditions import season_of
 from relocbench.datasets.importers.lidar_drives.texts import (
-    microseconds_to_ns,
     read_named_columns,
     transform_from_xyzrpy,
 )
 from relocbench.datasets.sensors.matrices import as_transform
+from relocbench.datasets.sensors.pose_tables import PoseNumbers, Row, pose_table, short_name
+from relocbench.datasets.sensors.times import check_increasing, times_in_ns
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml_value, parse_floats, read_rows
+from relocbench.progress import Reporter
 
+US = 10**3
+"""nanoseconds of the unit of times"""
 POSE_COLUMNS = "x y z roll pitch yaw"
 VO_COLUMNS = ("source_timestamp", "destination_timestamp", *POSE_COLUMNS.split())
 INS_COLUMNS = ("timestamp", "ins_status", "northing", "easting", "down", "utm_zone", "roll", "pitch", "yaw")
+_INS_NUMBERS = "northing easting down roll pitch yaw"
 _GOOD_STATUS = ("INS_SOLUTION_GOOD", "INS_ALIGNMENT_COMPLETE")
 _WEATHER = {"snow": "snow", "rain": "rain", "overcast": "overcast", "clouds": "cloudy", "sun": "sunny"}
 """tag -> weather; the first of these that is among a traversal's tags determines its weather"""
@@ -40,14 +46,14 @@ def read_timestamps(path: Path) -> Times:
     Raises:
         DatasetError: with file and line: a field is not a time, or the times do not increase.
     """
-    times: list[int] = []
-    for line, fields in read_rows(path, "timestamps (microseconds, chunk)", DatasetError):
+    rows = list(read_rows(path, "timestamps (microseconds, chunk)", DatasetError))
+    for line, fields in rows:
         if len(fields) > 2:
             raise DatasetError(f"expected a time in microseconds and a chunk, found {len(fields)} columns", path, line)
-        times.append(microseconds_to_ns(fields[0], path, line))
-        if len(times) > 1 and times[-1] <= times[-2]:
-            raise DatasetError(f"time {fields[0]} is not later than the previous one", path, line)
-    return np.array(times, dtype=np.int64)
+    texts, lines = [fields[0] for _, fields in rows], [line for line, _ in rows]
+    ns = times_in_ns(texts, lambda i: (path, lines[i]), US).ns
+    check_increasing(ns, texts, path, lines)
+    return np.array(ns, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,26 +68,29 @@ class OdometrySteps:
     """(N, 4, 4)"""
 
 
-def read_visual_odometry(path: Path) -> OdometrySteps:
+def read_visual_odometry(path: Path, reporter: Reporter | None = None) -> OdometrySteps:
     """Read ``vo.csv``: each row is the vehicle's pose at the source time, in its frame at the destination time.
 
-    The source is the *later* image; multiplying the rows from left to right gives the trajectory.
+    The source is the *later* image; multiplying the rows from left to right gives the trajectory. A row that is not
+    finite is no step: it is left out, and counted in a note.
 
     Raises:
         DatasetError: with file and line: a column is missing, a field is not a number, or rows are out of order.
     """
-    earlier: list[int] = []
-    later: list[int] = []
+    found = list(read_named_columns(path, VO_COLUMNS, "visual odometry"))
+    rows = [(line, row) for line, row in found if not missing(row)]
+    if reporter is not None and len(rows) < len(found):
+        reporter.note(f"{short_name(path)}: {len(found) - len(rows)} of {len(found)} rows have no step (NaN)")
+    both = [text for _, row in rows for text in row[:2]]
+    ns = times_in_ns(both, lambda i: (path, rows[i // 2][0]), US).ns
+    later, earlier = ns[::2], ns[1::2]
     values: list[list[float]] = []
-    for line, row in read_named_columns(path, VO_COLUMNS, "visual odometry"):
-        source, destination = (microseconds_to_ns(text, path, line) for text in row[:2])
-        if source <= destination:
+    for index, (line, row) in enumerate(rows):
+        if later[index] <= earlier[index]:
             raise DatasetError("source_timestamp is not later than destination_timestamp", path, line)
-        if later and destination < later[-1]:
+        if index and earlier[index] < later[index - 1]:
             raise DatasetError(f"the step from {row[1]} begins before the previous one ends", path, line)
         values.append(parse_floats(row[2:], path, line, POSE_COLUMNS, DatasetError))
-        earlier.append(destination)
-        later.append(source)
     if not later:
         raise DatasetError("holds no step of visual odometry", path)
     return OdometrySteps(np.array(earlier, np.int64), np.array(later, np.int64), transform_from_xyzrpy(values))
@@ -101,35 +110,28 @@ class InertialTrack:
     """number of solutions that the receiver itself did not mark as good"""
 
 
-def read_inertial(path: Path) -> InertialTrack:
+def read_inertial(path: Path, reporter: Reporter | None = None) -> InertialTrack:
     """Read the good solutions of ``ins.csv``.
 
     Raises:
-        DatasetError: with file and line: a column is missing, a field is not a number, times do not increase, the UTM
-            zone changes, or no solution is good.
+        DatasetError: with file and line: a column is missing, a field is not a number, times go back, the UTM zone
+            changes, or no solution is good.
     """
-    times: list[int] = []
-    values: list[list[float]] = []
-    last = -1
+    rows: list[Row] = []
     zone = ""
     left_out = 0
     for line, row in read_named_columns(path, INS_COLUMNS, "GNSS/INS solutions"):
-        time, status, *numbers = row[0], row[1], *row[2:5], *row[6:]
-        now = microseconds_to_ns(time, path, line)
-        if now <= last:
-            raise DatasetError(f"time {time} is not later than the previous one", path, line)
-        last = now
-        if status not in _GOOD_STATUS:
+        if row[1] not in _GOOD_STATUS:
             left_out += 1
             continue
         if zone and row[5] != zone:
             raise DatasetError(f"utm_zone changes from {zone} to {row[5]}; expected a single zone", path, line)
         zone = row[5]
-        values.append(parse_floats(numbers, path, line, "northing easting down roll pitch yaw", DatasetError))
-        times.append(now)
-    if not times:
+        rows.append(Row(line, row[0], [*row[2:5], *row[6:]]))
+    table = pose_table(rows, PoseNumbers(_INS_NUMBERS, transform_from_xyzrpy), path, reporter, own_ns=US)
+    if not len(table.times_ns):
         raise DatasetError(f"holds no good solution (ins_status {' or '.join(_GOOD_STATUS)})", path)
-    return InertialTrack(np.array(times, np.int64), transform_from_xyzrpy(values), zone, left_out)
+    return InertialTrack(table.times_ns, table.transforms, zone, left_out)
 
 
 def read_extrinsics(path: Path) -> Array:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from relocbench.arrays import Array
 from relocbench.datasets.importers.lidar_drives.drives import chosen_of
-from relocbench.datasets.importers.robotcar.sensors import LmsStream, check_scan_size, present_times
+from relocbench.datasets.importers.robotcar.sensors import LmsStream, check_scan_size, present_files
 from relocbench.datasets.importers.robotcar.track import T_RIG_VEHICLE
 from relocbench.datasets.importers.robotcar.velodyne import (
     MAX_RANGE_M,
@@ -51,9 +53,10 @@ def read_lidars(
         if name in VELODYNES:
             streams.extend(_velodyne(name, folder / name, table, T_rig_lidar, reporter))
             continue
-        times = present_times(folder / name, table, ".bin", what, reporter, check_scan_size)
-        if len(times):
-            streams.append(LmsStream(name, folder / name, T_rig_lidar, times))
+        scans = present_files(folder / name, table, ".bin", what, reporter, check_scan_size)
+        if scans:
+            times = np.array(list(scans), dtype=np.int64)
+            streams.append(LmsStream(name, tuple(scans.values()), T_rig_lidar, times))
     if not streams:
         raise DatasetError(f"holds no lidar scan; expected {' or '.join(f'{n}/TIME.bin' for n in LIDARS)}", folder)
     return tuple(streams)
@@ -63,8 +66,10 @@ def _velodyne(name: str, folder: Path, timestamps: Path, T_rig_lidar: Array, rep
     """The scans of a Velodyne, raw ones if there are some, since these have the times of firings."""
     raw = any(folder.glob("*.png"))
     suffix, decode = (".png", decode_raw) if raw else (".bin", decode_binary)
-    times = present_times(folder, timestamps, suffix, f"scans of {folder.parent.name}/{name}", reporter)
-    if not len(times):
+    scans = present_files(folder, timestamps, suffix, f"scans of {folder.parent.name}/{name}", reporter)
+    if not scans:
         return []
-    files = tuple(folder / f"{time // 1000}{suffix}" for time in times.tolist())
-    return [ScanFiles(name, files, times, T_rig_lidar, decode, MAX_RANGE_M, SIGMA_M, min_range_m=NEAREST_M)]
+    times = np.array(list(scans), dtype=np.int64)
+    return [
+        ScanFiles(name, tuple(scans.values()), times, T_rig_lidar, decode, MAX_RANGE_M, SIGMA_M, min_range_m=NEAREST_M)
+    ]

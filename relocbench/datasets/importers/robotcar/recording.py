@@ -24,7 +24,7 @@ from relocbench.datasets.importers.lidar_drives.drives import chosen_of
 from relocbench.datasets.importers.lidar_drives.files import camera_of, image_size
 from relocbench.datasets.importers.robotcar import files
 from relocbench.datasets.importers.robotcar.lidars import VELODYNES, read_lidars
-from relocbench.datasets.importers.robotcar.sensors import RobotCarCamera, present_times
+from relocbench.datasets.importers.robotcar.sensors import RobotCarCamera, present_files
 from relocbench.datasets.importers.robotcar.track import (
     T_RIG_VEHICLE,
     MapOrigin,
@@ -139,7 +139,7 @@ def read_robotcar(
     else:
         if odometry == "auto" and not (folder / "vo" / "vo.csv").exists():
             raise DatasetError(_NO_MOTION, folder)
-        steps = files.read_visual_odometry(folder / "vo" / "vo.csv")
+        steps = files.read_visual_odometry(folder / "vo" / "vo.csv", report)
         motion = visual_trajectory(steps, prior)
         if motion.breaks:
             report.note(f"{title}: visual odometry has {len(motion.breaks)} interruptions")
@@ -206,8 +206,8 @@ def _cameras(
                 raise DatasetError("no such folder; expected images", where)
             continue
         what = f"images of {title}/{name}"
-        times = present_times(where, folder / f"{lens.sensor}.timestamps", ".png", what, reporter)
-        if not len(times):
+        found = present_files(where, folder / f"{lens.sensor}.timestamps", ".png", what, reporter)
+        if not found:
             continue
         if calibration.models is None:
             raise DatasetError("has no folder 'models' in it or above it; expected that of the dataset's SDK", folder)
@@ -215,7 +215,7 @@ def _cameras(
         table = calibration.models / f"{lens.model}_distortion_lut.bin"
         if not table.exists():
             distorted.append(name)
-        paths = tuple(where / f"{time // 1000}.png" for time in times.tolist())
+        paths, times = tuple(found.values()), np.array(list(found), dtype=np.int64)
         camera = camera_of("pinhole", image_size(paths[0]), model.intrinsics, (), model.path)
         T_rig_cam = T_RIG_VEHICLE @ _T_vehicle_image(calibration, lens, model)
         size_from, look_up = f"the first image of {name}", table if table.exists() else None
@@ -259,7 +259,7 @@ def _prior(
         if not path.exists():
             reporter.note(f"{folder.name} has no gps/ins.csv; drives are registered without GNSS")
             return None, None
-    track = files.read_inertial(path)
+    track = files.read_inertial(path, reporter)
     if track.left_out:
         reporter.note(f"{path}: {track.left_out} solutions whose status is not good are left out")
     start = origin or MapOrigin.of(track)

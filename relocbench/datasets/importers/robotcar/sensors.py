@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,11 +12,11 @@ import numpy as np
 
 from relocbench.arrays import Array, Floats, Image, Times
 from relocbench.datasets.core.image_header import MOST_PIXELS
-from relocbench.datasets.importers.lidar_drives.texts import microseconds_to_ns
-from relocbench.datasets.importers.robotcar.files import read_timestamps
+from relocbench.datasets.importers.robotcar.files import US, read_timestamps
 from relocbench.datasets.sensors.image_files import BayerImages, remapped
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
+from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.progress import Reporter
@@ -36,7 +35,7 @@ class LmsStream:
     """A SICK LMS-151: one file a scan, float64 x, y, reflectance; 541 beams over 270 degrees at 50 Hz."""
 
     name: str
-    folder: Path
+    files: tuple[Path, ...]
     T_rig_lidar: Array
     times_ns: Times
     pattern: Literal["push-broom"] = "push-broom"
@@ -53,7 +52,7 @@ class LmsStream:
         Raises:
             DatasetError: the file is missing, is not a whole number of points, or holds a value that is not finite.
         """
-        path = self.folder / f"{int(self.times_ns[index]) // 1000}.bin"
+        path = self.files[index]
         data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
         check_scan_size(path, len(data))
         values = np.frombuffer(data, dtype="<f8").reshape(-1, 3)
@@ -109,15 +108,15 @@ def read_look_up_table(path: Path, width: int, height: int) -> tuple[Floats, Flo
     return u, v
 
 
-def present_times(
+def present_files(
     folder: Path,
     timestamps: Path,
     suffix: str,
     what: str,
     reporter: Reporter,
     check: Callable[[Path, int], None] | None = None,
-) -> Times:
-    """Times (N,) that ``timestamps`` lists and whose files exist; the others are counted in a note.
+) -> dict[int, Path]:
+    """Files by time, in time order, that ``timestamps`` lists and that exist; the others are counted in a note.
 
     A few files are missing in the data set itself, many if only some of its chunks were downloaded. Files that are not
     listed are left out. Without the list, times are taken from the files' names.
@@ -128,25 +127,20 @@ def present_times(
     Raises:
         DatasetError: the list is out of order, a file's name is not a time, or a scan is truncated.
     """
-    found: set[int] = set()
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            path = folder / entry.name
-            if path.suffix != suffix or entry.name.startswith("."):
-                continue
-            found.add(microseconds_to_ns(path.stem, path))
-            if suffix == ".bin" and not path.exists():
-                raise DatasetError("is a link to a file that does not exist; expected a scan", path)
-            if check is not None:
-                check(path, entry.stat().st_size)
+    found = timed_files(folder, (suffix,), US)
+    for path in found.values():
+        if suffix == ".bin" and not path.exists():
+            raise DatasetError("is a link to a file that does not exist; expected a scan", path)
+        if check is not None:
+            check(path, path.stat().st_size)
     if not timestamps.exists():
         if found:
             reporter.note(f"{timestamps} is missing; the times of {what} are taken from the file names")
-        return np.array(sorted(found), dtype=np.int64)
-    listed = read_timestamps(timestamps)
-    times = listed[np.isin(listed, np.array(sorted(found), dtype=np.int64))]
-    if len(times) < len(listed):
-        reporter.note(f"{len(listed) - len(times)} of {len(listed)} {what} that {timestamps.name} lists are missing")
-    if len(times) < len(found):
-        reporter.note(f"{len(found) - len(times)} {what} that {timestamps.name} does not list are left out")
-    return times
+        return found
+    listed = read_timestamps(timestamps).tolist()
+    present = {time: found[time] for time in listed if time in found}
+    if len(present) < len(listed):
+        reporter.note(f"{len(listed) - len(present)} of {len(listed)} {what} that {timestamps.name} lists are missing")
+    if len(present) < len(found):
+        reporter.note(f"{len(found) - len(present)} {what} that {timestamps.name} does not list are left out")
+    return present

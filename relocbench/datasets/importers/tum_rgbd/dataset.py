@@ -21,17 +21,20 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import check_folder, import_image, open_writer, write_pairs
+from relocbench.datasets.sensors.pose_tables import PoseTable, read_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
-from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.datasets.sensors.times import times_in_ns
+from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
-from relocbench.files import fitting_name, parse_seconds, read_rows
+from relocbench.files import fitting_name, read_rows
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 Preset = Literal["fr1", "fr2", "fr3", "ros-default"]
 
+_SECOND_NS = 10**9
 CAMERA = "rgb"
 KINECT_SIGMA = (0.0, 0.0, 1.425e-3)
 """sigma_z = 1.425e-3 z^2 m: Khoshelham and Oude Elberink, Accuracy and Resolution of Kinect Depth Data, Sensors 2012"""
@@ -163,7 +166,8 @@ def _frames(source: Path, name: str, time_offset: float, options: Options, repor
     if not available:
         raise DatasetError("none of the images it lists exist", source / "rgb.txt")
     depths = {t: p for t, p in depths.items() if p.exists()}
-    poses = _poses_at(source / "groundtruth.txt", list(available), round(time_offset * 1e9), options.max_truth_gap)
+    truth = read_trajectory(source / "groundtruth.txt", reporter=reporter, own_ns=_SECOND_NS)
+    poses = _poses_at(truth, list(available), round(time_offset * 1e9), options.max_truth_gap)
     if len(poses) < len(available):
         reporter.note(
             f"{name}: {len(available) - len(poses)} of {len(available)} images without a true pose are left out"
@@ -183,11 +187,13 @@ def _frames(source: Path, name: str, time_offset: float, options: Options, repor
 
 def _listed(path: Path) -> dict[int, Path]:
     """Files by time in nanoseconds from a list ``seconds path``. Raises DatasetError with file and line."""
-    files: dict[int, Path] = {}
-    for line, fields in read_rows(path, "a list of images (seconds path)", DatasetError):
+    rows = list(read_rows(path, "a list of images (seconds path)", DatasetError))
+    for line, fields in rows:
         if len(fields) != 2:
             raise DatasetError(f"expected 2 columns (seconds path), found {len(fields)}", path, line)
-        time = parse_seconds(fields[0], path, line, DatasetError)
+    times = times_in_ns([fields[0] for _, fields in rows], lambda i: (path, rows[i][0]), _SECOND_NS).ns
+    files: dict[int, Path] = {}
+    for time, (line, fields) in zip(times, rows, strict=True):
         if time in files:
             raise DatasetError(f"time {fields[0]} occurs again", path, line)
         files[time] = path.parent / fields[1]
@@ -196,17 +202,15 @@ def _listed(path: Path) -> dict[int, Path]:
     return files
 
 
-def _poses_at(path: Path, times: list[int], offset_ns: int, max_gap: float) -> dict[int, Array]:
+def _poses_at(truth: PoseTable, times: list[int], offset_ns: int, max_gap: float) -> dict[int, Array]:
     """True poses ``T_world_cam`` at t + offset, for the times t that are not outside the trajectory or in a gap.
 
     Raises:
-        DatasetError: with file and line: a pose is invalid, or there is none.
+        DatasetError: there is no true pose.
     """
-    truth = read_trajectory(path)
-    if not truth:
-        raise DatasetError("holds no pose", path)
-    stamps = np.array(list(truth), dtype=np.int64)
-    trajectory = Trajectory(stamps, np.array(list(truth.values())), round(max_gap * 1e9))
+    if not len(truth.times_ns):
+        raise DatasetError("holds no pose", truth.path)
+    trajectory = Trajectory(truth.times_ns, truth.transforms, round(max_gap * 1e9))
     wanted = np.array(times, dtype=np.int64) + offset_ns
     covered = np.nonzero(trajectory.covers(wanted))[0]
     return {times[i]: pose for i, pose in zip(covered, trajectory.at(wanted[covered]), strict=True)}
