@@ -8,21 +8,33 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.core.pairfile import missing
 from relocbench.errors import DatasetError, RelocbenchError, quoted
 from relocbench.files import lines_of, parse_floats, read_text, write_text
 from relocbench.geometry import transform_from_tq, transform_to_tq
+from relocbench.progress import Reporter
 
 POSE_NUMBERS = "QW QX QY QZ TX TY TZ"
 
 
-def read_named_poses(path: Path, error: type[RelocbenchError] = DatasetError) -> dict[str, Array]:
+def read_named_poses(
+    path: Path, error: type[RelocbenchError] = DatasetError, reporter: Reporter | None = None
+) -> dict[str, Array]:
     """``T_cam_world`` (4, 4) by image name, from lines ``name qw qx qy qz tx ty tz``, as hloc writes its results.
+
+    Args:
+        error: the error class to raise.
+        reporter: is told how many poses are not finite and are left out; None: they are refused.
 
     Raises:
         RelocbenchError: (as ``error``) with file and line.
     """
     poses: dict[str, Array] = {}
+    without: list[int] = []
     for line, fields in read_words(path, "poses (name qw qx qy qz tx ty tz)", error):
+        if reporter is not None and missing(fields[1:]):
+            without.append(line)
+            continue
         numbers = parse_floats(fields[1:], path, line, POSE_NUMBERS, error)
         if fields[0] in poses:
             raise error(f"image {quoted(fields[0])} occurs again", path, line)
@@ -30,6 +42,8 @@ def read_named_poses(path: Path, error: type[RelocbenchError] = DatasetError) ->
             poses[fields[0]] = pose_of_numbers(numbers)
         except ValueError as bad:
             raise error(str(bad), path, line) from None
+    if reporter is not None and without:
+        reporter.note(f"{path.name}: {len(without)} images have no pose (NaN), the first on line {without[0]}")
     return poses
 
 

@@ -310,15 +310,18 @@ def _pose_text(keys: Sequence[PairKey], transforms: Sequence[Array | None], deci
     return "".join(f"{line}\n" for line in lines)
 
 
-def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
+def read_pairs(pair_file: Path, pair_table: Path, *, allow_non_finite: bool = False) -> list[Pair]:
     """All pairs of a set, in the table's order; rejected ones have no pose.
 
     A pair file from elsewhere has no table; then only the poses are known.
 
+    Args:
+        allow_non_finite: a pose that is not finite is withheld.
+
     Raises:
         DatasetError: with file and line, also if the file and the table do not hold the same pairs.
     """
-    lines = {line.key: line for line in read_pose_lines(pair_file)}
+    lines = {line.key: line for line in read_pose_lines(pair_file, allow_non_finite=allow_non_finite)}
     if not pair_table.exists():
         return [Pair(*key, line.T_query_ref) for key, line in lines.items()]
     rows = read_csv(pair_table, "the table of a pair set", DatasetError)

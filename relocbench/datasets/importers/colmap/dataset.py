@@ -80,9 +80,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     _check_options(options)
     folder = sources[0]
     check_folder(folder, "the folder of a COLMAP model")
-    model = read_model(folder)
+    model = read_model(folder, reporter)
     root = options.images or _image_folder(folder)
-    keyframes, queries = _photos(folder, root, model, options)
+    keyframes, queries = _photos(folder, root, model, options, reporter)
     names = (MAP, QUERY) if queries else (MAP, MAP)
     options.check_conditions(names)
     writer = open_writer(
@@ -122,7 +122,9 @@ def _image_folder(model: Path) -> Path:
     raise DatasetError("no folder 'images' beside the model; name it by --images", model)
 
 
-def _photos(folder: Path, root: Path, model: SparseModel, options: Options) -> tuple[list[Photo], list[Photo]]:
+def _photos(
+    folder: Path, root: Path, model: SparseModel, options: Options, reporter: Reporter
+) -> tuple[list[Photo], list[Photo]]:
     """The keyframes and the queries, each by name."""
     check_folder(root, "the folder of the model's images")
     known = {image.name: number for number, image in model.images.items()}
@@ -138,7 +140,7 @@ def _photos(folder: Path, root: Path, model: SparseModel, options: Options) -> t
     if options.query_list is None:
         return keyframes, queries
     cameras = listed_cameras(options.query_list)
-    poses = {} if options.query_poses is None else read_named_poses(options.query_poses)
+    poses = {} if options.query_poses is None else read_named_poses(options.query_poses, reporter=reporter)
     for name in poses:
         if name not in cameras:
             raise DatasetError(f"has a pose of {quoted(name)}, which --query-list does not name", options.query_poses)

@@ -16,19 +16,24 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Indices
 from relocbench.datasets.core.named_poses import pose_of_numbers
+from relocbench.datasets.core.pairfile import missing
 from relocbench.datasets.importers.photos.cameras import PARAMETERS, camera_of, parse_camera
 from relocbench.datasets.importers.photos.points import ModelImage, SparseModel
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import lines_of, parse_count, parse_floats, read_bytes, read_text
 from relocbench.geometry import Camera
+from relocbench.progress import Reporter
 
 MOST_BYTES = 8 << 30
 """of a file of a model; that of Aachen Day-Night has about one gigabyte"""
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 
 
-def read_model(folder: Path) -> SparseModel:
+def read_model(folder: Path, reporter: Reporter | None = None) -> SparseModel:
     """Read ``cameras``, ``images`` and ``points3D`` of a folder, all ``.bin`` or all ``.txt``.
+
+    Args:
+        reporter: is told how many images have a pose that is not finite, and are left out.
 
     Raises:
         DatasetError: with file and line or byte: a file is missing, cut off, damaged or of an unknown camera model, or
@@ -36,15 +41,18 @@ def read_model(folder: Path) -> SparseModel:
     """
     if (folder / "cameras.bin").exists():
         cameras = dict(_binary_cameras(_Bytes(folder / "cameras.bin", "COLMAP's cameras")))
-        images = dict(_binary_images(_Bytes(folder / "images.bin", "COLMAP's images")))
+        posed = dict(_binary_images(_Bytes(folder / "images.bin", "COLMAP's images")))
         points = list(_binary_points(_Bytes(folder / "points3D.bin", "COLMAP's points")))
     elif (folder / "cameras.txt").exists():
         cameras = dict(_text_cameras(folder / "cameras.txt"))
-        images = dict(_text_images(folder / "images.txt"))
+        posed = dict(_text_images(folder / "images.txt"))
         points = list(_text_points(folder / "points3D.txt"))
     else:
         raise DatasetError("holds no model of COLMAP; expected cameras.bin or cameras.txt", folder)
     suffix = ".bin" if (folder / "cameras.bin").exists() else ".txt"
+    images = {number: image for number, image in posed.items() if image is not None}
+    if reporter is not None and len(images) < len(posed):
+        reporter.note(f"images{suffix}: {len(posed) - len(images)} of {len(posed)} images have no pose (NaN)")
     if not images:
         raise DatasetError("holds no image", folder / f"images{suffix}")
     points.sort(key=lambda point: point[0])
@@ -95,7 +103,8 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
         yield parse_count(fields[0], "CAMERA_ID", path, number, DatasetError), parse_camera(fields[1:], path, number)
 
 
-def _text_images(path: Path) -> Iterator[tuple[int, ModelImage]]:
+def _text_images(path: Path) -> Iterator[tuple[int, ModelImage | None]]:
+    """The images, None where the pose is not finite."""
     lines = _text_lines(path, "COLMAP's images")
     for number, line in lines:
         fields = line.split(maxsplit=9)
@@ -103,6 +112,11 @@ def _text_images(path: Path) -> Iterator[tuple[int, ModelImage]]:
             continue
         if len(fields) != 10:
             raise DatasetError("expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", path, number)
+        image_id = parse_count(fields[0], "IMAGE_ID", path, number, DatasetError)
+        if missing(fields[1:8]):
+            next(lines, None)
+            yield image_id, None
+            continue
         numbers = parse_floats(fields[1:8], path, number, "QW QX QY QZ TX TY TZ", DatasetError)
         camera = parse_count(fields[8], "CAMERA_ID", path, number, DatasetError)
         below, seen = next(lines, (number, ""))  # a file may end without the empty line of its last image
@@ -110,7 +124,7 @@ def _text_images(path: Path) -> Iterator[tuple[int, ModelImage]]:
             image = _image(fields[9].strip(), camera, numbers, _text_observations(seen))
         except ValueError as bad:
             raise DatasetError(str(bad), path, below if "POINTS2D" in str(bad) else number) from None
-        yield parse_count(fields[0], "IMAGE_ID", path, number, DatasetError), image
+        yield image_id, image
 
 
 def _text_observations(line: str) -> Indices:
@@ -194,14 +208,16 @@ def _binary_cameras(file: _Bytes) -> Iterator[tuple[int, Camera]]:
             raise file.fault(str(bad)) from None
 
 
-def _binary_images(file: _Bytes) -> Iterator[tuple[int, ModelImage]]:
+def _binary_images(file: _Bytes) -> Iterator[tuple[int, ModelImage | None]]:
+    """The images, None where the pose is not finite."""
     for _ in file.counted():
         number, *pose, camera = file.take("i7di")
         name = file.text()
         (count,) = file.take("Q")
         points = file.records(_OBSERVATION, count)["point"].astype(np.int64)
         if not np.all(np.isfinite(pose)):
-            raise file.fault(f"image {quoted(name)} has a pose that is not finite")
+            yield number, None
+            continue
         try:
             yield number, _image(name, camera, pose, points)
         except ValueError as bad:

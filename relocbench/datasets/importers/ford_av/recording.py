@@ -47,6 +47,7 @@ from relocbench.datasets.importers.rosbag.roles import CameraTopic, Roles
 from relocbench.datasets.importers.rosbag.stamps import check_clocks
 from relocbench.datasets.importers.rosbag.streams import BagCamera, BagLidar, read_picture
 from relocbench.datasets.importers.rosbag.survey import Survey, survey
+from relocbench.datasets.importers.rosbag.tracks import tell_left_out
 from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.errors import DatasetError
@@ -167,6 +168,7 @@ def _poses(reading: Reading, log: Log) -> Trajectory | None:
     if not topic:
         return None
     found = reading.index.poses[topic]
+    tell_left_out(reading, topic, found)
     times, kept = reading.times(topic, found.times_ns, found.received_ns)
     T_ned_body = motion.poses(found.values[kept])
     # The map is turned like the body: from north, east, down to north, west, up.

@@ -46,7 +46,7 @@ def read_relocalization_files(paths: Sequence[Path], recordings: Sequence[Record
     listed: list[ListedPair] = []
     first: dict[PairKey, ListedPair] = {}
     for file in _expand(paths):
-        for line in read_pose_lines(file):
+        for line in read_pose_lines(file, allow_non_finite=True):
             reference = _owner(line.ref_timestamp_ns, "reference", recordings, file, line.line)
             query = _owner(line.query_timestamp_ns, "query", recordings, file, line.line)
             pair = ListedPair(reference, query, line, file)

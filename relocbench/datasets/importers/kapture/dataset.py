@@ -111,7 +111,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     keyframes = _keyframes(reference, options, reporter)
     queries = {part.name: _photos(part, options) for part in others}
     if options.query_poses is not None:
-        queries = _with_poses(queries, options.query_poses, options.metres_per_unit)
+        queries = _with_poses(queries, options.query_poses, options.metres_per_unit, reporter)
     _check_truth(queries, options, reporter)
     called = sources[0].resolve().name if len(sources) == 1 else "-".join(names)
     writer = open_writer("kapture", [*sources, *options.paths], options, out, fitting_name(f"kapture_{called}"))
@@ -196,9 +196,11 @@ def _keyframes(part: _Part, options: Options, reporter: Reporter) -> list[Photo]
     return _photos(_Part(part.name, folder, posed), options)
 
 
-def _with_poses(queries: dict[str, list[Photo]], path: Path, metres_per_unit: float) -> dict[str, list[Photo]]:
+def _with_poses(
+    queries: dict[str, list[Photo]], path: Path, metres_per_unit: float, reporter: Reporter
+) -> dict[str, list[Photo]]:
     """The queries, with the poses of a file for those that have none."""
-    poses = read_named_poses(path)
+    poses = read_named_poses(path, reporter=reporter)
     known = {photo.name: photo for photos in queries.values() for photo in photos}
     for name in poses:
         if name not in known:

@@ -143,7 +143,7 @@ def _key(source: Path, options: Options) -> SetKey:
 
 def _read(source: Path, options: Options) -> list[Pair]:
     """The pairs of a file, with groups, sigmas and rejections where the table of a pair set lies beside it."""
-    pairs = pairfile.read_pairs(source, source.with_suffix(".csv"))
+    pairs = pairfile.read_pairs(source, source.with_suffix(".csv"), allow_non_finite=True)
     if not pairs:
         raise DatasetError("holds no pair", source)
     return [

@@ -23,7 +23,7 @@ from relocbench.errors import DatasetError
 from relocbench.files import read_bytes, write_bytes
 from relocbench.progress import Reporter
 
-_FORMAT = 1
+_FORMAT = 2
 _FARTHEST_M = 1e8
 """positions farther from the origin of their frame are none; those on the earth have at most seven digits"""
 _REPORTED = 200
@@ -57,6 +57,8 @@ class Poses:
     values: Array
     """(N, 7) tx, ty, tz, qx, qy, qz, qw"""
     static: bool = False
+    left_out: int = 0
+    """messages whose pose is not finite"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +189,9 @@ def _take(rows: _Rows, kind: str, part: Part, topic: str, raw: bytes, place: tup
                 f"{rows.names[0]!r}",
             )
         rows.names = names
+        if not np.isfinite(pose).all():
+            rows.left_out += 1
+            return
         rows.values.append(_checked(pose, part, topic, received_ns))
     rows.times.append((stamp, *place))
 
@@ -205,7 +210,11 @@ def _take_links(
         if topic.endswith("tf_static"):
             static.add(names)
         t, q = transform.transform.translation, transform.transform.rotation
-        rows.values.append(_checked((t.x, t.y, t.z, q.x, q.y, q.z, q.w), part, topic, received_ns))
+        values = (t.x, t.y, t.z, q.x, q.y, q.z, q.w)
+        if not np.isfinite(values).all():
+            rows.left_out += 1
+            continue
+        rows.values.append(_checked(values, part, topic, received_ns))
         rows.times.append((stamp_ns(transform.header.stamp), received_ns, 0, 0))
 
 
@@ -249,11 +258,11 @@ def _index(
         if types[topic] == kinds.FIX:
             out.fixes[topic] = Fixes(stamps, received, found.matrix(4), found.names[0], found.left_out)
         elif types[topic] in kinds.POSES:
-            out.poses[topic] = Poses(*found.names, stamps, received, found.matrix(7))
+            out.poses[topic] = Poses(*found.names, stamps, received, found.matrix(7), left_out=found.left_out)
         else:
             out.places[topic] = MessageLocations(stamps, received, found.column(2), found.column(3))
     for names, found in links.items():
-        poses = Poses(*names, found.column(0), found.column(1), found.matrix(7), names in static)
+        poses = Poses(*names, found.column(0), found.column(1), found.matrix(7), names in static, found.left_out)
         out.links.append(poses)
     return out
 
@@ -269,7 +278,7 @@ def _save(path: Path, index: Index, mark: dict[str, Any]) -> None:
         number = len(about[kind])
         arrays[f"{kind}_{number}_times"] = np.stack([q.times_ns, q.received_ns])
         arrays[f"{kind}_{number}_values"] = q.values
-        about[kind].append([topic, q.parent, q.child, q.static])
+        about[kind].append([topic, q.parent, q.child, q.static, q.left_out])
     for topic, f in index.fixes.items():
         number = len(about["fixes"])
         arrays[f"fixes_{number}_times"] = np.stack([f.times_ns, f.received_ns])
@@ -294,9 +303,9 @@ def _load(path: Path, mark: dict[str, Any]) -> Index | None:
         for number, topic in enumerate(about["places"]):
             out.places[topic] = MessageLocations(*arrays[f"places_{number}"])
         for kind in ("poses", "links"):
-            for number, (topic, parent, child, static) in enumerate(about[kind]):
+            for number, (topic, parent, child, static, left_out) in enumerate(about[kind]):
                 times, values = arrays[f"{kind}_{number}_times"], arrays[f"{kind}_{number}_values"]
-                poses = Poses(parent, child, times[0], times[1], values, static)
+                poses = Poses(parent, child, times[0], times[1], values, static, left_out)
                 if kind == "poses":
                     out.poses[topic] = poses
                 else:

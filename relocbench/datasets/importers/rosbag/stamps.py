@@ -26,17 +26,19 @@ def times_of(
     """Times (M,) strictly increasing, the indices (M,) of their messages, and whether they are stamps of headers.
 
     Stamps of headers are used, unless all are zero, or more than one in a hundred (and more than two) is earlier than
-    the one before: then the times of receipt are. Of messages with equal times the first is used; those with a stamp of
-    zero are left out.
+    the one before, or one by more than a second, as where a second run begins: then the times of receipt are. Of
+    messages with equal times the first is used; those with a stamp of zero are left out.
     """
     count = len(stamps_ns)
     by_header = how == "header"
     if by_header and count and not stamps_ns.any():
         reporter.note(f"{what}: all stamps are zero; times of receipt are used")
         by_header = False
-    backwards = int((np.diff(stamps_ns[stamps_ns != 0]) < 0).sum())
-    if by_header and backwards > max(_FEW_BACKWARDS, _MOST_BACKWARDS * count):
-        reporter.note(f"{what}: {backwards} of {count} stamps run backwards; times of receipt are used")
+    steps = np.diff(stamps_ns[stamps_ns != 0])
+    backwards = int((steps < 0).sum())
+    if by_header and (backwards > max(_FEW_BACKWARDS, _MOST_BACKWARDS * count) or (steps < -_ONE_CLOCK_NS).any()):
+        farthest = f", by {-float(steps.min()) / 1e9:.3g} s at most"
+        reporter.note(f"{what}: {backwards} of {count} stamps run backwards{farthest}; times of receipt are used")
         by_header = False
     times = stamps_ns if by_header else received_ns
     kept = in_order(times)

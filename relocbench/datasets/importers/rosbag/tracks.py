@@ -32,6 +32,7 @@ def odometry(reading: Reading) -> Trajectory | None:
             return None
         found, what = link, f"tf, '{link.child}' in '{link.parent}'"
         reading.note(f"odometry is that of {what}")
+    tell_left_out(reading, what, found)
     times, kept = reading.times(what, found.times_ns, found.received_ns)
     if len(times) < 2:
         raise DatasetError(f"{what} holds {len(times)} poses; odometry needs at least 2", reading.source)
@@ -41,6 +42,13 @@ def odometry(reading: Reading) -> Trajectory | None:
         _T_body_rig(reading, found, reading.settings.extrinsics.T_rig_odometry),
         reading.settings.max_gap_ns,
     )
+
+
+def tell_left_out(reading: Reading, what: str, poses: Poses) -> None:
+    """Note the messages without a pose."""
+    if poses.left_out:
+        count = poses.left_out + len(poses.times_ns)
+        reading.note(f"{what}: {poses.left_out} of {count} messages have no pose (NaN)")
 
 
 def _T_body_rig(reading: Reading, poses: Poses, mounted: Transform | None) -> Array:
@@ -99,6 +107,7 @@ def prior(
     at, kept = times
     if chosen in reading.index.poses:
         found = reading.index.poses[chosen]
+        tell_left_out(reading, chosen, found)
         T_map_rig = motion.poses(found.values[kept]) @ _T_body_rig(
             reading, found, reading.settings.extrinsics.T_rig_gnss
         )
