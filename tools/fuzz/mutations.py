@@ -146,11 +146,19 @@ def _repeat(rng: Random, data: bytes) -> bytes:
     return data[:b] + data[a:b] * min(times, LONG // (b - a + 1) + 1) + data[b:]
 
 
+_HEADERS = (
+    b"#t,x,y,z,qw,qx,qy,qz",
+    b"timestamp y x z qx qy qz qw",
+    b"#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []",
+)
+
+
 def _lines(rng: Random, data: bytes) -> bytes:
-    """Lines swapped, left out, written twice or very often, put in another order."""
+    """Lines swapped, left out, emptied, written twice or very often, put in another order; or a table in other units:
+    decimal commas, a header, a row of NaN."""
     lines = data.split(b"\n")
     a, b = rng.randrange(len(lines)), rng.randrange(len(lines))
-    kind = rng.randrange(6)
+    kind = rng.randrange(10)
     if kind == 0:
         lines[a], lines[b] = lines[b], lines[a]
     elif kind == 1:
@@ -161,6 +169,14 @@ def _lines(rng: Random, data: bytes) -> bytes:
         lines[a : a + 1] = [lines[a]] * min(2000, LONG // (len(lines[a]) + 1) + 1)
     elif kind == 4:
         rng.shuffle(lines)
+    elif kind == 5:
+        lines[a] = b""
+    elif kind == 6:
+        lines[a] = b" ".join([*lines[a].split()[:1], *[b"NaN"] * len(lines[a].split()[1:])])
+    elif kind == 7:
+        lines[a] = lines[a].replace(b",", b";").replace(b".", b",")
+    elif kind == 8:
+        lines.insert(0, rng.choice(_HEADERS))
     else:
         lines[a] = lines[a] + lines[b]
     return b"\n".join(lines)

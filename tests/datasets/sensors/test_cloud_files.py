@@ -156,9 +156,16 @@ def test_poses_are_read_in_every_format(tmp_path: Path) -> None:
     }
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
-        np.testing.assert_allclose(read_cloud_poses(tmp_path / name, 3), T, atol=1e-9, err_msg=name)
+        found = np.array(read_cloud_poses(tmp_path / name, 3), dtype=np.float64)
+        np.testing.assert_allclose(found, T, atol=1e-9, err_msg=name)
     with refused(DatasetError, "", None, "3", "4"):
         read_cloud_poses(tmp_path / "tum", 4)
+    lines = texts["tum"].splitlines()
+    (tmp_path / "lost").write_text("\n".join([lines[0], "", lines[2]]))
+    assert [pose is None for pose in read_cloud_poses(tmp_path / "lost", 3)] == [False, True, False]
+    (tmp_path / "back").write_text("\n".join([lines[0], lines[2], lines[1]]))
+    with refused(DatasetError, "back", 3, "line 2"):
+        read_cloud_poses(tmp_path / "back", 3)
     (tmp_path / "bad").write_text("1 2 3\n")
     with refused(DatasetError, "bad", 1, "1 2 3"):
         read_cloud_poses(tmp_path / "bad", 1)

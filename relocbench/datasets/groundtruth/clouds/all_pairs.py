@@ -57,7 +57,8 @@ def register_all_pairs(
     with reporter.stage("registering pairs", len(pairs)) as advance:
         for i, j in pairs:
             registration = register_clouds(clouds[i], clouds[j], options, Silent())
-            expected = None if T is None else np.asarray(invert(T[i]) @ T[j])
+            ends = (None, None) if T is None else (T[i], T[j])
+            expected = None if ends[0] is None or ends[1] is None else np.asarray(invert(ends[0]) @ ends[1])
             out.append(PairRegistration(files[i], files[j], registration, expected))
             advance(1)
     return out

@@ -68,10 +68,18 @@ def read_side(path: Path, poses: Path | None, reading: Reading, reporter: Report
     files = cloud_files(path, reading.files)
     if len(files) == 1 and poses is None:
         return read_side(files[0], None, reading, reporter)
+    lost = ""
+    if poses is not None:
+        listed = read_cloud_poses(poses, len(files))
+        if without := sum(pose is None for pose in listed):
+            lost = f"; {without} of {len(files)} clouds have no pose and are left out"
+        files = [file for file, pose in zip(files, listed, strict=True) if pose is not None]
+        T = np.array([pose for pose in listed if pose is not None])
+        if not files:
+            raise DatasetError("holds no pose of a cloud", poses)
     clouds = read_clouds(files, reading, reporter)
     if poses is not None:
-        T = read_cloud_poses(poses, len(files))
-        origin = f"{len(files)} clouds, put together by {poses.name}"
+        origin = f"{len(files)} clouds, put together by {poses.name}{lost}"
     else:
         scale = scale_of([scene_size(clouds[0].cloud.points)])
         T = _odometry(path.name, [side.cloud.points for side in clouds], scale, reporter)

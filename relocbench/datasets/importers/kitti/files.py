@@ -149,7 +149,7 @@ class KittiSequence:
         """
         rows, poses = self.poses(reporter)
         rows.check_covers(frames, "frames")
-        timed, times = self.times(rate_hz, max(frames, len(rows)), reporter)
+        timed, times = self.times(rate_hz, frames, reporter)
         if timed is not None:
             rows.check_agrees(timed)
         return times, poses
