@@ -250,5 +250,5 @@ def read_matrix_rows(
         rows.append(Row(line, time, fields))
     if time_of is None:
         return pose_table(rows, MATRIX, path, reporter, own_ns=own_ns)
-    known = [(time, row) for row in rows if (time := time_of(row.time, path, row.line)) is not None]
-    return pose_table([row for _, row in known], MATRIX, path, reporter, times=[time for time, _ in known])
+    known = [(ns, row) for row in rows if (ns := time_of(row.time, path, row.line)) is not None]
+    return pose_table([row for _, row in known], MATRIX, path, reporter, times=[ns for ns, _ in known])

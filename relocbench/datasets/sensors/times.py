@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import pairwise
@@ -115,6 +115,12 @@ def times_in_unit(
     return out
 
 
+def unit_of_dates(values: Iterable[int]) -> int:
+    """Nanoseconds of the unit that whole numbers have by their digits and steps; 1 where they are no dates."""
+    found = np.array(list(values), dtype=np.int64)
+    return (_unit_ns(found, 1) if len(found) else None) or 1
+
+
 def check_increasing(
     ns: Sequence[int],
     texts: Sequence[str],
@@ -153,11 +159,13 @@ def _whole(texts: Sequence[str], at: Place, error: type[RelocbenchError]) -> lis
 def _seconds(texts: Sequence[str], at: Place, error: type[RelocbenchError]) -> list[int]:
     """Nanoseconds of seconds with a decimal point, or without one where a writer left out zeros."""
     out = []
-    most = 10 * max(abs(float(text)) for text in texts if not _WHOLE.fullmatch(text)) + 100
+    whole = [_WHOLE.fullmatch(text) is not None for text in texts]
+    most = 10 * max(abs(float(text)) for text, is_whole in zip(texts, whole, strict=True) if not is_whole) + 100
+    if any(is_whole and abs(int(text)) > most for text, is_whole in zip(texts, whole, strict=True)):
+        rare = whole.index(2 * sum(whole) <= len(whole))
+        message = f"{quoted(texts[rare], 30)} is {'a whole number' if whole[rare] else 'seconds with a decimal point'}"
+        raise error(f"{message}, and most others are not; expected one unit of time", *at(rare))
     for index, text in enumerate(texts):
-        if _WHOLE.fullmatch(text) and abs(int(text)) > most:
-            message = f"{quoted(text, 30)} is a whole number far from the seconds with a decimal point beside it"
-            raise error(f"{message}; expected one unit of time", *at(index))
         try:
             out.append(seconds_to_ns(text))
         except ValueError as bad:

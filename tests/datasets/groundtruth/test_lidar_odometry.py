@@ -119,7 +119,7 @@ def test_turning_beams_up_keeps_ranges_and_azimuths() -> None:
 
 
 def test_a_push_broom_lidar_has_no_odometry() -> None:
-    lidar = LmsStream("lms_front", Path(), np.eye(4), np.array([0]))
+    lidar = LmsStream("lms_front", (), np.eye(4), np.array([0]))
     with refused(ConfigError, "", None, "lms_front"):
         lidar_odometry(lidar)
 

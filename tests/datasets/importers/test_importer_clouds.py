@@ -199,7 +199,7 @@ def numbered(number: int, _: int) -> str:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda d: None, ("10.bin", None, "times.txt", "--rate-hz")),
+        (lambda d: None, ("25.bin", None, "times.txt", "--rate-hz")),
         (lambda d: write(d / "times.txt", "1.5\n2.5\n"), ("times.txt", None, "2", "26")),
         (
             lambda d: write(d / "times.txt", "".join(f"{i}.5 7.bin\n" for i in range(26))),

@@ -127,7 +127,7 @@ def test_a_scan_of_the_sick_described_by_hand_is_decoded(folder: Path, tmp_path:
             ("left.yaml", None, "distortion_model", "plumb_bob"),
         ),
         (lambda d: (d / "calibration" / "Vehicle2Stereo.txt").unlink(), ("Vehicle2Stereo.txt",)),
-        (lambda d: (d / "global_pose.csv").write_text("1,2\n"), ("global_pose.csv", 1, "12 numbers")),
+        (lambda d: (d / "global_pose.csv").write_text("1,2\n"), ("global_pose.csv", 1, "13 columns", 2)),
     ],
 )
 def test_a_fault_is_told_with_its_file(

@@ -134,7 +134,7 @@ def test_scans_give_the_motion_by_default_and_the_truth_is_a_prior(folder: Path)
         ),
         (
             lambda d, p: (d / f"groundtruth_{DATE}.csv").write_text("1,nan,nan,nan,0,0,0\n"),
-            (f"groundtruth_{DATE}.csv", None, "no pose"),
+            (f"groundtruth_{DATE}.csv", None, "0 poses"),
         ),
     ],
 )

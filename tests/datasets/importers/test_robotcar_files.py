@@ -161,8 +161,8 @@ def test_solutions_that_are_not_good_are_left_out(tmp_path: Path) -> None:
         ([VO_HEADER, "2,1,0,0,0,0,0,0", "2,1,0,0,0,0,0,0"], 3, ()),
         ([VO_HEADER, "1,2,0,0,0,0,0,0"], 2, ("", None, "destination_timestamp")),
         ([VO_HEADER, "2,1,0,0,0,0,0"], 2, ("", None, "8", "7")),
-        ([VO_HEADER, "2,1,0,nan,0,0,0,0"], 2, ()),
-        ([VO_HEADER, "2.5,1,0,0,0,0,0,0"], 2, ("", None, "2.5")),
+        ([VO_HEADER, "2,1,0,nan,0,0,0,0"], None, ()),
+        ([VO_HEADER, "2,1,0,0,0,0,0,0", "2,three,0,0,0,0,0,0"], 3, ("", None, "three")),
         (["a,b"], 1, ("", None, "source_timestamp")),
         ([VO_HEADER], None, ()),
     ],
@@ -178,7 +178,7 @@ def test_damaged_odometry_is_named_by_line(
 @pytest.mark.parametrize(
     ("rows", "line", "message"),
     [
-        ([ins_row(2, 0, 0, 0), ins_row(2, 0, 0, 0)], 3, ()),
+        ([ins_row(2, 0, 0, 0), ins_row(2, 0, 1, 0)], 3, ()),
         ([ins_row(2, 0, 0, 0), ins_row(1, 0, 0, 0)], 3, ()),
         ([ins_row(1, 0, 0, 0), ins_row(2, 0, 0, 0, zone="31U")], 3, ("", None, "utm_zone", "30U", "31U")),
         ([ins_row(1, 0, 0, 0, status="INS_INACTIVE")], None, ()),

@@ -23,7 +23,7 @@ from relocbench.datasets.importers.complex_urban.recording import read_complex_u
 from relocbench.datasets.importers.four_seasons.recording import read_recording
 from relocbench.datasets.importers.generic.dataset import read_folder
 from relocbench.datasets.importers.helipr.recording import read_helipr
-from relocbench.datasets.importers.kitti import dataset as kitti
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.kitti360.recording import read_kitti360
 from relocbench.datasets.importers.mulran.recording import read_mulran
 from relocbench.datasets.importers.nclt.recording import read_nclt
@@ -44,7 +44,7 @@ LOST = ("", "nan " * 11 + "nan", "# 1 0 0 0 0 1 0 0 0 0 1 0")
 
 def times_of(trajectory: Trajectory | None) -> list[int]:
     assert trajectory is not None
-    return trajectory.times_ns.tolist()
+    return [int(time) for time in trajectory.times_ns]
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def test_a_default_order_of_quaternions_gives_way_to_the_header_and_a_given_one_
 
 def of_kitti(root: Path, notes: Notes | None = None) -> dict[int, float]:
     """Image -> metres ahead, of what the door ``kitti`` takes of a recording with half a metre between frames."""
-    sequence = kitti.KittiSequence(root, "00")
+    sequence = KittiSequence(root, "00")
     frames = sequence.image_frames("image_0")
     times, poses = sequence.times_and_poses(10.0, max(frames) + 1, notes or Notes())
     for frame in poses.keys() & times.keys():
@@ -406,6 +406,18 @@ def test_an_image_of_a_model_without_a_pose_is_left_out(tmp_path: Path) -> None:
     notes = Notes()
     assert list(read_model(tmp_path, notes).images) == [1, 3]
     assert noted(notes.notes, "1 of 3", "NaN")
+
+
+def test_poses_of_microseconds_are_found_for_pairs_of_microseconds(tmp_path: Path) -> None:
+    pairs, poses = tmp_path / "a__b__cam0.txt", tmp_path / "poses.txt"
+    times = [1403636580838555 + 100_000 * i for i in range(3)]
+    pairs.write_text("".join(f"{t} {t + 50_000} 0 0 1 0 0 0 1\n" for t in times))
+    poses.write_text("".join(f"{t} {i} 0 0 0 0 0 1\n" for i, t in enumerate(times)))
+    notes = Notes()
+    options = pair_files.Options.model_validate({"trajectories": (f"a={poses}",)})
+    dataset = pair_files.build([pairs], options, tmp_path / "out", notes, Run(1))
+    assert list(dataset.traversal("a").poses) == times
+    assert noted(notes.notes, "a", "microseconds")
 
 
 def test_a_pair_without_a_pose_is_withheld(tmp_path: Path) -> None:

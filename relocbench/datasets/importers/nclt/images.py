@@ -69,7 +69,7 @@ def tiff_size(data: bytes, path: Path) -> tuple[int, int]:
 def read_table(path: Path, width: int, height: int) -> tuple[Floats, Floats]:
     """u and v (H, W) in the recorded image of each pixel of the undistorted one.
 
-    The file has a header, then for each pixel, row by row, its row and column, and those in the recorded image.
+    The file has a header, then for each pixel its row and column, and those in the recorded image.
 
     Raises:
         DatasetError: the file is missing, belongs to another image size, or holds something else than numbers.
@@ -81,5 +81,8 @@ def read_table(path: Path, width: int, height: int) -> tuple[Floats, Floats]:
         raise DatasetError("expected four numbers a line (row, column, recorded row, recorded column)", path) from None
     if values.shape != (width * height, 4) or not np.isfinite(values).all():
         raise DatasetError(f"is not a table for images of {width}x{height}: holds {len(values)} pixels", path)
-    u, v = values[:, 3].reshape(height, width), values[:, 2].reshape(height, width)
-    return u.astype(np.float32), v.astype(np.float32)
+    pixel = np.rint(values[:, 0] * width + values[:, 1])
+    if not np.array_equal(np.sort(pixel), np.arange(width * height)):
+        raise DatasetError(f"does not name each pixel of {width}x{height} once, by its row and column", path)
+    v, u = values[np.argsort(pixel), 2:].T.reshape(2, height, width).astype(np.float32)
+    return u, v

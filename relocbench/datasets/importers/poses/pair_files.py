@@ -20,6 +20,7 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.sensors.pose_files import read_pose_file
+from relocbench.datasets.sensors.times import UNITS, unit_of_dates
 from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.execution import Run
 from relocbench.files import check_distinct, check_name, fitting_name, plain_name
@@ -193,6 +194,10 @@ def _poses(listed: Sequence[_Listed], placed: Mapping[str, Path], job: Build[Opt
     for name, file in placed.items():
         own = read_pose_file(file, job.options.given("quaternions"), reporter=job.reporter)
         times = {t for one in listed for p in one.pairs for n, t in zip(one.key[:2], p.key, strict=True) if n == name}
+        if (unit_ns := unit_of_dates(times)) != 1:
+            # Pairs keep their times as they stand, by which predictions name them.
+            own = {time // unit_ns: pose for time, pose in own.items()}
+            job.reporter.note(f"{name}: times of pairs look like {UNITS[unit_ns]} and are kept as they stand")
         poses[name], unmatched = at_times(own, times)
         if unmatched:
             job.reporter.note(f"{file.name}: no pose at {unmatched} of the {len(times)} times of '{name}'")
