@@ -25,6 +25,7 @@ _WHOLE = re.compile(r"[+-]?[0-9]+")
 _SECONDS = re.compile(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(\.[0-9]*)?[eE][+-]?[0-9]+)")
 _MOST_DIGITS = 30
 _MOST = 2**63 - 1
+_MOST_SECONDS = 9_000_000_000
 _SLOW_NS = 10 * 10**9
 _FAST_NS = 100_000
 """times of the digits of a date whose steps would be longer than the first, and in the unit of the format at least the
@@ -160,7 +161,8 @@ def _seconds(texts: Sequence[str], at: Place, error: type[RelocbenchError]) -> l
     """Nanoseconds of seconds with a decimal point, or without one where a writer left out zeros."""
     out = []
     whole = [_WHOLE.fullmatch(text) is not None for text in texts]
-    most = 10 * max(abs(float(text)) for text, is_whole in zip(texts, whole, strict=True) if not is_whole) + 100
+    largest = max(abs(float(text)) for text, is_whole in zip(texts, whole, strict=True) if not is_whole)
+    most = min(10 * largest + 100, _MOST_SECONDS)
     if any(is_whole and abs(int(text)) > most for text, is_whole in zip(texts, whole, strict=True)):
         rare = whole.index(2 * sum(whole) <= len(whole))
         message = f"{quoted(texts[rare], 30)} is {'a whole number' if whole[rare] else 'seconds with a decimal point'}"
