@@ -50,6 +50,11 @@ class Header:
         """The components of the quaternion in the order of their columns, such as ``wxyz``."""
         return "".join(axis for _, axis in sorted(zip(self.pose[3:], "xyzw", strict=True)))
 
+    @property
+    def quaternion(self) -> str:
+        """The same as names of columns, such as ``qw qx qy qz``."""
+        return " ".join(f"q{axis}" for axis in self.order)
+
 
 def read_pose_columns(
     path: Path, what: str, error: type[RelocbenchError] = DatasetError, *, more: bool = False

@@ -212,14 +212,19 @@ def read_trajectory(
     columns = f"t tx ty tz {' '.join('q' + c for c in order or 'xyzw')}"
     header, found = read_pose_columns(path, f"a trajectory ({columns})", error)
     if header is not None and order not in (None, header.order):
-        names = " ".join(f"q{axis}" for axis in header.order)
-        raise error(f"its header names {names}, but quaternions are to be read as {order}", path, header.line)
+        raise error(
+            f"its header names {header.quaternion}, but quaternions are to be read as {order}", path, header.line
+        )
     rows = []
     for line, fields in found:
         if len(fields) != 8:
             raise error(f"expected 8 columns ({columns}), found {len(fields)}", path, line)
         turned = header is None and order == "wxyz"
         rows.append(Row(line, fields[0], [*fields[1:4], *fields[5:], fields[4]] if turned else fields[1:]))
+    if header is not None and header.order != "xyzw" and reporter is not None:
+        reporter.note(
+            f"{short_name(path)}: quaternions are read in the order that line {header.line} names: {header.quaternion}"
+        )
     unit_ns = None if header is None else header.unit_ns
     return pose_table(rows, TQ, path, reporter, own_ns=own_ns, unit_ns=unit_ns, error=error)
 

@@ -9,6 +9,7 @@ from relocbench.datasets.core.layout import IMAGE_SUFFIXES
 from relocbench.datasets.sensors.times import times_in_ns
 from relocbench.errors import DatasetError
 from relocbench.files import check_distinct, plain_name
+from relocbench.progress import Reporter
 
 
 def traversal_names(sources: Sequence[Path], endings: Sequence[str] = ()) -> list[str]:
@@ -50,6 +51,7 @@ def timed_files(
     *,
     dates_only: bool = False,
     like: Iterable[Path] = (),
+    reporter: Reporter | None = None,
 ) -> dict[int, Path]:
     """The files of a folder by the times in their names, in time order; a missing folder has none.
 
@@ -58,6 +60,7 @@ def timed_files(
     Args:
         own_ns, dates_only: as of :func:`~.times.times_in_ns`.
         like: files that are named by the same clock, by whose names too the unit of whole numbers is told.
+        reporter: is told of a unit of time that was told from digits.
 
     Raises:
         DatasetError: a name is not a time or one before 1970, names are in different units, or two files have one time.
@@ -67,9 +70,11 @@ def timed_files(
     files = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".") and p.suffix.lower() in suffixes]
     texts = [path.stem for path in files]
     others = [path.stem for path in like]
-    times = times_in_ns(texts, lambda i: (files[i], None), own_ns, dates_only=dates_only, like=others).ns
+    times = times_in_ns(texts, lambda i: (files[i], None), own_ns, dates_only=dates_only, like=others)
+    if reporter is not None and times.by_digits:
+        reporter.note(f"{folder}: times in names of files are read as {times.unit}, told by their number of digits")
     found: dict[int, Path] = {}
-    for time, path in zip(times, files, strict=True):
+    for time, path in zip(times.ns, files, strict=True):
         if time < 0:
             raise DatasetError("its name is a time before 1970", path)
         if time in found:

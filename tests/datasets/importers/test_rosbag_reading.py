@@ -393,7 +393,11 @@ def backwards(time: int, k: int) -> int:
     return time - (k % 2) * SECOND // 2
 
 
-@pytest.mark.parametrize("stamps", [zero, backwards])
+def second_run(time: int, k: int) -> int:
+    return time - (k >= SCANS // 2) * 2 * SECOND
+
+
+@pytest.mark.parametrize("stamps", [zero, backwards, second_run])
 def test_stamps_that_cannot_be_right_give_way_to_times_of_receipt(
     tmp_path: Path, stamps: Callable[[int, int], int]
 ) -> None:
@@ -413,6 +417,14 @@ def test_a_scan_that_came_twice_is_left_out_and_counted(tmp_path: Path) -> None:
     assert len(lidar.times_ns) == SCANS
     assert round(float(lidar.read(2).points[0, 0])) == 12
     assert "1 of 13 messages are left out" in notes
+
+
+def test_messages_without_a_pose_are_left_out_and_counted(tmp_path: Path) -> None:
+    bag, notes = drive(), Notes()
+    bag.odometry("/odom", START + SECOND // 3, [np.nan] * 7)
+    odometry = read(bag.write(tmp_path / "drive.bag"), notes).odometry
+    assert START + SECOND // 3 not in odometry.times_ns.tolist()
+    assert noted(notes.notes, "1 of", "NaN")
 
 
 def test_stamps_of_different_clocks_are_refused(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from relocbench.datasets.importers.generic.dataset import read_folder
 from relocbench.datasets.importers.helipr.recording import read_helipr
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.kitti360.recording import read_kitti360
+from relocbench.datasets.importers.lidar_drives.drives import DriveFiles
 from relocbench.datasets.importers.mulran.recording import read_mulran
 from relocbench.datasets.importers.nclt.recording import read_nclt
 from relocbench.datasets.importers.poses import pair_files
@@ -154,6 +155,31 @@ def test_rows_without_a_pose_and_rows_that_repeat_one_are_left_out_and_counted(d
     assert door.times(tmp_path, notes) == [whole[0], whole[2]]
     assert noted(notes.notes, "1 rows", f"line {len(head) + 2}")
     assert noted(notes.notes, "NaN", "1", f"line {len(head) + 3}") or noted(notes.notes, "NaN", "2")
+
+
+@pytest.mark.parametrize(
+    ("name", "scans", "read"),
+    [
+        ("boreas", "lidar", lambda r, n: read_boreas(r / "boreas-2021-01-26-11-22", "a", reporter=n)),
+        ("mulran", "Ouster", lambda r, n: read_mulran(r / "DCC01", "a", reporter=n)),
+        ("helipr", "LiDAR/Ouster", lambda r, n: read_helipr(r / "KAIST05", "a", ("Ouster",), reporter=n)),
+        ("nclt", "velodyne_sync", lambda r, n: read_nclt(r / "2012-01-08", "a", reporter=n)),
+        ("complex-urban", "VLP_left", lambda r, n: read_complex_urban(r / "urban28", "a", ("VLP_left",), reporter=n)),
+        ("folder-of-clouds", "scans", lambda r, n: read_clouds(r / "summer", "a", n)),
+    ],
+)
+def test_scans_named_in_another_unit_have_the_same_times(
+    tmp_path: Path, name: str, scans: str, read: Callable[[Path, Notes], DriveFiles]
+) -> None:
+    DRIVES[name](tmp_path)
+    (tmp_path / "summer/times.txt").unlink(missing_ok=True)
+    before = read(tmp_path, Notes()).lidars[0].times_ns
+    for path in tmp_path.glob(f"**/{scans}/*.bin"):
+        stem = f"{path.stem}000" if len(path.stem) == 16 else path.stem[:-3]
+        path.rename(path.with_name(f"{stem}.bin"))
+    notes = Notes()
+    np.testing.assert_array_equal(read(tmp_path, notes).lidars[0].times_ns, before)
+    assert noted(notes.notes, "microseconds") or noted(notes.notes, "nanoseconds")
 
 
 def test_two_runs_in_one_table_are_not_sorted_into_one_another() -> None:

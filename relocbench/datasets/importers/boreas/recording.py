@@ -82,7 +82,7 @@ def read_boreas(
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
     """
-    scans = files_by_time(folder / "lidar", (".bin",), _US)
+    scans = files_by_time(folder / "lidar", (".bin",), _US, reporter)
     if not scans[0]:
         raise DatasetError("holds no lidar scan; expected TIME.bin in microseconds", folder / "lidar")
     T_rig_lidar = T_RIG_APPLANIX @ read_transform(folder / "calib" / "T_applanix_lidar.txt", "the lidar's pose")

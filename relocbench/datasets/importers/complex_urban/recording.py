@@ -74,7 +74,7 @@ def read_complex_urban(
     streams = []
     for lidar in chosen_of(lidars or None, tuple(LIDARS), _DEFAULT, "Complex Urban has no lidar"):
         where = folder / "sensor_data" / lidar
-        scans = files_by_time(where, (".bin",))
+        scans = files_by_time(where, (".bin",), reporter=reporter)
         if not scans[0]:
             if lidars:
                 raise DatasetError("holds no lidar scan; expected TIME.bin in nanoseconds", where)

@@ -162,13 +162,13 @@ def read_folder(root: Path, name: str, need_poses: bool = True, reporter: Report
         condition=header.condition,
         location=header.location,
         rate_hz=header.rate_hz,
-        cameras={c: _read_camera_folder(root, "" if single else c, entry) for c, entry in cameras.items()},
+        cameras={c: _read_camera_folder(root, "" if single else c, entry, reporter) for c, entry in cameras.items()},
         T_world_rig=read_trajectory(root / POSE_FILE, reporter=reporter).by_time if need_poses else {},
     )
 
 
-def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera) -> CameraFolder:
-    shown = timed_files(root / "images" / subfolder)
+def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera, reporter: Reporter | None) -> CameraFolder:
+    shown = timed_files(root / "images" / subfolder, reporter=reporter)
     folder = CameraFolder(
         entry,
         shown,

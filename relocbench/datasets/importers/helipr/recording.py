@@ -133,7 +133,7 @@ def read_helipr(
     streams = []
     for lidar in chosen_of(lidars or None, LIDARS, _DEFAULT, "HeLiPR has no lidar"):
         where = folder / "LiDAR" / lidar
-        scans = files_by_time(where, (".bin",))
+        scans = files_by_time(where, (".bin",), reporter=reporter)
         if scans[0]:
             decode, pose = HeLiPRPoints(lidar), T_INS_LIDAR[lidar]
             streams.append(ScanFiles(lidar, *scans, pose, decode, _MAX_RANGE_M[lidar], _SIGMA_M, min_range_m=1.0))

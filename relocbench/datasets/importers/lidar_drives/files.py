@@ -13,17 +13,23 @@ from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.geometry import Camera, CameraModel
+from relocbench.progress import Reporter
 
 
 def files_by_time(
-    folder: Path, suffixes: tuple[str, ...], own_ns: int = 1, *, dates_only: bool = False
+    folder: Path,
+    suffixes: tuple[str, ...],
+    own_ns: int = 1,
+    reporter: Reporter | None = None,
+    *,
+    dates_only: bool = False,
 ) -> tuple[tuple[Path, ...], Times]:
     """The files of a folder and their times (N,), as :func:`timed_files`.
 
     Raises:
         DatasetError: a name is not a time, two files have the same time, or a file is empty.
     """
-    found = timed_files(folder, suffixes, own_ns, dates_only=dates_only)
+    found = timed_files(folder, suffixes, own_ns, dates_only=dates_only, reporter=reporter)
     for path in found.values():
         check_file(path)
     return tuple(found.values()), np.array(list(found), dtype=np.int64)

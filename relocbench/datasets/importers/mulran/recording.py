@@ -75,7 +75,7 @@ def read_mulran(
     """
     places = [folder / "sensor_data" / "Ouster", folder / "Ouster"]
     where = next((place for place in places if place.is_dir()), places[0])
-    scans = files_by_time(where, (".bin",))
+    scans = files_by_time(where, (".bin",), reporter=reporter)
     if not scans[0]:
         raise DatasetError("holds no lidar scan; expected TIME.bin in nanoseconds", where)
     lidar = ScanFiles("Ouster", *scans, T_BASE_OUSTER, ColumnsInOrder(scan_time), 120.0, 0.03, min_range_m=0.8)

@@ -74,7 +74,7 @@ def read_nclt(
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
     """
-    scans = files_by_time(folder / "velodyne_sync", (".bin",), _US)
+    scans = files_by_time(folder / "velodyne_sync", (".bin",), _US, reporter)
     if not scans[0]:
         raise DatasetError("holds no lidar scan; expected TIME.bin in microseconds", folder / "velodyne_sync")
     lidar = ScanFiles("velodyne_sync", *scans, T_RIG_BODY, decode, 80.0, 0.03, min_range_m=1.0)

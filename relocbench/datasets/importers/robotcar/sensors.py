@@ -127,7 +127,7 @@ def present_files(
     Raises:
         DatasetError: the list is out of order, a file's name is not a time, or a scan is truncated.
     """
-    found = timed_files(folder, (suffix,), US)
+    found = timed_files(folder, (suffix,), US, reporter=reporter)
     for path in found.values():
         if suffix == ".bin" and not path.exists():
             raise DatasetError("is a link to a file that does not exist; expected a scan", path)
