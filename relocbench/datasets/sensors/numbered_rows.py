@@ -9,7 +9,7 @@ from pathlib import Path
 from relocbench.datasets.core.pairfile import any_non_finite
 from relocbench.datasets.sensors.times import ReadTimes, check_increasing, times_in_ns
 from relocbench.errors import DatasetError
-from relocbench.files import fields_of, lines_of, read_text
+from relocbench.files import fields_of, lines_of, read_text, whole_number
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,27 @@ class NumberedRows:
         if max(len(self), len(other)) > min(len(self) + self.spare, len(other) + other.spare):
             message = f"holds {len(self)} rows, but {other.path.name} {len(other)}"
             raise DatasetError(f"{message}; expected a row for each frame, empty ones for lost frames", self.path)
+
+    def of_files(self, files: Sequence[Path]) -> list[int]:
+        """The number of the row of each file: its place among them, or the number in its name.
+
+        Raises:
+            DatasetError: there are not as many rows as files, nor as many as their names count to, from 0 or 1.
+        """
+        if self._may_be(len(files)):
+            return list(range(len(files)))
+        numbers = [-1 if (number := whole_number(path.stem)) is None else number for path in files]
+        for first in (0, 1):
+            if min(numbers) >= first and self._may_be(max(numbers) + 1 - first):
+                return [number - first for number in numbers]
+        message = f"holds {len(self)} rows for {len(files)} files"
+        raise DatasetError(
+            f"{message}; expected a row for each, or for each number, empty ones for lost ones", self.path
+        )
+
+    def _may_be(self, count: int) -> bool:
+        """Whether there may be so many rows."""
+        return len(self) <= count <= len(self) + self.spare
 
 
 def read_numbered_rows(path: Path, what: str) -> NumberedRows:

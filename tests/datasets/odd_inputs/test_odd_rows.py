@@ -416,6 +416,18 @@ def test_a_cloud_whose_row_of_times_is_empty_is_left_out(tmp_path: Path) -> None
     assert drive.poses.T_odom_rig[:, 0, 3].tolist() == [0.0, 2.0]
     assert drive.lidars[0].times_ns.tolist() == [int(times[0]), int(times[2])]
     assert noted(notes.notes, "1 of 3")
+    for k, path in enumerate(sorted((folder / "scans").iterdir())):
+        path.rename(path.with_name(f"{k + (k > 0):06d}.bin"))  # 0, 2, 3: rows are those of these numbers
+    rows = [f"1 0 0 {i} 0 1 0 0 0 0 1 0" for i in range(4)]
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    (folder / "times.txt").write_text("\n".join([times[0], "", *times[1:]]) + "\n")
+    drive = read_clouds(folder, "a", Notes())
+    assert drive.lidars[0].times_ns.tolist() == list(map(int, times))
+    assert drive.poses is not None
+    assert drive.poses.T_odom_rig[:, 0, 3].tolist() == [0.0, 2.0, 3.0]
+    (folder / "times.txt").unlink()
+    by_rate = read_clouds(folder, "a", Notes(), rate_hz=10.0)
+    assert by_rate.lidars[0].times_ns.tolist() == [0, 200_000_000, 300_000_000]
     (folder / "times.txt").write_text("\n".join(times[:2]) + "\n")
     with refused(DatasetError, "times.txt", None, 2, 3):
         read_clouds(folder, "a", Notes())

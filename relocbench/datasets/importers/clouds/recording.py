@@ -101,7 +101,7 @@ def read_clouds(
         folder=folder,
         condition=condition,
         lidars=(SweptClouds(clouds) if turning else clouds,),
-        poses=None if use is None else _trajectory(use, [time for time, _ in listed], reporter),
+        poses=None if use is None else _trajectory(use, listed, reporter),
         poses_from="" if use is None else use.name,
         cameras=cameras,
     )
@@ -149,23 +149,26 @@ def _cloud_files(folder: Path) -> list[Path]:
     )
 
 
-def _trajectory(path: Path, times: Sequence[int | None], reporter: Reporter) -> Trajectory:
+def _trajectory(path: Path, clouds: Sequence[tuple[int | None, Path]], reporter: Reporter) -> Trajectory:
     """Poses of the lidar: ``t x y z qx qy qz qw`` a line, or twelve numbers for each cloud.
 
     Args:
-        times: nanoseconds of the clouds, None for those without time.
+        clouds: with their times in nanoseconds, None for those without.
     """
     rows = read_numbered_rows(path, "poses (t x y z qx qy qz qw, or 12 numbers for each cloud)")
     if not rows.filled:
         raise DatasetError("holds no pose", path)
     if any(len(row.fields) != 12 for row in rows.filled.values()):
         return rig_trajectory(read_trajectory(path, reporter=reporter))
-    if not len(rows) <= len(times) <= len(rows) + rows.spare:
-        message = f"holds {len(rows)} poses without times for {len(times)} clouds"
-        raise DatasetError(f"{message}; expected a row for each, empty where there is no pose", path)
-    both = [(time, row) for number, row in rows.filled.items() if (time := times[number]) is not None]
-    numbers = [Row(row.line, "", row.fields) for _, row in both]
-    return rig_trajectory(pose_table(numbers, MATRIX, path, reporter, times=[time for time, _ in both]))
+    filled = rows.filled
+    numbers = rows.of_files([cloud for _, cloud in clouds])
+    both = [
+        (time, filled[number])
+        for number, (time, _) in zip(numbers, clouds, strict=True)
+        if time is not None and number in filled
+    ]
+    posed = [Row(row.line, "", row.fields) for _, row in both]
+    return rig_trajectory(pose_table(posed, MATRIX, path, reporter, times=[time for time, _ in both]))
 
 
 def _described(folder: Path, name: str) -> tuple[Condition, dict[str, CameraStream]]:

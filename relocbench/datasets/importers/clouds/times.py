@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
+from math import gcd
 from pathlib import Path
 
 from relocbench.datasets.sensors.numbered_rows import read_numbered_times
@@ -35,8 +37,12 @@ def clouds_with_times(
     if table is not None:
         return _from_table(ordered, table)
     if rate_hz is not None:
-        numbered = [(round(number * 1e9 / rate_hz), path) for number, path in enumerate(ordered)]
-        return [*numbered], f"{rate_hz:g} clouds a second, in the order of their names"
+        at = _places(ordered)
+        timed = [(round(place * 1e9 / rate_hz), path) for place, path in zip(at, ordered, strict=True)]
+        lost = at[-1] + 1 - len(at)
+        return [
+            *timed
+        ], f"{rate_hz:g} clouds a second, by their names{f', {lost} of which are missing' if lost else ''}"
     texts = [path.stem for path in ordered]
     try:
         read = times_in_ns(texts, lambda i: (ordered[i], None), dates_only=True)
@@ -44,6 +50,18 @@ def clouds_with_times(
         message = f"{bad.expected}; for numbered clouds give {TIME_FILES[0]} or --rate-hz"
         raise DatasetError(message, bad.path) from None
     return _by_time(ordered, read.ns, None), f"names of the files, in {read.unit}"
+
+
+def _places(files: Sequence[Path]) -> list[int]:
+    """The place of each cloud in a drive: by the numbers in their names, so that lost ones shift none, or by order."""
+    numbers = [whole_number(path.stem) for path in files]
+    known = [number for number in numbers if number is not None]
+    if len(known) < 2 or len(known) < len(files):
+        return list(range(len(files)))
+    step = gcd(*(b - a for a, b in pairwise(known)))  # more than 1 where every n-th cloud was kept
+    if not step:
+        return list(range(len(files)))
+    return [(number - known[0]) // step for number in known]
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
@@ -61,14 +79,8 @@ def _from_table(files: list[Path], table: Path) -> tuple[list[tuple[int | None, 
         return _named(files, rows, table)
     numbered, read, numbers = read_numbered_times(table, dates_only=True)
     time_of: dict[int, int] = dict(zip(numbers, read.ns, strict=True))
-    if not len(numbered) <= len(files) <= len(numbered) + numbered.spare:
-        names = [whole_number(path.stem) for path in files]
-        if names != numbers:
-            lost = len(numbered) - len(numbers)
-            message = f"holds {len(numbered)} rows, {lost} of them empty, for {len(files)} clouds"
-            raise DatasetError(f"{message}; expected a row for each, empty where there is no time", table)
-        return list(zip(read.ns, files, strict=True)), f"{table.name}, in {read.unit}"
-    return [(time_of.get(row), path) for row, path in enumerate(files)], f"{table.name}, in {read.unit}"
+    chosen = zip(numbered.of_files(files), files, strict=True)
+    return [(time_of.get(row), path) for row, path in chosen], f"{table.name}, in {read.unit}"
 
 
 def _named(
