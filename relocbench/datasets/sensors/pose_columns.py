@@ -18,6 +18,8 @@ _UNIT_NS = {"ns": 1, "nsec": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "sec": 10*
 _POSITION = re.compile(r"(.*\.)?(|t|p|tran|trans|translation|pos|position|loc|location|p_[a-z0-9_]+)")
 _QUATERNION = re.compile(r"(.*[._])?(q|quat|quaternion|orientation|rot|rotation)|q_[a-z0-9_]+")
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]")
+_LONGEST = 4000
+"""characters of a header; searching a longer text for names and units could take long"""
 _STAMP = "header.stamp"
 """of the two times of a message that rostopic writes, the one that the sensor gave it"""
 
@@ -99,6 +101,8 @@ def read_pose_columns(
 
 def parse_header(text: str, line: int) -> Header | None:
     """The columns that a line names; None if it does not name those of a pose, each once."""
+    if len(text) > _LONGEST:
+        return None
     # A unit belongs to the name before it.
     words = text.split(",") if "," in text else re.sub(r"\s+(?=[\[(])", "", text).split()
     names = [word.strip(" \t%\"'").lower() for word in words]
