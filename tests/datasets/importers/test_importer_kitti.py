@@ -47,7 +47,7 @@ def test_frames_keep_their_numbers_times_and_poses(recording: Path, tmp_path: Pa
     for pair, step in zip(pairs, (1, 2, 1, 2), strict=True):
         assert pair.T_query_ref is not None
         np.testing.assert_allclose(pair.T_query_ref[:3, 3], [-0.2 * step, 0, 0], atol=2e-9)
-    assert noted(notes.notes, "1 images")
+    assert noted(notes.notes, "1 of 5", "000009.png")
     assert noted(notes.notes, "1 of 4")
 
 

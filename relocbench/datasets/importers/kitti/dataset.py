@@ -166,7 +166,9 @@ def _read(sequence: KittiSequence, options: Options, needs_depth: bool, reporter
     times, poses = sequence.times_and_poses(options.rate_hz, max(found) + 1, reporter)
     frames = {i: path for i, path in found.items() if i in poses and i in times}
     if len(frames) < len(found):
-        reporter.note(f"{sequence.name}: {len(found) - len(frames)} images without a pose or time are left out")
+        first = next(path.name for i, path in found.items() if i not in frames)
+        message = f"{len(found) - len(frames)} of {len(found)} images have no pose or no time and are left out"
+        reporter.note(f"{sequence.name}: {message}, the first is {first}")
     if not frames:
         raise DatasetError(f"holds {len(poses)} poses, but none for an existing image", sequence.poses_file)
     kind = _depth_kind(sequence, options, needs_depth)
