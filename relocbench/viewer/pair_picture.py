@@ -225,7 +225,8 @@ def _write_numbers(
     if pair.distance_m is not None:
         lines.append(f"keyframe off by    {pair.distance_m:.3f} m, {pair.angle_deg:.3f}°")
     if pair.sigma_translation_m:
-        lines.append(f"sigma of the truth {pair.sigma_translation_m:.3g} m")
+        stated = "" if pair.has_calibrated_sigmas else ", not calibrated"
+        lines.append(f"sigma of the truth {pair.sigma_translation_m:.3g} m{stated}")
     if pair.is_negative:
         lines.append("a pair of different places")
     lines.append(f"residual, truth    {_levels(truth)}")

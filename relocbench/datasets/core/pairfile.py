@@ -48,6 +48,8 @@ SCALE_COLUMNS = ("scale_change",)
 """the same"""
 _HEADERS = tuple(TABLE_COLUMNS + axes + scale for axes in ((), AXIS_COLUMNS) for scale in ((), SCALE_COLUMNS))
 _NUMBERS = ("overlap", "sigma_translation_m", "sigma_rotation_deg", *AXIS_COLUMNS, *SCALE_COLUMNS)
+UNCALIBRATED = "sigma not calibrated"
+"""part of a pair's source where its sigmas are no standard deviations of the errors"""
 ELSEWHERE = "elsewhere"
 """the group of pairs whose keyframe and query show different places; reserved for them"""
 
@@ -100,6 +102,16 @@ class Pair:
     def axis_sigmas(self) -> tuple[float | None, float | None, float | None]:
         """The sigmas in the order of :data:`AXIS_COLUMNS`."""
         return self.sigma_along_m, self.sigma_across_m, self.sigma_height_m
+
+    @property
+    def has_calibrated_sigmas(self) -> bool:
+        """Whether its sigmas, as far as it has any, are standard deviations of the errors."""
+        return UNCALIBRATED not in self.source
+
+    @property
+    def calibrated_sigmas(self) -> tuple[float | None, float | None]:
+        """The sigmas of position (metres) and rotation (degrees); None where unknown or :data:`UNCALIBRATED`."""
+        return (self.sigma_translation_m, self.sigma_rotation_deg) if self.has_calibrated_sigmas else (None, None)
 
     @property
     def key(self) -> PairKey:

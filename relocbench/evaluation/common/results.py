@@ -294,8 +294,8 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
         groups=tuple(dict.fromkeys(p.group for p in pairs if p.group)),
         median_distance_m=rounded_median([distance for distance, _ in between]),
         median_angle_deg=rounded_median([angle for _, angle in between]),
-        median_sigma_translation_m=rounded_median([p.sigma_translation_m for p in pairs]),
-        median_sigma_rotation_deg=rounded_median([p.sigma_rotation_deg for p in pairs]),
+        median_sigma_translation_m=rounded_median([p.calibrated_sigmas[0] for p in pairs]),
+        median_sigma_rotation_deg=rounded_median([p.calibrated_sigmas[1] for p in pairs]),
     )
 
 

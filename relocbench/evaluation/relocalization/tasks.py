@@ -89,6 +89,6 @@ def _record(dataset: Dataset, task: RetrievalTask, truth: MapTruth) -> PipelineT
         reach_deg=round(degrees, 6),
         unposed_keyframes=sum(time not in traversal.poses for time in truth.keyframe_times),
         truth_spread_m=rounded_median(truth.spread),
-        median_sigma_translation_m=rounded_median([p.sigma_translation_m for p in pair_set.pairs]),
-        median_sigma_rotation_deg=rounded_median([p.sigma_rotation_deg for p in pair_set.pairs]),
+        median_sigma_translation_m=rounded_median([p.calibrated_sigmas[0] for p in pair_set.pairs]),
+        median_sigma_rotation_deg=rounded_median([p.calibrated_sigmas[1] for p in pair_set.pairs]),
     )

@@ -71,7 +71,7 @@ def _near_truth(pair_set: PairSet, poses_of: Mapping[PairKey, Array]) -> Iterato
     if len(asked) == len(pair_set.pairs) and farthest_m < _CLOSE_M and farthest_deg < _CLOSE_DEG:
         message = f"all {len(asked)} answers are within {1000 * farthest_m:.3g} mm and {farthest_deg:.3g}° of the truth"
         yield f"{message}, as copies of it with noise are"
-    sigmas = [p.sigma_translation_m for p in asked if p.sigma_translation_m]
+    sigmas = [sigma for p in asked if (sigma := p.calibrated_sigmas[0])]
     median = float(np.median(errors.translation_error_m))
     if len(sigmas) == len(asked) and median < _OF_SIGMA * float(np.median(sigmas)):
         yield (

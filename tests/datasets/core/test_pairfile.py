@@ -17,6 +17,7 @@ from relocbench.datasets.core.pairfile import (
     AXIS_COLUMNS,
     SCALE_COLUMNS,
     TABLE_COLUMNS,
+    UNCALIBRATED,
     Pair,
     PoseLine,
     pose_fields,
@@ -165,6 +166,15 @@ def test_a_change_of_scale_is_kept_where_it_is_known_and_hidden_with_the_truth(t
     assert not found.faults
     both = [replace(p, sigma_along_m=0.03) for p in known]
     assert [(p.sigma_along_m, p.scale_change) for p in read_pairs(*write(tmp_path, both))][:2] == [(0.03, 1.25)] * 2
+
+
+def test_sigmas_that_are_not_calibrated_are_kept_and_used_by_no_score(tmp_path: Path) -> None:
+    stated = replace(PAIRS[0], sigma_translation_m=0.003, sigma_rotation_deg=0.01)
+    pairs = [stated, *(replace(stated, query_timestamp_ns=k, source=f"a recipe, {UNCALIBRATED}") for k in (20, 30))]
+    first, second, _ = read_pairs(*write(tmp_path, pairs))
+    assert first.calibrated_sigmas == (0.003, 0.01)
+    assert second.calibrated_sigmas == (None, None)
+    assert second.sigma_translation_m == 0.003
 
 
 def test_sigmas_by_axis_are_kept_where_they_are_known(tmp_path: Path) -> None:

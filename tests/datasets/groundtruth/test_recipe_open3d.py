@@ -111,6 +111,8 @@ def test_the_dataset_is_complete_and_says_what_made_it(drives: RigDrives) -> Non
     accepted = [pair for pair in drives.pairs if pair.accepted]
     assert len(accepted) >= 0.8 * len(drives.pairs)
     assert {pair.source for pair in drives.pairs} == {SOURCE}
+    assert not any(pair.has_calibrated_sigmas for pair in drives.pairs)
+    assert "not calibrated" in drives.outcome.err
     for pair in accepted:
         assert pair.T_query_ref is not None
         metres, degrees = off(pair.T_query_ref, drives.exact(pair))

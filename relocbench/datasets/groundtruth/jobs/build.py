@@ -211,5 +211,7 @@ def _summary(query: str, camera: str, outcomes: Sequence[PairOutcome]) -> str:
         degrees = np.median([o.sigma_rotation_deg for o in accepted if o.sigma_rotation_deg is not None])
         length = f"{100 * metres:.1f} cm" if metres >= 0.002 else f"{1000 * metres:.2f} mm"
         text += f", median sigma {length} and {degrees:.3f} deg"
+        if not accepted[0].pair().has_calibrated_sigmas:
+            text += ", as Open3D states it: not calibrated, and many times smaller than the errors"
     kinds = by_kind(o.reason for o in outcomes if not o.accepted)
     return "; ".join([text, *(f"{len(reasons)}: {reasons[0]}" for reasons in list(kinds.values())[:3])])

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.core.pairfile import UNCALIBRATED
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome, axis_sigmas
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
@@ -16,7 +17,8 @@ from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import adjoint, invert
 
-SOURCE = "Open3D: RANSAC or the last pair, point-to-plane ICP; not verified"
+SOURCE = f"Open3D: RANSAC or the last pair, point-to-plane ICP; not verified, {UNCALIBRATED}"
+"""Open3D counts each pair of points as an independent measurement, so that its sigmas are many times too small"""
 
 
 def outcomes_of(unit: ChainUnit, pairs: Sequence[Registration]) -> list[PairOutcome]:

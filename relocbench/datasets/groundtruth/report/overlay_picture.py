@@ -97,6 +97,8 @@ def _state(pair: Pair) -> str:
     stated = f"sigma {', '.join(sigmas)} cm" if sigmas else "no sigma"
     if pair.sigma_rotation_deg is not None:
         stated += f", {pair.sigma_rotation_deg:.3f} deg"
+    if sigmas and not pair.has_calibrated_sigmas:
+        stated += " (not calibrated)"
     return f"accepted, {stated}" if pair.accepted else f"REJECTED: {shortened(pair.reason, 110)}; {stated}"
 
 

@@ -71,6 +71,7 @@ def _pair_set(one: DrawnSet) -> dict[str, object]:
         "spots": one.spots,
         "accepted": len(accepted),
         "rejected": len(pairs) - len(accepted),
+        "calibrated": all(p.has_calibrated_sigmas for p in pairs),
         "sigmas_cm": [_median([p.axis_sigmas[k] for p in accepted], 100.0, 2) for k in range(3)],
         "sigma_deg": _median([p.sigma_rotation_deg for p in accepted], 1.0, 3),
         "residuals_cm": [_number(100 * sigma / one.found.enlarged, 2) for sigma in one.residuals.sigmas_m],

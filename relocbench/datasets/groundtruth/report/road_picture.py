@@ -77,7 +77,8 @@ def _map(figure: Figure, axes: Axes, inspected: InspectedSet, spots: list[Spot],
     dots = axes.scatter(
         places[good, 0], places[good, 1], c=sigma[good], cmap="viridis", s=26, zorder=4, vmin=0, plotnonfinite=True
     )
-    figure.colorbar(dots, ax=axes, label="sigma of the position (cm)", shrink=0.85, pad=0.01)
+    stated = "" if all(p.has_calibrated_sigmas for p in pairs) else ", not calibrated"
+    figure.colorbar(dots, ax=axes, label=f"sigma of the position (cm){stated}", shrink=0.85, pad=0.01)
     for kind, colour in colours.items():
         these = np.array([not p.accepted and kind_of(reason_of(p)) == kind for p in pairs])
         axes.scatter(places[these, 0], places[these, 1], marker="x", color=colour, s=34, linewidths=1.5, zorder=5)
