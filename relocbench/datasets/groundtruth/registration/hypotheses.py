@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relocbench.arrays import Array, Indices
+from relocbench.datasets.groundtruth.icp.icp import IcpOptions, run_icp
 from relocbench.datasets.groundtruth.registration.global_registration import distinct, pose_difference
 from relocbench.datasets.groundtruth.registration.submap_pair import (
     Guess,
@@ -23,6 +24,13 @@ from relocbench.datasets.groundtruth.registration.submap_pair import (
 )
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, alternatives, fit
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
+from relocbench.geometry import invert
+
+_MOST_VARIED = 8
+"""guesses that alternatives are made of"""
+_COARSE = IcpOptions(scale_error_sigma=0.0)
+_SAME_M = 0.5
+"""poses after a coarse registration that differ by no more are one"""
 
 
 @dataclass(frozen=True)
@@ -36,7 +44,15 @@ class HypothesisOptions:
     most_followed: int = 5
     """number of hypotheses that are followed, the most plausible ones"""
     most_tried: int = 10
-    """number of guesses that are registered at all, those that fit best"""
+    """number of guesses that are registered to the end, those that fit best"""
+    coarsely_tried: int = 16
+    """number of guesses that are registered coarsely, to see how well they fit"""
+    least_share: float = 0.75
+    """share of the best fit that a guess must reach to be registered to the end"""
+    poor_fit: float = 0.6
+    """a fit below this is probably wrong: of right poses 0.7 to 0.9 of the surfaces fit"""
+    few_tried: int = 2
+    """number of guesses that are registered to the end if the best fit is poor, for the reason"""
     share: float = 0.7
     """share of the nodes at which a hypothesis must be trusted"""
     margin: float = 0.03
@@ -66,10 +82,46 @@ def plausibility(evidence: Evidence) -> float:
     return float(min(values[:2]) - 2 * max(values[2:]))
 
 
+@dataclass(frozen=True, eq=False)
+class SettledGuess:
+    """A guess after a coarse registration."""
+
+    guess: Guess
+    fit: float
+    """share of both submaps' surfaces that lie near one of the other's, the mean of both"""
+
+
+def settle(ref: PreparedDrive, query: PreparedDrive, guess: Guess, shift: ShiftOptions) -> SettledGuess:
+    """Register a guess coarsely: a tenth of the work of a whole registration tells how well it will fit."""
+    r, q, T = guess
+    a, b = ref.at(r).planes, query.at(q).planes
+    T = run_icp(a, b, T, _COARSE, levels=[0]).T_ref_query
+    return SettledGuess((r, q, T), (fit(a, b, T, shift) + fit(b, a, invert(T), shift)) / 2)
+
+
+def promising_guesses(
+    ref: PreparedDrive, query: PreparedDrive, guesses: Sequence[Guess], options: HypothesisOptions
+) -> list[Guess]:
+    """The guesses that may be right, each registered coarsely, the best first; those that end at one pose are one."""
+    shift = ShiftOptions()
+    settled = [settle(ref, query, guess, shift) for guess in guesses[: options.coarsely_tried]]
+    settled.sort(key=lambda one: -one.fit)
+    settled = [settled[row] for row in distinct(_in_reference(ref, [one.guess for one in settled]), _SAME_M)]
+    best = settled[0].fit if settled else 0.0
+    most = options.most_tried if best >= options.poor_fit else options.few_tried
+    return [one.guess for one in settled if one.fit >= options.least_share * best][:most]
+
+
 def with_alternatives(
     ref: PreparedDrive, query: PreparedDrive, guesses: Sequence[Guess], shift: ShiftOptions, most: int
 ) -> list[Guess]:
-    """Guesses and their distinct alternatives, best fit first; at most ``most``."""
+    """Guesses and their distinct alternatives, best fit first; at most ``most``.
+
+    Of many guesses, alternatives are made of those that fit best.
+    """
+    if len(guesses) > _MOST_VARIED:
+        settled = [settle(ref, query, guess, shift) for guess in guesses]
+        guesses = [one.guess for one in sorted(settled, key=lambda one: -one.fit)[:_MOST_VARIED]]
     ranked: list[tuple[float, int, Guess]] = []
     for r, q in dict.fromkeys(g[:2] for g in guesses):
         a, b = ref.at(r).planes, query.at(q).planes
@@ -90,7 +142,8 @@ def choose_hypothesis(
 
     The reason is that of the most plausible guess, or that two guesses cannot be told apart.
     """
-    tried = [register(ref, query, (r, q), T, register_options) for r, q, T in guesses[: options.most_tried]]
+    promising = promising_guesses(ref, query, guesses, options)
+    tried = [register(ref, query, (r, q), T, register_options) for r, q, T in promising]
     tried.sort(key=lambda registration: -plausibility(registration.evidence))
     trusted = [registration for registration in tried if registration.trusted]
     rows = distinct(_query_poses(ref, trusted))[: options.most_followed]
@@ -153,5 +206,9 @@ def follow(
 
 
 def _query_poses(ref: PreparedDrive, registrations: Sequence[Registration]) -> list[Array]:
+    return _in_reference(ref, [(f.ref, f.query, f.T_ref_query) for f in registrations])
+
+
+def _in_reference(ref: PreparedDrive, guesses: Sequence[Guess]) -> list[Array]:
     """Poses (4, 4) of query nodes in the reference's odometry."""
-    return [ref.nodes.T_odom_node[f.ref] @ f.T_ref_query for f in registrations]
+    return [ref.nodes.T_odom_node[r] @ T for r, _, T in guesses]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 from scipy.stats import theilslopes
@@ -24,6 +24,7 @@ from relocbench.datasets.groundtruth.registration.hypotheses import (
     choose_hypothesis,
     follow,
     plausibility,
+    settle,
     with_alternatives,
 )
 from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive, RegisterOptions
@@ -43,10 +44,12 @@ _FEW = 0.6
 """share of trusted registrations below which they may hold by chance"""
 _SHORT_M = 60.0
 """registered length of road, a submap's, below which they may"""
-_PERCENT = (-12, -10, -8, -6, -4, 0, 4, 6, 8, 10, 12)
-"""stretches of the query's odometry that are tried; smaller ones are estimated with the poses"""
-_MOST_TRIED = 4
-"""guesses that are registered with each of them, those that fit best"""
+_PERCENT = (-12, -8, -4, 0, 4, 8, 12)
+"""stretches of the query's odometry that are tried; what is between them is estimated with the poses"""
+_MOST_SETTLED = 3
+"""guesses that are registered coarsely with each of them, those that fit best"""
+_MOST_STRETCHES = 3
+"""stretches with which they are registered to the end, those that fit best"""
 _PREFIX = "the odometry is about"
 
 
@@ -138,23 +141,25 @@ def stretch_of_query(
 
     Args:
         node: of the query.
-        guesses: of its pose; called when they are needed first.
+        guesses: makes guesses of its pose.
         remember: called with every piece of work that takes long and a key that identifies it.
     """
-    once = cache(guesses)
-    few = replace(hypotheses, most_tried=_MOST_TRIED)
-    closely = replace(few, step_m=4.0)
+    starts = with_alternatives(ref, query, guesses(), shift, _MOST_SETTLED)
+    closely = replace(hypotheses, step_m=4.0)
 
     def stretched(percent: int) -> PreparedDrive:
         return query.stretched(1 / (1 + percent / 100))
 
     def tried(percent: int) -> SearchResult:
-        drive = stretched(percent)
-        starts = with_alternatives(ref, drive, once(), shift, few.most_tried)
-        return choose_hypothesis(ref, drive, starts, few, register_options)
+        return choose_hypothesis(ref, stretched(percent), starts, hypotheses, register_options)
 
+    how_well: list[tuple[float, int]] = []
+    for percent in _PERCENT if starts else ():
+        drive = stretched(percent)
+        how_well.append((max(settle(ref, drive, guess, shift).fit for guess in starts), percent))
+    promising = [percent for fit, percent in sorted(how_well, reverse=True) if fit >= hypotheses.poor_fit]
     fits: list[tuple[float, int, Registration]] = []
-    for percent in _PERCENT:
+    for percent in promising[:_MOST_STRETCHES]:
         registration = remember(f"stretch {node} by {percent}", partial(tried, percent)).best
         if registration is not None:
             fits.append((plausibility(registration.evidence), percent, registration))

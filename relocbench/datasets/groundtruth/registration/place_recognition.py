@@ -8,10 +8,8 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.registration.global_registration import (
-    Features,
     GlobalOptions,
     Prior,
-    describe,
     guesses,
 )
 from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive, nodes_every
@@ -60,17 +58,17 @@ def guesses_by_prior(
     limits = prior.between(r, node)
     if float(np.linalg.norm(limits.T_ref_query[:3, 3])) > 3 * limits.sigma_m:
         return []
-    a, b = describe(ref.at(r).submap, options), describe(query.at(node).submap, options)
+    a, b = ref.features(r, options), query.features(node, options)
     return [(r, node, T) for T in [_levelled(limits.T_ref_query), *guesses(a, b, limits, options)]]
 
 
 def guesses_by_features(ref: PreparedDrive, query: PreparedDrive, node: int, options: GlobalOptions) -> list[Guess]:
     """Guesses by features at nodes all along the reference. This takes minutes for kilometres of road."""
-    features: Features = describe(query.at(node).submap, options)
+    features = query.features(node, options)
     once = replace(options, seeds=options.seeds[:1])
     candidates: list[Guess] = []
     for r in nodes_every(ref.nodes, _PLACES_M):
-        candidates += [(r, node, T) for T in guesses(describe(ref.at(r).submap, options), features, None, once)]
+        candidates += [(r, node, T) for T in guesses(ref.features(r, options), features, None, once)]
     return candidates
 
 

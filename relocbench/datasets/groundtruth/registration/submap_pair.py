@@ -13,6 +13,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.icp.backends import Backend, icp_by_backend
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, IcpResult
+from relocbench.datasets.groundtruth.registration.global_registration import Features, GlobalOptions, describe
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
@@ -22,6 +23,8 @@ from relocbench.geometry import invert
 Guess = tuple[int, int, Array]
 """reference node, query node, ``T_ref_query``"""
 
+_KEPT_FEATURES = 128
+"""submaps whose features are kept in memory, a megabyte each"""
 _NAN = float("nan")
 NOTHING_JUDGED = Evidence(_NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, (_NAN, _NAN, _NAN), _NAN)
 
@@ -50,6 +53,9 @@ class PreparedDrive:
         self.nodes = nodes
         self._window = window
         self._prepare = lru_cache(maxsize=kept)(lambda node: PreparedSubmap(window.at(node)))
+        self._describe = lru_cache(maxsize=_KEPT_FEATURES)(
+            lambda node, voxel_m: describe(self.at(node).submap, GlobalOptions(voxel_m=voxel_m))
+        )
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -57,6 +63,10 @@ class PreparedDrive:
     def at(self, node: int) -> PreparedSubmap:
         """The prepared submap of a node."""
         return self._prepare(node)
+
+    def features(self, node: int, options: GlobalOptions) -> Features:
+        """The features of a node's submap, which several searches share."""
+        return self._describe(node, options.voxel_m)
 
     def stretched(self, factor: float) -> PreparedDrive:
         """The drive by odometry that is ``factor`` times as long."""

@@ -34,7 +34,7 @@ class ShiftOptions:
     """share of the best fit that an alternative must reach"""
     most: int = 6
     """largest number of alternatives of each kind"""
-    points: int = 1500
+    points: int = 500
     """number of points that the fit is measured with"""
 
 
