@@ -18,6 +18,7 @@ from relocbench.datasets.groundtruth.registration.along_drive import DriveRegist
 from relocbench.datasets.groundtruth.registration.files import read_registrations
 from relocbench.datasets.groundtruth.registration.journal import JournaledUnit, register_missing
 from relocbench.datasets.groundtruth.registration.lengths import is_stretched
+from relocbench.datasets.groundtruth.registration.mounts import wrong_mount
 from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
 from relocbench.datasets.groundtruth.registration.submap_pair import nodes_every
 from relocbench.datasets.groundtruth.submaps.drive import Drive
@@ -71,16 +72,19 @@ def register_query(
         say, remember: see :func:`relocbench.datasets.groundtruth.registration.along_drive.register_along`.
     """
     reference, query, length = unit.reference, unit.query, unit.options.submap_m
+    prior, options = map_prior(reference, query), unit.options.registration
+    within = options.search, options.hypotheses, options.register
     registrations = register_along(
         reference.window(length),
         query.window(length),
         reference.nodes,
         query.nodes,
-        map_prior(reference, query),
-        unit.options.registration,
+        prior,
+        options,
         first=None if unit.first is None else at_nodes(reference, query, unit.first),
         say=say,
         remember=remember,
+        explain=partial(wrong_mount, reference, query, prior, length, *within),
     )
     if is_stretched(registrations):
         for message in filter(None, map(_length_by_gnss, (reference, query))):

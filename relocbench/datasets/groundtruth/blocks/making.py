@@ -72,7 +72,7 @@ def wheel_height(recording: FieldRecording, arc_length: ArcLength, nodes: Nodes,
     """Height of the road under the rig, in its frame: the median over the drive; nan if no road is seen."""
     reader = reader_of(recording, arc_length, options)
     chosen = np.unique(np.linspace(0, len(nodes) - 1, _LEVELS).astype(int))
-    levels = np.array([level_under(_beams(reader, nodes, int(k)).points) for k in chosen])
+    levels = np.array([level_under(beams_of(reader, nodes, int(k)).points) for k in chosen])
     seen = levels[np.isfinite(levels)]
     return float(np.median(seen)) if len(seen) else float("nan")
 
@@ -82,14 +82,15 @@ def reader_of(recording: FieldRecording, arc_length: ArcLength, options: BlockOp
     return BeamReader(recording, arc_length, options.min_range_m, options.max_range_m, options.min_step_m)
 
 
-def _beams(reader: BeamReader, nodes: Nodes, node: int) -> Beams:
+def beams_of(reader: BeamReader, nodes: Nodes, node: int) -> Beams:
+    """The beams that were fired while the car drove along a node's block, in the frame of the node."""
     begin, end = nodes.begins_and_ends()
     return reader.between(int(begin[node]), int(end[node]), nodes.T_odom_node[node])
 
 
 def _thinned(reader: BeamReader, nodes: Nodes, node: int, options: BlockOptions) -> Beams:
     """The beams of a node's block, thinned to one point a voxel, in single precision as they are stored."""
-    beams = _beams(reader, nodes, node)
+    beams = beams_of(reader, nodes, node)
     keep = thin(beams.points, options.voxel_m)
     return beams.rows(keep)._replace(
         points=beams.points[keep].astype(np.float32), origins=beams.origins[keep].astype(np.float32)

@@ -14,6 +14,7 @@ import numpy as np
 
 from relocbench.arrays import Times
 from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
+from relocbench.datasets.groundtruth.jobs.mounting import mounting_faults
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.jobs.repeats import repeat_faults
 from relocbench.datasets.groundtruth.jobs.scaling import enlarged
@@ -95,6 +96,8 @@ def motion_faults(
 ) -> list[DatasetError]:
     """What is wrong with the odometry of a recording that will be enlarged; what only shortens the result is noted."""
     faults = _clock_faults(recording, reporter) or _length_faults(recording, options, reporter, factor)
+    if not faults and factor == 1.0:  # in a room, ceilings may be seen better than the floor
+        faults = mounting_faults(recording)
     return faults or (stretch_faults(recording) if options.use_prior else [])
 
 

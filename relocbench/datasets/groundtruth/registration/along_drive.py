@@ -49,12 +49,15 @@ from relocbench.datasets.groundtruth.registration.submap_pair import (
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 
-_PLACES = (0.5, 0.25, 0.75)
+_PLACES = (0.5, 0.25)
 """parts of the drive at which a stretch of its odometry is looked for"""
 
 _SEARCHES = 4
 """parts of the drive, at the beginning of each of which it is searched for without GNSS if nothing holds where GNSS is:
 most of such drives do not meet at all, and a search along the whole reference takes a minute and more"""
+
+_THOROUGHLY = 4
+"""of searches that fail one after another, so many have one with coarser features, which costs three times as much"""
 
 Remember = Callable[[str, Callable[[], SearchResult]], SearchResult]
 """(key, work) -> the result of the work, done now or earlier"""
@@ -83,6 +86,8 @@ class DriveRegistrationOptions:
     """distance driven beyond which odometry is not good enough: the track is lost, and place recognition is used"""
     retry_m: float = 25.0
     """distance driven after which a search that failed is repeated"""
+    retry_later_m: float = 50.0
+    """the same after several that failed one after another"""
     register: RegisterOptions = field(default_factory=RegisterOptions)
     hypotheses: HypothesisOptions = field(default_factory=HypothesisOptions)
     search: GlobalOptions = field(default_factory=GlobalOptions)
@@ -100,6 +105,7 @@ def register_along(
     first: Guess | None = None,
     say: Callable[[str], None] = lambda message: None,
     remember: Remember = lambda key, work: work(),
+    explain: Callable[[], str] = lambda: "",
 ) -> list[Registration]:
     """Register the query's nodes, about ``step_m`` apart. Returns the registrations in the order of the drive.
 
@@ -110,11 +116,15 @@ def register_along(
         say: called with messages for the user, such as that ``first`` does not hold.
         remember: called with every piece of work that takes long and a key that identifies it; it does the work, or
             returns the result of an earlier run.
+        explain: called if nothing holds; returns the reason if it finds one, in words.
     """
     ref, query = PreparedDrive(window_ref, nodes_ref), PreparedDrive(window_query, nodes_query)
     options = options or DriveRegistrationOptions()
     registration = _DriveRegistration(ref, query, prior, options, say, remember)
     registrations = registration.run(first)
+    if not any(one.trusted for one in registrations) and (cause := explain()):
+        say(cause)
+        return [replace(one, reason=cause) for one in registrations]
     if prior is not None and not any(one.trusted for one in registrations):
         say("nothing holds where GNSS puts the drives; they are searched for each other without GNSS")
         apart = float(nodes_query.travelled_m[-1]) / _SEARCHES
@@ -156,7 +166,7 @@ class _DriveRegistration:
     def run(self, first: Guess | None) -> list[Registration]:
         steps = nodes_every(self.query.nodes, self.options.step_m)
         start = None if first is None else self._from_given_pose(first)
-        searched, reason = -np.inf, "no registration to follow on"
+        searched, failed, reason = -np.inf, 0, "no registration to follow on"
         if start is not None:
             nearest = min(range(len(steps)), key=lambda i: abs(steps[i] - start.query))
             self._along(steps[nearest:], start)
@@ -171,9 +181,14 @@ class _DriveRegistration:
                 continue
             if not self._is_lost(node):
                 continue
-            if travelled - searched >= self.options.retry_m:
+            wait = self.options.retry_m
+            if failed > 1:
+                wait = max(wait, self.options.retry_later_m)
+            if travelled - searched >= wait:
                 searched = travelled
-                result = self.remember(f"search {node}", partial(self._search, node))
+                thorough = failed % _THOROUGHLY == 0
+                result = self.remember(f"search {node}", partial(self._search, node, thorough))
+                failed = 0 if result.best is not None else failed + 1
                 if result.best is not None:
                     self._along(steps[i:], result.best)
                     self._along(steps[:i][::-1], result.best)
@@ -286,10 +301,14 @@ class _DriveRegistration:
             return guesses_by_prior(self.ref, self.query, self.prior, node, search)
         return guesses_by_features(self.ref, self.query, node, search)
 
-    def _search(self, node: int) -> SearchResult:
-        """Place recognition, with further searches while no guess holds; the reason is that of the first search."""
+    def _search(self, node: int, thorough: bool = True) -> SearchResult:
+        """Place recognition, with further searches while no guess holds; the reason is that of the first search.
+
+        Args:
+            thorough: whether to search further.
+        """
         failed: SearchResult | None = None
-        for search in self.options.search.attempts():
+        for search in self.options.search.attempts()[: None if thorough else 1]:
             guesses = self._guesses(node, search)
             if not guesses and self.prior is not None:
                 return SearchResult(None, "the reference did not come by, as far as the prior tells")

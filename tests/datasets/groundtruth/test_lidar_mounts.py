@@ -1,0 +1,78 @@
+"""Lidars that are mounted otherwise than their extrinsics say: upside down by the road, and what blocks would be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lidar_street import Street, drive_street
+from refusals import assert_names
+
+from relocbench.arrays import Array
+from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
+from relocbench.datasets.groundtruth.blocks.store import build_blocks
+from relocbench.datasets.groundtruth.jobs.mounting import mounting_faults, road_height
+from relocbench.datasets.groundtruth.registration.mounts import MOUNTS, Mount, RemountedStore
+from relocbench.datasets.sensors.derived_lidar import DerivedLidar
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.geometry import make_transform, so3_exp
+
+STREET = Street(length_m=10.0, sigma=0.01)
+
+
+@dataclass(frozen=True, eq=False)
+class _Mounted(DerivedLidar):
+    T: Array
+
+    @property
+    def T_rig_lidar(self) -> Array:
+        return self.T
+
+
+def mounted(recording: FieldRecording, how: Callable[[Array], Array], *numbers: int) -> FieldRecording:
+    """The recording with other extrinsics of some of its lidars."""
+    lidars = [_Mounted(s, how(s.T_rig_lidar)) if k in numbers else s for k, s in enumerate(recording.lidars)]
+    return replace(recording, lidars=tuple(lidars))
+
+
+def upside_down(T: Array) -> Array:
+    return make_transform(so3_exp([np.pi, 0.0, 0.0]) @ T[:3, :3], T[:3, 3])
+
+
+@pytest.mark.parametrize("numbers", [(0, 1), (1,)])
+def test_lidars_that_are_upside_down_are_named(numbers: tuple[int, ...]) -> None:
+    recording = drive_street(STREET)
+    assert mounting_faults(recording) == []
+    (fault,) = mounting_faults(mounted(recording, upside_down, *numbers))
+    assert_names(fault.expected, "", None, "1.1 m", *(f"lidar{k}" for k in numbers))
+    assert ("lidar0" in fault.expected) == (0 in numbers)
+
+
+def test_a_ceiling_is_no_road() -> None:
+    rng = np.random.default_rng(0)
+    inside = rng.uniform([-8, -4, -1.5], [8, 4, 1.5], size=(4000, 3))
+    walls, ceiling, floor = (inside.copy() for _ in range(3))
+    walls[:, 1] = np.sign(walls[:, 1]) * 4.0
+    ceiling[:, 2], floor[:, 2] = 1.5, -1.5
+    assert np.isnan(road_height(np.concatenate([walls, ceiling, floor])))
+    assert np.isnan(road_height(np.concatenate([walls, ceiling])))
+    near = ceiling * [1.0, 1.0, 0.3]  # a garage: of the floor there are a tenth as many points
+    assert np.isnan(road_height(np.concatenate([walls, near, floor[:400]])))
+    high = walls * [1.0, 1.0, 5.0] + [0.0, 0.0, 6.0]
+    assert road_height(np.concatenate([high, floor])) == pytest.approx(-1.5, abs=0.1)
+    assert road_height(-np.concatenate([high, floor])) == pytest.approx(1.5, abs=0.1)
+
+
+@pytest.mark.parametrize("mount", MOUNTS[::3], ids=lambda mount: mount.words)
+def test_blocks_are_put_as_the_right_extrinsics_would_have_them(mount: Mount, tmp_path: Path) -> None:
+    recording = drive_street(Street(length_m=4.0, sigma=0.01))
+    wrong = mounted(recording, mount.of, 1)
+    stores = [build_blocks(r, make_nodes(r), tmp_path / str(k)) for k, r in enumerate((recording, wrong))]
+    again = RemountedStore(stores[1].folder, {1: wrong.lidars[1].T_rig_lidar}, mount.of)
+    right, found = stores[0].get(0), again.get(0)
+    own = [block.points[block.lidar == 1] for block in (right, found)]
+    apart = np.linalg.norm(own[0][:, None] - own[1][None], axis=2)
+    assert np.median(apart.min(axis=1)) < 0.05
