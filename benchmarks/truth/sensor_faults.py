@@ -46,6 +46,7 @@ from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
 from relocbench.datasets.sensors.derived_lidar import DerivedLidar
 from relocbench.datasets.sensors.recording import FieldRecording, Scan
+from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
 
@@ -200,6 +201,9 @@ def cases(seed: int) -> dict[str, Case]:
     def backwards(recording: FieldRecording) -> FieldRecording:
         return mounted(recording, lambda T: turned(T, np.array([0.0, 0.0, np.pi])))
 
+    def one_backwards(recording: FieldRecording) -> FieldRecording:
+        return mounted(recording, lambda T: turned(T, np.array([0.0, 0.0, np.pi])), ("lms_rear",))
+
     def one_over(recording: FieldRecording) -> FieldRecording:
         return mounted(recording, upside_down, ("lms_rear",))
 
@@ -216,6 +220,7 @@ def cases(seed: int) -> dict[str, Case]:
         "over": Case("lidars upside down, odometry 2 % long and 3 deg a 100 m off", 1, spoil=over),
         "over-both": Case("the same in both drives", 1, over, over),
         "one-over": Case("one of two lidars upside down", 1, spoil=one_over),
+        "one-backwards": Case("one of two lidars turned by 180 deg", 1, spoil=one_backwards),
         "backwards": Case("lidars turned by 180 deg", 1, spoil=backwards),
         "backwards-both": Case("the same in both drives", 1, backwards, backwards),
         "mirrored": Case("left and right of the lidars exchanged", 1, spoil=lambda r: mounted(r, mirrored)),
@@ -252,7 +257,10 @@ def outcomes(
         faults = [fault for recording in recordings for fault in motion_faults(recording, options, told)]
     if faults:
         return [], T_rig_cam, [*told.notes, *(f"refused: {fault.expected}" for fault in faults)]
-    aligned = align(recordings, folder, options.alignment, None, True, told, Run(workers))
+    try:
+        aligned = align(recordings, folder, options.alignment, None, True, told, Run(workers))
+    except DatasetError as fault:
+        return [], T_rig_cam, [*told.notes, f"refused: {fault.expected}"]
     name = aligned.drives[1].name
     frames = CameraFrames("camera", T_RIG_CAM, T_rig_cam, a.image_ns, b.image_ns)
     registrations = tuple(aligned.registrations[name])
@@ -291,7 +299,7 @@ def line(title: str, f: dict[str, Any]) -> str:
     seconds = f"{f['processor_s_per_m']:.2f} s"
     if not f["pairs"]:
         because = f["refused_because"].removeprefix("refused: ")
-        return f"| {title} | refused before any work | | | | {because} | {seconds} |"
+        return f"| {title} | refused before any registration | | | | {because} | {seconds} |"
     if not f["accepted"]:
         return f"| {title} | 0 of {f['pairs']} | | | | {f['refused_because']} | {seconds} |"
     return (

@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 from lidar_street import Street, drive_street
 from refusals import assert_names
+from robotcar_street import Built, record_robotcar_street
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
-from relocbench.datasets.groundtruth.blocks.store import build_blocks
+from relocbench.datasets.groundtruth.blocks.store import build_blocks, write_block
 from relocbench.datasets.groundtruth.jobs.mounting import mounting_faults, road_height
 from relocbench.datasets.groundtruth.registration.mounts import MOUNTS, Mount, RemountedStore
+from relocbench.datasets.groundtruth.registration.rig_mounts import contradicting_mount
+from relocbench.datasets.groundtruth.submaps.drive import Drive
+from relocbench.datasets.importers.robotcar.recording import read_robotcar
 from relocbench.datasets.sensors.derived_lidar import DerivedLidar
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.geometry import make_transform, so3_exp
@@ -76,3 +80,18 @@ def test_blocks_are_put_as_the_right_extrinsics_would_have_them(mount: Mount, tm
     own = [block.points[block.lidar == 1] for block in (right, found)]
     apart = np.linalg.norm(own[0][:, None] - own[1][None], axis=2)
     assert np.median(apart.min(axis=1)) < 0.05
+
+
+@pytest.mark.thorough
+def test_lidars_of_one_drive_that_contradict_each_other_are_named(robotcar_built: Built, tmp_path: Path) -> None:
+    folder = record_robotcar_street.original().folders[0]
+    recording = read_robotcar(folder)
+    right = Drive(recording, make_nodes(recording), robotcar_built.root / "groundtruth" / "blocks" / recording.name)
+    assert contradicting_mount(right) == ""
+    one, other = recording.lidars
+    wrong = RemountedStore(right.blocks, {1: np.asarray(other.T_rig_lidar)}, MOUNTS[0].of)
+    for node in range(len(right.nodes)):
+        write_block(tmp_path / f"{node:06d}.npz", wrong.get(node))
+    lidars = one, _Mounted(other, MOUNTS[0].of(other.T_rig_lidar))
+    spoilt = Drive(replace(recording, lidars=lidars), right.nodes, tmp_path)
+    assert_names(contradicting_mount(spoilt), "", None, recording.name, "180 deg")

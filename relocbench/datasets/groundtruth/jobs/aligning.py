@@ -33,9 +33,11 @@ from relocbench.datasets.groundtruth.calibration.unknowns import (
 )
 from relocbench.datasets.groundtruth.jobs.scaling import ReducedReporter
 from relocbench.datasets.groundtruth.pose_graph.graph import SharedErrors, optimise
+from relocbench.datasets.groundtruth.registration.rig_mounts import contradicting_mount
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.errors import DatasetError, raise_all
 from relocbench.execution import Run, run_units
 from relocbench.progress import Reporter
 
@@ -89,7 +91,8 @@ def align(
         enlarged: how many times the recordings' metres are enlarged; notes and ``calibration.yaml`` are in metres.
 
     Raises:
-        DatasetError: a recording or an intermediate file is damaged.
+        DatasetError: a recording or an intermediate file is damaged, or the lidars of a drive contradict each other so
+            much that their extrinsics must be wrong.
     """
     sensors = Sensors(tuple(DriveLidars.of(r) for r in recordings), enlarged)
     in_metres = ReducedReporter(reporter, enlarged)
@@ -98,6 +101,8 @@ def align(
         now = [corrected(r, sensors, total) if r.name in wrong else r for r in recordings]
         at = _places(recordings, wrong, folder, corrections)
         drives = [make_drive(r, at.blocks[r.name], options.block_m, in_metres, run) for r in now]
+        if not corrections:
+            raise_all([DatasetError(fault, d.recording.folder) for d in drives if (fault := contradicting_mount(d))])
         registrations = _register(drives, at, options, first, in_metres, run)
         if not estimate or not sensors.causes():
             return Aligned(drives, registrations, {})

@@ -128,7 +128,7 @@ def wrong_mount(
     for node in (int(place * len(query.nodes)) for place in _PLACES):
         least = max(fitting(given, node)[0] + _BETTER, hypotheses.poor_fit)
         fits: list[tuple[float, str, PreparedDrive, list[Guess]]] = []
-        for words, store in _remounted(query):
+        for words, store in remounted(query):
             drive = PreparedDrive(SubmapWindow(query.nodes, store, length_m / 2), query.nodes)
             fit, guesses = fitting(drive, node)
             if fit >= least:
@@ -142,7 +142,7 @@ def wrong_mount(
     return ""
 
 
-def _remounted(query: Drive) -> Iterator[tuple[str, BlockStore]]:
+def remounted(query: Drive) -> Iterator[tuple[str, BlockStore]]:
     """Other mounts of all lidars and of single ones, in words, and the blocks that they would give."""
     lidars = query.recording.lidars
     every = {number: np.asarray(lidar.T_rig_lidar) for number, lidar in enumerate(lidars)}
