@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
 from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.datasets.core.schema import INTRINSICS_VERSION, POSES_VERSION, DatasetFile, TraversalFile
+from relocbench.datasets.pairs.depth_scale import DepthFrame, depth_scale
 from relocbench.errors import DatasetError, RelocbenchError, available
 from relocbench.execution import default_workers
 from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
@@ -48,6 +50,8 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
     version = None if file is None else file.format_version
     _check_versions(drives, version, findings)
     _check_content(layout, drives, digests, findings, reporter, quick)
+    if not quick:
+        _check_depth_scale(drives, findings)
     pair_sets = check_pair_sets(layout, drives, findings, reporter, version)
     _check_correspondences(layout, pair_sets, digests, findings, reporter, quick)
     if file is not None:
@@ -114,6 +118,26 @@ def _check_content(
         for result in pool.map(lambda check: check(), checks):
             findings.faults += result.faults
             advance(1)
+
+
+def _check_depth_scale(drives: dict[str, CheckedTraversal], findings: Findings) -> None:
+    """Report depth that contradicts the poses."""
+    for drive in drives.values():
+        for camera, entry in drive.file.cameras.items() if drive.file is not None else ():
+            own = drive.intrinsics.get(camera, {})
+            frames = [
+                DepthFrame(
+                    own.get(time, entry.camera),
+                    drive.poses[time] @ entry.T_rig_cam.matrix,
+                    partial(images.read_depth, drive.layout.depth(camera, time)),
+                )
+                for time in sorted(drive.times.get(("depth", camera), ()))
+                if time in drive.poses
+            ]
+            with suppress(DatasetError):  # of a damaged file, which has been reported
+                found = depth_scale(frames)
+                if found is not None and found.contradicts:
+                    findings.fault(found.words("depth"), drive.layout.root / "depth" / camera)
 
 
 def _listed_time(drive: CheckedTraversal, kind: str, path: Path, findings: Findings) -> bool:

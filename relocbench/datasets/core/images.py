@@ -26,6 +26,8 @@ from relocbench.tracking import KeyframePoints
 
 DEPTH_SCALE = 256.0
 """a stored depth of 256 is one metre"""
+DEPTH_STEP_M, MOST_DEPTH_M = 1 / DEPTH_SCALE, 65535 / DEPTH_SCALE
+"""least difference of stored depths, and the greatest of them"""
 _POINT_HEADER = "u,v,inverse_depth,sigma"
 
 

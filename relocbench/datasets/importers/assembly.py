@@ -6,17 +6,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import DatasetOptions, RuleOptions
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.pairs.depth_scale import DepthFrame, depth_scale
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.posed_frames import posed_frames
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera
+from relocbench.progress import Reporter
 
 
 def configuration(kind: str, sources: Sequence[Path], options: DatasetOptions) -> dict[str, Any]:
@@ -60,6 +64,32 @@ def import_image(
         writer.link_image(*frame, path, copy=copy)
     elif writer.needs_image(*frame):
         writer.image(*frame, undistort(images.read_image(path, size), camera))
+
+
+def note_depth_scale(
+    frames: Sequence[DepthFrame], what: str, metres_per_unit: float, name: str, reporter: Reporter
+) -> None:
+    """Note that depth contradicts the poses, or has values that a dataset cannot hold.
+
+    Args:
+        what: what says the unit of depth, in words.
+        metres_per_unit: the unit that it says.
+        name: the traversal.
+
+    Raises:
+        DatasetError: a depth image is damaged.
+    """
+    found = depth_scale(frames)
+    if found is not None and found.contradicts:
+        reporter.note(f"{name}: {found.words(what, metres_per_unit)}")
+        return
+    for frame in frames[:1]:
+        known = frame.read()
+        known = known[known > 0]
+        typical = float(np.median(known)) if known.size else images.DEPTH_STEP_M
+        if not images.DEPTH_STEP_M <= typical <= images.MOST_DEPTH_M:
+            limits = f"{images.DEPTH_STEP_M:g} to {images.MOST_DEPTH_M:g} m"
+            reporter.note(f"{name}: the median depth is {typical:g} m by {what}, and a dataset holds {limits}")
 
 
 def write_pairs(

@@ -20,7 +20,10 @@ MARKS: dict[str, tuple[str, ...]] = {
     "kitti-360": ("data_3d_raw", "calibration"),
     "complex-urban": ("sensor_data", "global_pose.csv"),
     "generic": ("camera.yaml",),
-    "colmap": ("cameras.bin", "cameras.txt"),
+    "colmap": (
+        *("cameras.bin", "cameras.txt"),
+        *("sparse", "dense/sparse", "dense/0/sparse", "0/cameras.bin", "0/cameras.txt", "reconstruction/cameras.txt"),
+    ),
     "kapture": ("sensors/sensors.txt", "mapping/sensors/sensors.txt"),
 }
 """kind -> files and folders of which a recording has at least one"""

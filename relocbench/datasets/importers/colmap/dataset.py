@@ -7,20 +7,24 @@ from the model or from a file (``name qw qx qy qz tx ty tz``, camera from world)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
 
+from relocbench.arrays import Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.named_poses import read_named_poses, read_words
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
 from relocbench.datasets.importers.colmap.model import read_model
+from relocbench.datasets.importers.colmap.project import model_folder
 from relocbench.datasets.importers.photos.cameras import parse_camera
 from relocbench.datasets.importers.photos.collection import (
     CAMERA,
@@ -43,6 +47,7 @@ from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
+from relocbench.tracking import KeyframePoints
 
 _SOURCE = "COLMAP model"
 
@@ -52,6 +57,9 @@ class Options(PhotoOptions):
 
     PATHS: ClassVar[tuple[str, ...]] = ("images", "depth", "query_list", "query_poses", "pairs")
 
+    model: str = Field(
+        "", description="the model's folder within the given one, such as sparse/1; default: the only one there"
+    )
     images: Path | None = Field(
         None, description="folder below which the model's image names lie; default: images beside the model"
     )
@@ -72,21 +80,25 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """Build a dataset from a sparse model. Raises as :class:`Importer`.
 
     Args:
-        sources: the model's folder, with ``cameras``, ``images`` and ``points3D``, ``.bin`` or ``.txt``.
+        sources: the model's folder, with ``cameras``, ``images`` and ``points3D``, ``.bin`` or ``.txt``; or the folder
+            of a project that holds it as COLMAP lays it out.
     """
     assert isinstance(options, Options)
     if len(sources) != 1:
         raise ConfigError(f"colmap takes the folder of one model, got {len(sources)}")
     _check_options(options)
-    folder = sources[0]
-    check_folder(folder, "the folder of a COLMAP model")
+    project = sources[0]
+    check_folder(project, "the folder of a COLMAP model")
+    folder = model_folder(project, options.model)
+    if folder != project:
+        reporter.note(f"reads the model in {folder.relative_to(project)}")
     model = read_model(folder, reporter)
     root = options.images or _image_folder(folder)
     keyframes, queries = _photos(folder, root, model, options, reporter)
     names = (MAP, QUERY) if queries else (MAP, MAP)
     options.check_conditions(names)
     writer = open_writer(
-        "colmap", [folder, *options.paths], options, out, fitting_name(f"colmap_{folder.resolve().name}")
+        "colmap", [folder, *options.paths], options, out, fitting_name(f"colmap_{project.resolve().name}")
     )
     job = Build(writer, options, reporter, run)
     depth: DepthSource = ModelPoints(model, Observations.of(model), options)
@@ -157,13 +169,24 @@ class _DepthImages:
     folder: Path
     options: Options
 
-    def write(self, writer: DatasetWriter, traversal: str, photo: Photo) -> None:
-        """Write the depth image of a photo, if there is one."""
+    @property
+    def unit(self) -> tuple[str, float]:
+        scale = self.options.depth_scale
+        return f"depth by --depth-scale {scale:g}", 1.0 / scale
+
+    def image(self, photo: Photo) -> Callable[[], Floats] | None:
+        """What reads the depth image of a photo, if there is one."""
         path = (self.folder / photo.name).with_suffix(".png")
-        if path.exists() and writer.needs_depth(traversal, CAMERA, photo.time):
-            units = images.read_raw_depth(path, 1.0 / self.options.depth_scale, photo.size)
-            depth = undistort(units, photo.camera, nearest=True) * self.options.metres_per_unit
-            writer.depth(traversal, CAMERA, photo.time, depth)
+        return partial(self._read, path, photo) if path.exists() else None
+
+    def _read(self, path: Path, photo: Photo) -> Floats:
+        units = images.read_raw_depth(path, 1.0 / self.options.depth_scale, photo.size)
+        depth = undistort(units, photo.camera, nearest=True) * self.options.metres_per_unit
+        return np.asarray(depth, dtype=np.float32)
+
+    def points(self, photo: Photo) -> KeyframePoints | None:
+        """Always None: depth is that of images."""
+        return None
 
 
 def listed_cameras(path: Path) -> dict[str, Camera]:

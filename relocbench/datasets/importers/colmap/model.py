@@ -6,6 +6,7 @@ Schönberger and Frahm, Structure-from-Motion Revisited, CVPR 2016; the files ar
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,11 +27,15 @@ from relocbench.progress import Reporter
 
 MOST_BYTES = 8 << 30
 """of a file of a model; that of Aachen Day-Night has about one gigabyte"""
+_FILES = ("cameras", "images", "points3D")
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 
 
 def read_model(folder: Path, reporter: Reporter | None = None) -> SparseModel:
     """Read ``cameras``, ``images`` and ``points3D`` of a folder, all ``.bin`` or all ``.txt``.
+
+    Of a folder with both, the binary files are read unless one of them is missing. Text may have commas between
+    fields, as kapture writes it.
 
     Args:
         reporter: is told how many images have a pose that is not finite, and are left out.
@@ -39,17 +44,17 @@ def read_model(folder: Path, reporter: Reporter | None = None) -> SparseModel:
         DatasetError: with file and line or byte: a file is missing, cut off, damaged or of an unknown camera model, or
             an image names a camera or a point that is not there.
     """
-    if (folder / "cameras.bin").exists():
+    suffix = form_of(folder)
+    if suffix == ".bin":
         cameras = dict(_binary_cameras(_Bytes(folder / "cameras.bin", "COLMAP's cameras")))
         posed = dict(_binary_images(_Bytes(folder / "images.bin", "COLMAP's images")))
         points = list(_binary_points(_Bytes(folder / "points3D.bin", "COLMAP's points")))
-    elif (folder / "cameras.txt").exists():
+    elif suffix == ".txt":
         cameras = dict(_text_cameras(folder / "cameras.txt"))
         posed = dict(_text_images(folder / "images.txt"))
         points = list(_text_points(folder / "points3D.txt"))
     else:
         raise DatasetError("holds no model of COLMAP; expected cameras.bin or cameras.txt", folder)
-    suffix = ".bin" if (folder / "cameras.bin").exists() else ".txt"
     images = {number: image for number, image in posed.items() if image is not None}
     if reporter is not None and len(images) < len(posed):
         reporter.note(f"images{suffix}: {len(posed) - len(images)} of {len(posed)} images have no pose (NaN)")
@@ -61,6 +66,15 @@ def read_model(folder: Path, reporter: Reporter | None = None) -> SparseModel:
     _check_references(folder / f"images{suffix}", cameras, images, ids)
     error = np.where(values[:, 3] >= 0, values[:, 3], np.nan)
     return SparseModel(cameras, images, ids, values[:, :3].copy(), error)
+
+
+def form_of(folder: Path) -> str:
+    """``.bin`` or ``.txt``: the form of the model in a folder, a complete one first; empty if there is none."""
+    for names in (_FILES, _FILES[:1]):
+        for suffix in (".bin", ".txt"):
+            if all((folder / f"{name}{suffix}").exists() for name in names):
+                return suffix
+    return ""
 
 
 def _check_references(
@@ -93,9 +107,19 @@ def _text_lines(path: Path, what: str) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
+def _fields(line: str, most: int = -1) -> list[str]:
+    """The fields of a line, parted by spaces, commas or both; what follows the first ``most`` fields is one more."""
+    parted = re.split(r",\s*", line.strip(), maxsplit=max(most, 0)) if not re.search(r"\s", line.strip()) else []
+    if len(parted) > 1:
+        return parted
+    fields = line.split(maxsplit=most)
+    names = fields[most:] if most >= 0 else []
+    return [field.removesuffix(",") for field in fields[: len(fields) - len(names)]] + names
+
+
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
     for number, line in _text_lines(path, "COLMAP's cameras"):
-        fields = line.split()
+        fields = _fields(line)
         if not fields:
             continue
         if len(fields) < 5:
@@ -107,7 +131,7 @@ def _text_images(path: Path) -> Iterator[tuple[int, ModelImage | None]]:
     """The images, None where the pose is not finite."""
     lines = _text_lines(path, "COLMAP's images")
     for number, line in lines:
-        fields = line.split(maxsplit=9)
+        fields = _fields(line, 9)
         if not fields:
             continue
         if len(fields) != 10:
@@ -129,7 +153,7 @@ def _text_images(path: Path) -> Iterator[tuple[int, ModelImage | None]]:
 
 def _text_observations(line: str) -> Indices:
     """The points of the keypoints on a line ``X Y POINT3D_ID ...``. Raises ValueError."""
-    fields = line.split()
+    fields = _fields(line)
     if len(fields) % 3:
         raise ValueError(f"expected POINTS2D as (X, Y, POINT3D_ID), found {len(fields)} numbers")
     try:
@@ -140,7 +164,7 @@ def _text_observations(line: str) -> Indices:
 
 def _text_points(path: Path) -> Iterator[tuple[int, list[float]]]:
     for number, line in _text_lines(path, "COLMAP's points"):
-        fields = line.split()
+        fields = _fields(line)
         if not fields:
             continue
         if len(fields) < 8:

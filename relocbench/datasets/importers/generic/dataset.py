@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import import_image, open_writer, write_pairs
+from relocbench.datasets.importers.assembly import import_image, note_depth_scale, open_writer, write_pairs
+from relocbench.datasets.pairs.depth_scale import DepthFrame
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
@@ -228,6 +230,8 @@ def _write_traversal(job: Build[Options], folder: GenericFolder) -> None:
         ),
         poses,
     )
+    for name, c in folder.cameras.items():
+        _note_depth_scale(folder, name, c, poses, job.reporter)
     units = [
         _FrameUnit(writer, folder.name, name, time, c.camera, path, c.depth.get(time), c.points.get(time), options)
         for name, c in folder.cameras.items()
@@ -235,6 +239,29 @@ def _write_traversal(job: Build[Options], folder: GenericFolder) -> None:
         if time in poses
     ]
     job.work(f"frames of {folder.name}", _write_frame, units)
+
+
+def _note_depth_scale(
+    folder: GenericFolder, name: str, content: CameraFolder, poses: dict[int, Array], reporter: Reporter
+) -> None:
+    entry = content.camera
+    if entry.depth_scale is None:
+        return
+    frames = [
+        DepthFrame(entry.camera.pinhole(), poses[time] @ entry.T_rig_cam.matrix, partial(_read_depth, path, entry))
+        for time, path in content.depth.items()
+        if time in poses
+    ]
+    of = f" of camera {name}" if len(folder.cameras) > 1 else ""
+    what = f"depth_scale {entry.depth_scale:g}{of} in {CAMERA_FILE}"
+    note_depth_scale(frames, what, entry.depth_scale, folder.name, reporter)
+
+
+def _read_depth(path: Path, entry: GenericCamera) -> Floats:
+    """The depth in metres that the pinhole camera with the same K sees, (H, W)."""
+    assert entry.depth_scale is not None
+    depth = images.read_raw_depth(path, entry.depth_scale, images.ExpectedSize(entry.camera.size, CAMERA_FILE))
+    return undistort(depth, entry.camera, nearest=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,10 +285,7 @@ def _write_frame(unit: _FrameUnit) -> None:
     camera, writer = unit.camera.camera, unit.writer
     import_image(writer, where, unit.image, camera, CAMERA_FILE, copy=unit.options.copy_images)
     if unit.depth is not None and writer.needs_depth(*where):
-        assert unit.camera.depth_scale is not None
-        size = images.ExpectedSize(camera.size, CAMERA_FILE)
-        depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale, size)
-        writer.depth(*where, undistort(depth, camera, nearest=True))
+        writer.depth(*where, _read_depth(unit.depth, unit.camera))
     if unit.points is not None:
         points = images.read_points(unit.points)
         outside = np.nonzero(~camera.contains(points.uv, border=-0.5))[0]

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from relocbench.arrays import Floats
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.kapture.folder import KaptureFolder
 from relocbench.datasets.importers.kapture.tables import Record
-from relocbench.datasets.importers.photos.collection import CAMERA, ModelPoints, Photo
+from relocbench.datasets.importers.photos.collection import ModelPoints, Photo
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.geometry import Camera
+from relocbench.tracking import KeyframePoints
 
 _BYTES = 4
 """of a value"""
@@ -71,14 +73,21 @@ class Depth:
     folder: KaptureFolder
     maps: dict[str, Record]
     """photo name -> its depth map"""
-    points: ModelPoints
+    model: ModelPoints
 
-    def write(self, writer: DatasetWriter, traversal: str, photo: Photo) -> None:
-        """Write the depth of a photo, if there is any."""
+    @property
+    def unit(self) -> tuple[str, float]:
+        return "depth maps in metres", 1.0
+
+    def image(self, photo: Photo) -> Callable[[], Floats] | None:
+        """What reads the depth map of a photo, if there is one."""
         record = self.maps.get(photo.name)
-        if record is None:
-            self.points.write(writer, traversal, photo)
-        elif writer.needs_depth(traversal, CAMERA, photo.time):
-            sensor = self.folder.camera(record.device)
-            depth = read_depth_map(self.folder.path(record), sensor.size)
-            writer.depth(traversal, CAMERA, photo.time, seen_by(depth, sensor, photo.camera))
+        return None if record is None else partial(self._read, record, photo)
+
+    def _read(self, record: Record, photo: Photo) -> Floats:
+        sensor = self.folder.camera(record.device)
+        return seen_by(read_depth_map(self.folder.path(record), sensor.size), sensor, photo.camera)
+
+    def points(self, photo: Photo) -> KeyframePoints | None:
+        """The points that a photo observes; None if there are none."""
+        return self.model.points(photo)

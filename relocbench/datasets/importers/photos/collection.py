@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.names import write_names
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import import_image
+from relocbench.datasets.importers.assembly import import_image, note_depth_scale
 from relocbench.datasets.importers.photos.options import PhotoOptions
 from relocbench.datasets.importers.photos.points import Observations, SparseModel, keyframe_points
+from relocbench.datasets.pairs.depth_scale import DepthFrame
 from relocbench.geometry import Camera, invert
+from relocbench.tracking import KeyframePoints
 
 CAMERA = "photo"
 MAP, QUERY = "map", "query"
@@ -49,8 +51,17 @@ class Photo:
 class DepthSource(Protocol):
     """Where the depth of photos comes from."""
 
-    def write(self, writer: DatasetWriter, traversal: str, photo: Photo) -> None:
-        """Write the depth of a photo, if there is any."""
+    @property
+    def unit(self) -> tuple[str, float]:
+        """What says the unit of depth images, in words, and the metres that it says."""
+        ...
+
+    def image(self, photo: Photo) -> Callable[[], Floats] | None:
+        """What reads the depth in metres that the photo's pinhole camera sees, (H, W); None if there is no image."""
+        ...
+
+    def points(self, photo: Photo) -> KeyframePoints | None:
+        """The points of a photo without a depth image; None if there are none."""
         ...
 
 
@@ -67,15 +78,22 @@ class ModelPoints:
         """The pinhole camera of each camera of the model."""
         return {number: camera.pinhole() for number, camera in self.model.cameras.items()}
 
-    def write(self, writer: DatasetWriter, traversal: str, photo: Photo) -> None:
-        """Write the model's points that the photo observes, if there are any."""
+    @property
+    def unit(self) -> tuple[str, float]:
+        return "no depth image", 1.0
+
+    def image(self, photo: Photo) -> Callable[[], Floats] | None:
+        """Always None: there are points."""
+        return None
+
+    def points(self, photo: Photo) -> KeyframePoints | None:
+        """The model's points that the photo observes; None if there are none."""
         if photo.number is None:
-            return
+            return None
         options = self.options
         how = options.min_track, options.noise_px, options.metres_per_unit
         points = keyframe_points(self.model, self.seen, self.pinholes, photo.number, *how)
-        if len(points):
-            writer.points(traversal, CAMERA, photo.time, points)
+        return points if len(points) else None
 
 
 def in_metres(T_cam_world: Array, metres_per_unit: float) -> Array:
@@ -110,12 +128,32 @@ def write_traversal(
     own = {time: camera for time, camera in pinholes.items() if camera != usual}
     if own:
         writer.intrinsics(name, CAMERA, own)
+    note_depth_scale(list(_measured(photos, depth)), *depth.unit, name, job.reporter)
     units = [_Unit(writer, name, photo, options.copy_images) for photo in photos]
     job.work(f"images of {name}", _write_image, units)
     with job.reporter.stage(f"depth of {name}", len(photos)) as advance:
         for photo in photos:
-            depth.write(writer, name, photo)
+            _write_depth(writer, name, photo, depth)
             advance(1)
+
+
+def _measured(photos: Sequence[Photo], depth: DepthSource) -> Iterator[DepthFrame]:
+    """The photos with pose and depth image."""
+    for photo in photos:
+        read = depth.image(photo)
+        if photo.T_cam_world is not None and read is not None:
+            yield DepthFrame(photo.camera.pinhole(), invert(photo.T_cam_world), read)
+
+
+def _write_depth(writer: DatasetWriter, traversal: str, photo: Photo, depth: DepthSource) -> None:
+    frame, read = (traversal, CAMERA, photo.time), depth.image(photo)
+    if read is not None:
+        if writer.needs_depth(*frame):
+            writer.depth(*frame, read())
+        return
+    points = depth.points(photo)
+    if points is not None:
+        writer.points(*frame, points)
 
 
 @dataclass(frozen=True, eq=False)

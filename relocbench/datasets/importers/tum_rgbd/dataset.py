@@ -7,20 +7,28 @@ camera, so that both share its intrinsics. Images and depth are undistorted to a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import check_folder, import_image, open_writer, write_pairs
+from relocbench.datasets.importers.assembly import (
+    check_folder,
+    import_image,
+    note_depth_scale,
+    open_writer,
+    write_pairs,
+)
+from relocbench.datasets.pairs.depth_scale import DepthFrame
 from relocbench.datasets.sensors.pose_tables import PoseTable, read_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.times import times_in_ns
@@ -104,9 +112,13 @@ def _write_frame(unit: _Unit) -> None:
     where = unit.traversal, CAMERA, frame.time
     import_image(writer, where, frame.image, unit.camera, "--intrinsics", copy=options.copy_images)
     if frame.depth and writer.needs_depth(*where):
-        size = images.ExpectedSize(unit.camera.size, "--intrinsics")
-        depth = images.read_raw_depth(frame.depth, 1.0 / options.depth_scale, size)
-        writer.depth(*where, undistort(depth, unit.camera, nearest=True))
+        writer.depth(*where, _read_depth(frame.depth, unit.camera, options))
+
+
+def _read_depth(path: Path, camera: Camera, options: Options) -> Floats:
+    """The depth in metres that the pinhole camera with the same K sees, (H, W)."""
+    size = images.ExpectedSize(camera.size, "--intrinsics")
+    return undistort(images.read_raw_depth(path, 1.0 / options.depth_scale, size), camera, nearest=True)
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -142,6 +154,13 @@ def _write_traversal(job: Build[Options], source: Path, name: str, index: int) -
         source=f"TUM RGB-D sequence {source.resolve().name}, truth at t {time_offset:+g} s",
     )
     writer.traversal(file, {f.time: f.T_world_cam for f in frames})
+    measured = [
+        DepthFrame(camera.pinhole(), f.T_world_cam, partial(_read_depth, f.depth, camera, options))
+        for f in frames
+        if f.depth is not None
+    ]
+    what = f"depth by --depth-scale {options.depth_scale:g}"
+    note_depth_scale(measured, what, 1.0 / options.depth_scale, name, job.reporter)
     job.work(f"images of {name}", _write_frame, [_Unit(writer, name, frame, camera, options) for frame in frames])
 
 
