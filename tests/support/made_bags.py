@@ -164,8 +164,12 @@ class Bag:
         values = (self.header(time, frame), state, *map(float, place), np.diag([4.0, 4.0, 9.0]).ravel(), 2)
         self.add(topic, time, self.new("sensor_msgs/NavSatFix", *values))
 
-    def write(self, path: Path, storage: str | None = None, compression: str = "") -> Path:
-        """Write the bag: ``rosbag1`` to a file; ``rosbag2`` or ``mcap`` to a folder."""
+    def write(self, path: Path, storage: str | None = None, compression: str = "", *, in_order: bool = True) -> Path:
+        """Write the bag: ``rosbag1`` to a file; ``rosbag2`` or ``mcap`` to a folder.
+
+        Args:
+            in_order: by the times of receipt; else in the order of the rows.
+        """
         made: Any
         if self.ros1:
             made = Writer1(path)
@@ -178,7 +182,7 @@ class Bag:
         connections: dict[str, Any] = {}
         with contextlib.ExitStack() as stack:
             writer = stack.enter_context(made)
-            for time, topic, message in sorted(self.rows, key=lambda row: row[0]):
+            for time, topic, message in sorted(self.rows, key=lambda row: row[0]) if in_order else self.rows:
                 kind = message.__msgtype__
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=self.store)

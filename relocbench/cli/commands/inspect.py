@@ -105,6 +105,7 @@ def _inspect_bag(path: Path, options: list[object], json: bool) -> None:
     """The topics of a bag of ROS, with what each would be used for."""
     from relocbench.cli.console import print_json, print_table
     from relocbench.datasets.importers.rosbag.bag import parts_of
+    from relocbench.datasets.importers.rosbag.recording import remarks
     from relocbench.datasets.importers.rosbag.roles import TABLE, table, tried
     from relocbench.datasets.importers.rosbag.survey import survey
     from relocbench.errors import ConfigError
@@ -112,6 +113,8 @@ def _inspect_bag(path: Path, options: list[object], json: bool) -> None:
     if any(option is not None for option in options):
         raise ConfigError("is a recording; --pictures, --ground-truth and --pair-set are for datasets", path)
     found = survey(path, parts_of(path))
+    for remark in remarks(found):
+        typer.echo(f"note: {remark}", err=True)
     roles, undecided = tried(found)
     rows = table(found, roles)
     if json:

@@ -29,7 +29,8 @@ def traversal_names(sources: Sequence[Path], endings: Sequence[str] = ()) -> lis
         if not endings and not source.is_dir():
             raise DatasetError("no such folder; expected a recording", source)
         try:
-            name = plain_name(found.stem if found.suffix in endings else found.name, "traversal name")
+            ending = max((end for end in endings if found.name.endswith(end)), key=len, default="")
+            name = plain_name(found.name.removesuffix(ending), "traversal name")
         except ValueError:
             raise DatasetError("its name cannot name a traversal; rename or link it", source) from None
         if name in names and names[name].resolve() == found:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_bags import SECOND, Bag
 from odd_inputs import odd_input
-from refusals import refused
+from refusals import Notes, noted, refused
 
 from relocbench.datasets.importers.rosbag.reading import BagSettings
 from relocbench.datasets.importers.rosbag.recording import open_bag, read_bag
@@ -105,3 +105,69 @@ def test_a_bag_without_a_usable_lidar_says_why_each_topic_is_none(tmp_path: Path
     bag.laser("/slow", START + SECOND, np.ones(20), frame="base_link")
     with refused(DatasetError, "drive_1.bag", None, "/features", "u, v", "x, y, z", "/map", "odom"):
         read(bag.write(tmp_path / "drive_1.bag"))
+
+
+def unclosed(path: Path, cut: int, last_chunk_open: bool) -> Path:
+    """A bag of ROS 1 as a killed recorder leaves it: without index, the last ``cut`` bytes not written."""
+    data = path.read_bytes()
+    at = data.index(b"index_pos=") + 10
+    end = int.from_bytes(data[at : at + 8], "little")
+    if last_chunk_open:  # neither its index nor its length was written
+        begin = data.rindex(b"compression=none")
+        head = data.index(b"size=", begin) + 5 if data[begin - 30 : begin].find(b"size=") < 0 else begin
+        length_at = max(head + 4, begin + 16)
+        length = int.from_bytes(data[length_at : length_at + 4], "little")
+        end = length_at + 4 + length
+        data = data[:length_at] + bytes(4) + data[length_at + 4 :]
+    killed = path.with_suffix(".bag.active")
+    killed.write_bytes(data[:at] + bytes(8) + data[at + 8 : end - cut])
+    return killed
+
+
+@pytest.mark.parametrize("compression", ["", "LZ4", "BZ2"])
+def test_a_bag_whose_recorder_was_killed_is_read_in_the_order_of_the_file(tmp_path: Path, compression: str) -> None:
+    whole = drive().write(tmp_path / "drive.bag", compression=compression)
+    notes = Notes()
+    found = open_bag(unclosed(whole, 0, False), Wanted(), notes)
+    recording = read_bag(found, "drive", BagSettings(motion="compensated"))[0]
+    expected = read(whole)
+    assert recording.lidars[0].times_ns.tolist() == expected.lidars[0].times_ns.tolist()
+    np.testing.assert_array_equal(recording.odometry.T_odom_rig, expected.odometry.T_odom_rig)
+    for k in (5, 1):
+        np.testing.assert_array_equal(recording.lidars[0].read(k).points, expected.lidars[0].read(k).points)
+    assert noted(notes.notes, "drive.bag.active", str(3 * SCANS + 1))
+
+
+def test_of_a_chunk_that_was_not_finished_the_whole_messages_are_read(tmp_path: Path) -> None:
+    whole = drive().write(tmp_path / "drive.bag")
+    notes = Notes()
+    found = open_bag(unclosed(whole, 100, True), Wanted(), notes).survey
+    count = sum(topic.count for topic in found.topics.values())
+    assert count == 3 * SCANS
+    assert noted(notes.notes, "drive.bag.active", str(count), "bytes")
+    assert len(read(tmp_path / "drive.bag.active").lidars[0].times_ns) >= SCANS - 1
+
+
+def test_a_chunk_of_unknown_compression_is_named(tmp_path: Path) -> None:
+    whole = drive().write(tmp_path / "drive.bag", compression="LZ4")
+    data = whole.read_bytes().replace(b"compression=lz4", b"compression=xyz")
+    whole.write_bytes(data)
+    with refused(DatasetError, "drive.bag", None, "xyz"):
+        read(whole)
+    with refused(DatasetError, "drive.bag.active", None, "xyz", "lz4"):
+        read(unclosed(whole, 0, False))
+
+
+def test_a_recording_that_was_looped_is_refused_at_its_second_run(tmp_path: Path) -> None:
+    first = drive()
+    for shift, looped in ((SECOND // 2, True), (-4 * SECOND, False)):
+        bag = drive()
+        rows = sorted(first.rows, key=lambda row: row[0])
+        again = [(time + shift - SECOND, topic, message) for time, topic, message in rows]
+        bag.rows = [*rows, *again]
+        path = bag.write(tmp_path / f"{looped}.bag", in_order=False)
+        if looped:
+            with refused(DatasetError, path.name, None, START - SECOND // 2):
+                read(path)
+        else:
+            assert open_bag(path, Wanted()).survey.topics["/points"].count == 2 * SCANS

@@ -21,18 +21,20 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.importers.rosbag import kinds
+from relocbench.datasets.importers.rosbag.file_order import check_order, index_place, open_without_index
 from relocbench.datasets.importers.rosbag.mcap_file import McapFile, profile_of, search_unindexed_chunks
 from relocbench.errors import ConfigError, DatasetError, quoted, raised
 from relocbench.files import load_yaml_values, plain_file
 
-SUFFIXES = (".bag", ".mcap", ".db3")
+SUFFIXES = (".bag", ".bag.active", ".mcap", ".db3")
+"""how the names of bags end; ``.bag.active`` is one of ROS 1 that is being recorded, or whose recorder was killed"""
+_ROS1 = (".bag", ".bag.active")
 METADATA = "metadata.yaml"
 _MOST_BETWEEN_NS = 60 * 10**9
 """longest time between the files of one drive"""
 _SKIPPED = 8
 """messages that are skipped on the way to a later one before it is looked up instead"""
 _HINTS = (
-    ("not indexed", "it was not closed when it was recorded; `rosbag reindex` writes the index"),
     ("index looks damaged", "`rosbag reindex` writes the index anew"),
     ("end magic", "it ends too early; `mcap recover` saves what is whole"),
     ("Truncated record", "it ends too early; `mcap recover` saves what is whole"),
@@ -44,9 +46,9 @@ _HINTS = (
 def is_recording(path: Path) -> bool:
     """Whether a path may be a recording of ROS, by its name and those of the files in it."""
     if not path.is_dir():
-        return path.is_file() and path.suffix in SUFFIXES
+        return path.is_file() and path.name.endswith(SUFFIXES)
     try:
-        return (path / METADATA).is_file() or any(p.suffix in SUFFIXES for p in path.iterdir())
+        return (path / METADATA).is_file() or any(p.name.endswith(SUFFIXES) for p in path.iterdir())
     except OSError:
         return False
 
@@ -63,19 +65,20 @@ def parts_of(source: Path) -> tuple[Path, ...]:
             plain_file(path, "a part of a bag", DatasetError)
         return (source,)
     if source.is_dir():
-        files = tuple(sorted(p for p in source.iterdir() if p.suffix in SUFFIXES and not p.name.startswith(".")))
+        files = tuple(sorted(p for p in source.iterdir() if p.name.endswith(SUFFIXES) and not p.name.startswith(".")))
         if not files:
             inner = sorted(p.name for p in source.iterdir() if (p / METADATA).is_file())
             message = f"; the bags {', '.join(inner[:4])} lie in it: give each of them" if inner else ""
             raise DatasetError(f"holds no bag; expected {', '.join(SUFFIXES)} files or {METADATA}{message}", source)
-        if len({p.suffix for p in files}) > 1:
-            found = ", ".join(sorted({p.suffix for p in files}))
+        forms = {".bag" if p.name.endswith(_ROS1) else p.suffix for p in files}
+        if len(forms) > 1:
+            found = ", ".join(sorted(forms))
             raise DatasetError(f"holds files of several formats ({found}); expected the parts of one drive", source)
         return tuple(plain_file(path, "a bag", DatasetError) for path in files)
     if not source.exists():
         raise DatasetError(f"missing; expected a bag ({', '.join(SUFFIXES)}) or a folder of ROS 2", source)
-    if source.suffix not in SUFFIXES:
-        packed = " decompress it first;" if source.suffix in (".zstd", ".zst", ".gz", ".active") else ""
+    if not source.name.endswith(SUFFIXES):
+        packed = " decompress it first;" if source.suffix in (".zstd", ".zst", ".gz") else ""
         raise DatasetError(f"does not have the name of a bag;{packed} expected {', '.join(SUFFIXES)}", source)
     plain_file(source, "a bag", DatasetError)
     return (source,)
@@ -100,6 +103,8 @@ class Part:
         self._ros1: set[str] = set()
         self.counts: dict[str, int] = {}
         self.types: dict[str, str] = {}
+        self.remark = ""
+        """what is odd about the file, although it can be read"""
         try:
             self._open()
         except Exception as bad:  # noqa: BLE001  a damaged file raises whatever its bytes lead to
@@ -108,7 +113,10 @@ class Part:
     def _open(self) -> None:
         self._reader: Any = _reader(self.path)
         weakref.finalize(self, _close, self._reader)
-        self._reader.open()
+        if self._is_ros1_file:
+            self._open_ros1()
+        else:
+            self._reader.open()
         search_unindexed_chunks(self._reader)
         for connection in self._reader.connections:
             name = connection.topic
@@ -116,10 +124,25 @@ class Part:
                 raise DatasetError(f"{quoted(name)} is not the name of a topic, or its type is invalid", self.path)
             if self.types.setdefault(name, connection.msgtype) != connection.msgtype:
                 raise DatasetError(f"topic {name} has messages of several types", self.path)
-            if self.path.suffix == ".bag" or getattr(connection, "encoding", "") == "ros1":
+            if self._is_ros1_file or getattr(connection, "encoding", "") == "ros1":
                 self._ros1.add(name)
             self.counts[name] = self.counts.get(name, 0) + int(connection.msgcount)
         self.begin_ns, self.end_ns = int(self._reader.start_time), int(self._reader.end_time)
+
+    def _open_ros1(self) -> None:
+        place, size = index_place(self.path), self.path.stat().st_size
+        if place is not None and place > size:
+            message = f"is cut off: it has {size} bytes, and its index begins at byte {place}"
+            raise DatasetError(f"{message}; `rosbag reindex` saves what is whole", self.path)
+        if place == 0:
+            self.remark = open_without_index(self._reader)
+        else:
+            self._reader.open()
+        check_order(self._reader, self.path)
+
+    @property
+    def _is_ros1_file(self) -> bool:
+        return self.path.name.endswith(_ROS1)
 
     def messages(self, topics: Sequence[str], start_ns: int | None = None) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of receipt in nanoseconds and serialised bytes of each message, ordered by time.
@@ -308,7 +331,7 @@ def _reader(path: Path) -> Any:
         ) from None
     if path.suffix == ".mcap" and profile_of(path) != "ros2":
         return McapFile(path)
-    return Reader1(path) if path.suffix == ".bag" else Reader2(path)
+    return Reader1(path) if path.name.endswith(_ROS1) else Reader2(path)
 
 
 @lru_cache(maxsize=2)

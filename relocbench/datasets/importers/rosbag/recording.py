@@ -35,9 +35,14 @@ def open_bag(source: Path, wanted: Wanted, reporter: Reporter | None = None) -> 
     """
     found = survey(source, parts_of(source))
     roles = choose(found, wanted)
-    for line in table_lines(found, roles):
+    for line in (*remarks(found), *table_lines(found, roles)):
         (reporter or Silent()).note(line)
     return Opened(found, roles)
+
+
+def remarks(found: Survey) -> list[str]:
+    """What is odd about the files of a recording, although they can be read."""
+    return [f"{part.path.name} {part.remark}" for part in found.parts if part.remark]
 
 
 def table_lines(found: Survey, roles: Roles) -> list[str]:
