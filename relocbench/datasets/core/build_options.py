@@ -124,6 +124,28 @@ class PosedRecordingOptions(RuleOptions, LinkingOptions):
     """Options of imports of recordings with poses, which link to images and pair frames by a rule."""
 
 
+class ClockOptions(PosedRecordingOptions):
+    """Options of imports whose poses were measured by another clock than the images."""
+
+    time_offset: tuple[float | Literal["estimate"], ...] = Field(
+        ("estimate",),
+        min_length=1,
+        description="seconds, one for all or one per recording: an image at time t has the true pose at t + "
+        "time_offset; 'estimate': as the images tell; 0: as recorded",
+    )
+
+    def time_offset_of(self, recording: int) -> float | None:
+        """Seconds for a recording by its number; None where the images shall tell."""
+        chosen = self.time_offset[min(recording, len(self.time_offset) - 1)]
+        return None if chosen == "estimate" else float(chosen)
+
+    def check_time_offsets(self, recordings: int) -> None:
+        """Raise ConfigError unless there is one offset for all recordings or one for each."""
+        if len(self.time_offset) not in (1, recordings):
+            expected = f"expected one, or one for each of {recordings} recordings"
+            raise ConfigError(f"time_offset has {len(self.time_offset)} values, {expected}")
+
+
 def plain_size(text: str) -> str:
     """The size WIDTHxHEIGHT in pixels that an option tells, perhaps as one number for both. Raises ValueError."""
     match = re.fullmatch(r"(\d+)(?:x(\d+))?", text)

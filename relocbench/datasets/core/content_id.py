@@ -58,7 +58,7 @@ def recipe(values: Any) -> Any:
 
 
 def _traversal(traversal: Traversal) -> dict[str, Any]:
-    file = traversal.file.model_dump(mode="json", exclude={"source", "name"})
+    file = traversal.file.model_dump(mode="json", exclude={"source", "name", "clock"})
     for entry in file["cameras"].values():
         entry["T_rig_cam"] = _digest(_transform_fields(entry["T_rig_cam"]))
     for name, T_rig_frame in file.get("frames", {}).items():

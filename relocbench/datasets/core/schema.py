@@ -132,6 +132,24 @@ class CameraEntry(Strict):
         return cls.model_validate({**camera.to_dict(), "T_rig_cam": transform.model_dump(), "depth_sigma": depth_sigma})
 
 
+class ClockEntry(Strict):
+    """What the images say of the clock of the poses: an image at time t has the pose at t + offset."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    applied_s: float
+    """seconds that were added to the images' times to find their poses"""
+    verdict: Literal["one clock", "offset", "contradiction", "cannot tell", "given"]
+    """"given": nothing was estimated"""
+    offset_s: float | None = None
+    """as estimated, against the poses as they were recorded"""
+    sigma_s: float | None = None
+    readout_s: float | None = None
+    """from the first row of an image to the last, where a camera reads its rows one after the other"""
+    how: Line = ""
+    """what each method found, or why nothing can be told"""
+
+
 class TraversalFile(Strict):
     """The content of ``traversal.yaml``."""
 
@@ -144,6 +162,8 @@ class TraversalFile(Strict):
     """``T_rig_frame`` of frames that have poses and no images; a pair set names one where others name a camera"""
     source: str = ""
     """what it was imported from, in words"""
+    clock: ClockEntry | None = None
+    """how the times of images and poses were brought together; None for kinds whose poses are those of the images"""
 
     @field_validator("name")
     @classmethod
@@ -167,10 +187,12 @@ class TraversalFile(Strict):
 
     @model_serializer(mode="wrap")
     def _without_empty_frames(self, usual: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Descriptions without frames are written, and digested, as earlier versions did."""
+        """Descriptions without frames and clock are written, and digested, as earlier versions did."""
         values: dict[str, Any] = usual(self)
         if not self.frames:
             values.pop("frames", None)
+        if self.clock is None:
+            values.pop("clock", None)
         return values
 
 

@@ -126,6 +126,14 @@ class DatasetWriter:
         """Write dense depth (H, W), metres along z, 0 where unknown."""
         images.write_depth(self.layout.traversal(traversal).depth(camera, timestamp_ns), depth)
 
+    def remove_frame(self, traversal: str, camera: str, timestamp_ns: int) -> None:
+        """Remove the image, depth and points of a frame that turned out to have no pose."""
+        layout = self.layout.traversal(traversal)
+        image = layout.find_image(camera, timestamp_ns)
+        for path in (image, layout.depth(camera, timestamp_ns), layout.points(camera, timestamp_ns)):
+            if path is not None:
+                path.unlink(missing_ok=True)
+
     def points(self, traversal: str, camera: str, timestamp_ns: int, points: KeyframePoints) -> None:
         """Write sparse keyframe points."""
         images.write_points(self.layout.traversal(traversal).points(camera, timestamp_ns), points)
