@@ -261,10 +261,10 @@ def _robotcar(place: Place) -> None:
 
 
 def _generic(place: Place) -> None:
-    from relocbench.datasets.importers.generic.dataset import poses_at_images, read_folder
+    from relocbench.datasets.importers.generic.dataset import read_folder, rig_trajectory
 
     for name in ("one", "two"):
-        poses_at_images(read_folder(place.root / name, name), 1.0)
+        rig_trajectory(read_folder(place.root / name, name), 1.0)
 
 
 _BUILD = ("--out", "{out}/ds", "-j", 1, "-q", "--correspondences", 5)

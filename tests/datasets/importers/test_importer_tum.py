@@ -78,7 +78,7 @@ def test_an_image_at_the_time_of_a_true_pose_has_it_even_after_a_gap(tmp_path: P
     path = tmp_path / "groundtruth.txt"
     path.write_text("".join(f"{s} {s} 0 0 0 0 0 1\n" for s in (1.0, 1.5, 1.6)))
     times = [1_000_000_000, 1_400_000_000, 1_500_000_000, 1_550_000_000, 1_700_000_000]
-    poses = tum_rgbd._poses_at(read_trajectory(path), times, 0, 0.2)
+    poses = tum_rgbd._poses_at(tum_rgbd._trajectory(read_trajectory(path), 0.2), times, 0)
     assert {t: round(float(T[0, 3]), 9) for t, T in poses.items()} == {times[0]: 1.0, times[2]: 1.5, times[3]: 1.55}
 
 

@@ -6,10 +6,11 @@ Its files are described in ``docs/recording-formats.md``. Each folder is one tra
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -17,11 +18,12 @@ from pydantic import Field, model_validator
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
+from relocbench.datasets.core.build_options import ClockOptions, ImportOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import import_image, note_depth_scale, open_writer, write_pairs
+from relocbench.datasets.importers.clocks import write_posed_traversal
 from relocbench.datasets.pairs.depth_scale import DepthFrame
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.pose_tables import read_trajectory
@@ -37,7 +39,7 @@ CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
 _ONLY_CAMERA = "cam0"
 
 
-class Options(PosedRecordingOptions):
+class Options(ClockOptions):
     """Options of the generic importer."""
 
     max_pose_gap: float = Field(
@@ -45,6 +47,13 @@ class Options(PosedRecordingOptions):
         gt=0,
         description="longest gap in seconds between two poses to interpolate over; images in longer gaps have no pose",
     )
+
+    def recorded(self) -> dict[str, Any]:
+        """The options, without an offset that the images tell: as earlier versions had it."""
+        values = super().recorded()
+        if self.time_offset == ("estimate",):
+            del values["time_offset"]
+        return values
 
 
 class GenericCamera(CameraEntry):
@@ -126,14 +135,15 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     assert isinstance(options, Options)
     names = traversal_names(sources)
     options.check_conditions(names)
+    options.check_time_offsets(len(sources))
     writer = open_writer("generic", sources, options, out, fitting_name("generic-" + "-".join(names)))
     if writer.complete:
         return Dataset(out)
     folders = [read_folder(source, name, reporter=reporter) for source, name in zip(sources, names, strict=True)]
     reference, *others = folders
     job = Build(writer, options, reporter, run)
-    for folder in folders:
-        _write_traversal(job, folder)
+    for index, folder in enumerate(folders):
+        _write_traversal(job, folder, options.time_offset_of(index))
     for query in others or [reference]:
         cameras = [c for c in reference.cameras if c in query.cameras]
         if not cameras:
@@ -188,61 +198,62 @@ def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera, report
     return folder
 
 
-def poses_at_images(folder: GenericFolder, max_gap_s: float) -> dict[int, Array]:
-    """Poses interpolated to the images' times, timestamp_ns -> (4, 4) ``T_world_rig``.
-
-    Images outside the trajectory or within one of its gaps are left out.
+def rig_trajectory(folder: GenericFolder, max_gap_s: float) -> Trajectory:
+    """The poses of the rig.
 
     Args:
         max_gap_s: longest gap between two poses to interpolate over. An image exactly at a pose's time always has it.
     """
-    if not folder.T_world_rig:
-        return {}
     times = np.array(list(folder.T_world_rig), dtype=np.int64)
-    trajectory = Trajectory(times, np.array(list(folder.T_world_rig.values())), math.floor(max_gap_s * 1e9))
-    wanted = np.array(folder.image_times, dtype=np.int64)
-    posed = wanted[trajectory.covers(wanted)]
-    return dict(zip(posed.tolist(), trajectory.at(posed), strict=True))
+    poses = np.array(list(folder.T_world_rig.values())).reshape(-1, 4, 4)
+    return Trajectory(times, poses, math.floor(max_gap_s * 1e9))
 
 
-def _write_traversal(job: Build[Options], folder: GenericFolder) -> None:
+def _write_traversal(job: Build[Options], folder: GenericFolder, given_s: float | None) -> None:
     """Write rig, poses, and the images, depth and points of the posed frames."""
     writer, options = job.writer, job.options
-    poses = poses_at_images(folder, options.max_pose_gap)
-    if not poses:
-        raise DatasetError(_why_no_pose(folder), folder.root / POSE_FILE)
-    without = len(folder.image_times) - len(poses)
-    if without:
-        job.reporter.note(
-            f"{without} image times of {folder.name} have no pose (before, after or in a gap of {POSE_FILE})"
-        )
-    writer.traversal(
-        TraversalFile(
-            name=folder.name,
-            condition=options.conditions.get(folder.name, folder.condition),
-            location=folder.location,
-            rate_hz=folder.rate_hz,
-            cameras={
-                name: CameraEntry.of(c.camera.camera.pinhole(), c.camera.T_rig_cam.matrix, c.camera.depth_sigma)
-                for name, c in folder.cameras.items()
-            },
-            source=f"generic folder {folder.name}",
-        ),
-        poses,
+    trajectory = rig_trajectory(folder, options.max_pose_gap)
+
+    def poses_at(offset_s: float) -> dict[int, Array]:
+        times = np.array(folder.image_times, dtype=np.int64)
+        wanted = times + round(offset_s * 1e9)
+        covered = trajectory.covers(wanted)
+        if not covered.any():
+            raise DatasetError(_why_no_pose(folder), folder.root / POSE_FILE)
+        return dict(zip(times[covered].tolist(), trajectory.at(wanted[covered]), strict=True))
+
+    def write_frames(poses: Mapping[int, Array]) -> None:
+        without = len(folder.image_times) - len(poses)
+        if without:
+            job.reporter.note(
+                f"{without} image times of {folder.name} have no pose (before, after or in a gap of {POSE_FILE})"
+            )
+        units = [
+            _FrameUnit(writer, folder.name, name, time, c.camera, path, c.depth.get(time), c.points.get(time), options)
+            for name, c in folder.cameras.items()
+            for time, path in c.images.items()
+            if time in poses
+        ]
+        for name, c in folder.cameras.items():
+            _note_depth_scale(folder, name, c, poses, job.reporter)
+        job.work(f"frames of {folder.name}", _write_frame, units)
+
+    file = TraversalFile(
+        name=folder.name,
+        condition=options.conditions.get(folder.name, folder.condition),
+        location=folder.location,
+        rate_hz=folder.rate_hz,
+        cameras={
+            name: CameraEntry.of(c.camera.camera.pinhole(), c.camera.T_rig_cam.matrix, c.camera.depth_sigma)
+            for name, c in folder.cameras.items()
+        },
+        source=f"generic folder {folder.name}",
     )
-    for name, c in folder.cameras.items():
-        _note_depth_scale(folder, name, c, poses, job.reporter)
-    units = [
-        _FrameUnit(writer, folder.name, name, time, c.camera, path, c.depth.get(time), c.points.get(time), options)
-        for name, c in folder.cameras.items()
-        for time, path in c.images.items()
-        if time in poses
-    ]
-    job.work(f"frames of {folder.name}", _write_frame, units)
+    write_posed_traversal(job, file, trajectory, poses_at, write_frames, given_s)
 
 
 def _note_depth_scale(
-    folder: GenericFolder, name: str, content: CameraFolder, poses: dict[int, Array], reporter: Reporter
+    folder: GenericFolder, name: str, content: CameraFolder, poses: Mapping[int, Array], reporter: Reporter
 ) -> None:
     entry = content.camera
     if entry.depth_scale is None:

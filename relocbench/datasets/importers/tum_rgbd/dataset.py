@@ -6,6 +6,7 @@ camera, so that both share its intrinsics. Images and depth are undistorted to a
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from pydantic import Field
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
+from relocbench.datasets.core.build_options import ClockOptions, ImportOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
@@ -28,6 +29,7 @@ from relocbench.datasets.importers.assembly import (
     open_writer,
     write_pairs,
 )
+from relocbench.datasets.importers.clocks import write_posed_traversal
 from relocbench.datasets.pairs.depth_scale import DepthFrame
 from relocbench.datasets.sensors.pose_tables import PoseTable, read_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
@@ -59,7 +61,7 @@ INTRINSICS: dict[Preset, Camera] = {
 """the calibrations that the benchmark publishes for its cameras"""
 
 
-class Options(PosedRecordingOptions):
+class Options(ClockOptions):
     """Options of ``relocbench build-dataset tum-rgbd``."""
 
     # A hand-held camera turns more than a car does.
@@ -69,13 +71,6 @@ class Options(PosedRecordingOptions):
         min_length=1,
         max_length=2,
         description="camera calibration, one for all or one per recording; auto: by freiburg1..3 in the folder's name",
-    )
-    time_offset: tuple[float, ...] = Field(
-        (0.0,),
-        min_length=1,
-        max_length=2,
-        description="seconds, one for all or one per recording: an image at time t has the true pose at t + "
-        "time_offset (-0.02 corrects the clock of freiburg1)",
     )
     max_time_difference: float = Field(
         0.02, ge=0, description="greatest time in seconds between an image and its depth image"
@@ -87,12 +82,11 @@ class Options(PosedRecordingOptions):
 
 @dataclass(frozen=True)
 class _Frame:
-    """One image with its depth image and true pose."""
+    """One image with its depth image."""
 
     time: int
     image: Path
     depth: Path | None
-    T_world_cam: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +128,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         check_folder(source, "a TUM RGB-D sequence")
     names = traversal_names(sources)
     options.check_conditions(names)
+    options.check_time_offsets(len(sources))
     writer = open_writer("tum-rgbd", sources, options, out, fitting_name("_to_".join(names)))
     job = Build(writer, options, reporter, run)
     for index, (source, name) in enumerate(zip(sources, names, strict=True)):
@@ -145,23 +140,43 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 def _write_traversal(job: Build[Options], source: Path, name: str, index: int) -> None:
     writer, options = job.writer, job.options
     camera = _intrinsics(source, options.intrinsics[min(index, len(options.intrinsics) - 1)])
-    time_offset = options.time_offset[min(index, len(options.time_offset) - 1)]
-    frames = _frames(source, name, time_offset, options, job.reporter)
+    frames = _frames(source, name, options, job.reporter)
+    truth = read_trajectory(source / "groundtruth.txt", reporter=job.reporter, own_ns=_SECOND_NS)
+    trajectory = _trajectory(truth, options.max_truth_gap)
     file = TraversalFile(
         name=name,
         condition=options.condition_of(name),
         cameras={CAMERA: CameraEntry.of(camera.pinhole(), depth_sigma=KINECT_SIGMA)},
-        source=f"TUM RGB-D sequence {source.resolve().name}, truth at t {time_offset:+g} s",
+        source=f"TUM RGB-D sequence {source.resolve().name}",
     )
-    writer.traversal(file, {f.time: f.T_world_cam for f in frames})
-    measured = [
-        DepthFrame(camera.pinhole(), f.T_world_cam, partial(_read_depth, f.depth, camera, options))
-        for f in frames
-        if f.depth is not None
-    ]
-    what = f"depth by --depth-scale {options.depth_scale:g}"
-    note_depth_scale(measured, what, 1.0 / options.depth_scale, name, job.reporter)
-    job.work(f"images of {name}", _write_frame, [_Unit(writer, name, frame, camera, options) for frame in frames])
+
+    def poses_at(offset_s: float) -> dict[int, Array]:
+        poses = _poses_at(trajectory, list(frames), round(offset_s * 1e9))
+        if not poses:
+            raise DatasetError("holds no pose at the time of any image", source / "groundtruth.txt")
+        return poses
+
+    def write_frames(poses: Mapping[int, Array]) -> None:
+        posed = [frame for time, frame in sorted(frames.items()) if time in poses]
+        if len(posed) < len(frames):
+            without = len(frames) - len(posed)
+            job.reporter.note(f"{name}: {without} of {len(frames)} images without a true pose are left out")
+        bare = sum(frame.depth is None for frame in posed)
+        if bare:
+            job.reporter.note(
+                f"{name}: {bare} of {len(posed)} images are not keyframes, because no depth image is within "
+                f"{options.max_time_difference:g} s"
+            )
+        measured = [
+            DepthFrame(camera.pinhole(), poses[f.time], partial(_read_depth, f.depth, camera, options))
+            for f in posed
+            if f.depth is not None
+        ]
+        what = f"depth by --depth-scale {options.depth_scale:g}"
+        note_depth_scale(measured, what, 1.0 / options.depth_scale, name, job.reporter)
+        job.work(f"images of {name}", _write_frame, [_Unit(writer, name, frame, camera, options) for frame in posed])
+
+    write_posed_traversal(job, file, trajectory, poses_at, write_frames, options.time_offset_of(index))
 
 
 def _intrinsics(source: Path, asked: str) -> Camera:
@@ -176,8 +191,8 @@ def _intrinsics(source: Path, asked: str) -> Camera:
     )
 
 
-def _frames(source: Path, name: str, time_offset: float, options: Options, reporter: Reporter) -> list[_Frame]:
-    """The existing images with a pose, each with the depth image nearest in time."""
+def _frames(source: Path, name: str, options: Options, reporter: Reporter) -> dict[int, _Frame]:
+    """The existing images by time, each with the depth image nearest in time."""
     listed, depths = _listed(source / "rgb.txt"), _listed(source / "depth.txt")
     available = {t: p for t, p in listed.items() if p.exists()}
     if len(available) < len(listed):
@@ -185,23 +200,8 @@ def _frames(source: Path, name: str, time_offset: float, options: Options, repor
     if not available:
         raise DatasetError("none of the images it lists exist", source / "rgb.txt")
     depths = {t: p for t, p in depths.items() if p.exists()}
-    truth = read_trajectory(source / "groundtruth.txt", reporter=reporter, own_ns=_SECOND_NS)
-    poses = _poses_at(truth, list(available), round(time_offset * 1e9), options.max_truth_gap)
-    if len(poses) < len(available):
-        reporter.note(
-            f"{name}: {len(available) - len(poses)} of {len(available)} images without a true pose are left out"
-        )
-    if not poses:
-        raise DatasetError("holds no pose at the time of any image", source / "groundtruth.txt")
     limit = round(options.max_time_difference * 1e9)
-    frames = [_Frame(t, available[t], _nearest(depths, t, limit), poses[t]) for t in sorted(poses)]
-    bare = sum(frame.depth is None for frame in frames)
-    if bare:
-        reporter.note(
-            f"{name}: {bare} of {len(frames)} images are not keyframes, because no depth image is within "
-            f"{options.max_time_difference:g} s"
-        )
-    return frames
+    return {time: _Frame(time, path, _nearest(depths, time, limit)) for time, path in available.items()}
 
 
 def _listed(path: Path) -> dict[int, Path]:
@@ -221,15 +221,15 @@ def _listed(path: Path) -> dict[int, Path]:
     return files
 
 
-def _poses_at(truth: PoseTable, times: list[int], offset_ns: int, max_gap: float) -> dict[int, Array]:
-    """True poses ``T_world_cam`` at t + offset, for the times t that are not outside the trajectory or in a gap.
-
-    Raises:
-        DatasetError: there is no true pose.
-    """
+def _trajectory(truth: PoseTable, max_gap: float) -> Trajectory:
+    """The true poses. Raises DatasetError if there is none."""
     if not len(truth.times_ns):
         raise DatasetError("holds no pose", truth.path)
-    trajectory = Trajectory(truth.times_ns, truth.transforms, round(max_gap * 1e9))
+    return Trajectory(truth.times_ns, truth.transforms, round(max_gap * 1e9))
+
+
+def _poses_at(trajectory: Trajectory, times: list[int], offset_ns: int) -> dict[int, Array]:
+    """True poses ``T_world_cam`` at t + offset, for the times t that are not outside the trajectory or in a gap."""
     wanted = np.array(times, dtype=np.int64) + offset_ns
     covered = np.nonzero(trajectory.covers(wanted))[0]
     return {times[i]: pose for i, pose in zip(covered, trajectory.at(wanted[covered]), strict=True)}

@@ -1,0 +1,75 @@
+"""The clock of a recording's poses: found by its images, given, or left as it is, and recorded with the drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from relocbench.arrays import Array
+from relocbench.datasets.clock.check import ClockCheck, check_clock
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import ClockOptions
+from relocbench.datasets.core.schema import ClockEntry, TraversalFile
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.sensors.recording import Trajectory
+
+_APART_S = 0.003
+"""seconds by which the clocks of two cameras of a rig may differ"""
+
+PosesAt = Callable[[float], Mapping[int, Array]]
+"""the poses of images at their times plus an offset in seconds"""
+
+
+def write_posed_traversal(
+    job: Build[ClockOptions],
+    file: TraversalFile,
+    trajectory: Trajectory,
+    poses_at: PosesAt,
+    write_frames: Callable[[Mapping[int, Array]], None],
+    given_s: float | None,
+) -> None:
+    """Write a drive with its frames, each with the pose at its time plus an offset.
+
+    The images must exist before they can tell the offset: the frames are written with the poses as recorded, and the
+    poses again where an offset was found. Frames that then have no pose are removed.
+
+    Args:
+        trajectory: poses of the rig as they were recorded.
+        write_frames: writes images and depth of frames that have poses.
+        given_s: the offset, or None where the images shall tell it.
+
+    Raises:
+        DatasetError: as ``poses_at`` and ``write_frames`` do.
+    """
+    offset = given_s or 0.0
+    poses = poses_at(offset)
+    given = ClockEntry(applied_s=offset, verdict="given")
+    job.writer.traversal(file.model_copy(update={"clock": given}), poses)
+    write_frames(poses)
+    if given_s is not None:
+        return
+    traversal = Traversal(job.writer.layout.traversal(file.name))
+    checks = [check_clock(traversal, camera, trajectory, job.work) for camera in file.cameras]
+    best = _chosen(checks)
+    for check in checks:
+        job.reporter.note(f"{file.name}: {check.words}{f'; {check.left}' if check.left else ''}")
+    if best is None:
+        job.reporter.note(f"{file.name}: the cameras' clocks differ; the times stay as recorded")
+    entry = (best or checks[0]).entry(best.correction_s if best else 0.0)
+    if entry.applied_s:
+        job.reporter.note(f"{file.name}: images at t have the poses at t {1000 * entry.applied_s:+.0f} ms")
+        shifted = poses_at(entry.applied_s)
+        for time in poses.keys() - shifted.keys():
+            for camera in file.cameras:
+                job.writer.remove_frame(file.name, camera, time)
+        poses = {time: pose for time, pose in shifted.items() if time in poses}
+    job.writer.traversal(file.model_copy(update={"clock": entry}), poses)
+
+
+def _chosen(checks: list[ClockCheck]) -> ClockCheck | None:
+    """The finding of the camera that tells most; None where two cameras tell different offsets."""
+    told = [check for check in checks if check.verdict in ("one clock", "offset")]
+    if not told:
+        return checks[0]
+    best = min(told, key=lambda check: check.sigma_s)
+    apart = [abs(check.offset_s - best.offset_s) - 3 * (check.sigma_s + best.sigma_s) for check in told]
+    return best if max(apart) <= _APART_S else None
