@@ -12,6 +12,7 @@ import typer
 from relocbench.cli.options import Json, Quiet, existing, split_commas
 
 if TYPE_CHECKING:
+    from relocbench.datasets.inspect.clock import DriveClock
     from relocbench.datasets.inspect.overlay import Picture
 
 
@@ -78,13 +79,16 @@ def inspect(
             check_outside(folder, dataset, option)
     chosen = [opened.pair_set(name) for name in pair_set] or opened.pair_sets()
     drawn: list[Picture] = []
+    clocks: list[DriveClock] = []
     if not json:
         print_summary(opened)
     if pictures is not None:
+        from relocbench.datasets.inspect.clock import check_clocks
         from relocbench.datasets.inspect.overlay import write_pictures
 
         with locked_output(pictures):
             drawn = write_pictures(opened, chosen, pictures, pairs, seed, reporter(quiet))
+        clocks = check_clocks(opened, reporter(quiet))
     page: Path | None = None
     if ground_truth is not None:
         from relocbench.datasets.groundtruth.report.pictures import write_ground_truth
@@ -93,10 +97,13 @@ def inspect(
             page = write_ground_truth(opened, chosen, ground_truth, pairs, seed, reporter(quiet))
     if json:
         values = {**take_inventory(opened).to_dict(), "pictures": [p.to_dict() for p in drawn]}
+        values["clocks"] = [one.to_dict() for one in clocks]
         counts = {**of_dataset(opened), "pictures": len(drawn), "pages": int(page is not None)}
         print_json({**values, "ground_truth": page}, counts)
     elif pictures is not None:
         _print_pictures(drawn, pictures)
+        _print_residuals(drawn)
+        _print_clocks(clocks)
     if page is not None and not json:
         print(f"the ground truth to look at: {page}")
 
@@ -150,7 +157,12 @@ def _print_pictures(pictures: list[Picture], folder: Path) -> None:
     from relocbench.cli.console import print_table
 
     rows = [
-        [p.file, _px(p.agreement.shift_px), f"{p.agreement.measured} of {p.agreement.regions}", p.agreement.verdict]
+        [
+            p.file,
+            _px(p.agreement.shift_px),
+            f"{p.agreement.measured} of {p.agreement.regions}",
+            p.agreement.verdict,
+        ]
         for p in pictures
     ]
     columns = ["picture", "edges apart, px", "regions measured", "images at the true pose"]
@@ -160,6 +172,28 @@ def _print_pictures(pictures: list[Picture], folder: Path) -> None:
         typer.echo(f"check {len(doubtful)} of {len(pictures)} true poses by their pictures:", err=True)
     for p in doubtful:
         typer.echo(f"  {p.file}: {p.agreement.words}", err=True)
+
+
+def _print_residuals(pictures: list[Picture]) -> None:
+    """By how much true poses of pair sets differ from those that images and depth give by themselves."""
+    from statistics import median
+
+    for name in dict.fromkeys(p.pair_set for p in pictures):
+        told = [(p.residual_deg, p.residual_mm) for p in pictures if p.pair_set == name]
+        known = [(deg, mm) for deg, mm in told if deg is not None and mm is not None]
+        if known:
+            apart = f"{median(deg for deg, _ in known):.2f} deg and {median(mm for _, mm in known):.0f} mm"
+            print(f"{name}: by images and depth alone, poses of {len(known)} of {len(told)} pairs differ by {apart}")
+
+
+def _print_clocks(clocks: list[DriveClock]) -> None:
+    """What images and poses of each drive say of each other, line by line."""
+    for one in clocks:
+        if one.built is not None and one.built.verdict != "cannot tell":
+            how = f": {one.built.how}" if one.built.how else ""
+            print(f"{one.traversal}: built with an offset of {1000 * one.built.applied_s:+.0f} ms{how}")
+        left = f"; {one.check.left}" if one.check.left else ""
+        print(f"{one.traversal}: {one.check.words}{left}")
 
 
 def _px(pixels: float) -> str:

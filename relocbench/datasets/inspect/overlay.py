@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Floats, Image, Mask
+from relocbench.datasets.clock.check import pair_residual
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_grey, as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
@@ -65,6 +66,9 @@ class Picture:
     overlap: float | None
     source: str
     agreement: ImageAgreement
+    residual_deg: float | None
+    """angle from the true pose to that which images and depth give by themselves; None where they give none"""
+    residual_mm: float | None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for scripts: one mapping, the agreement's values among the others."""
@@ -118,8 +122,21 @@ def write_pair(path: Path, dataset: Dataset, pair_set: PairSet, pair: Pair, name
 def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path, seed: int) -> Picture:
     path = folder / f"{pair_set.name}_{pair.ref_timestamp_ns}_{pair.query_timestamp_ns}.png"
     agreement = write_pair(path, dataset, pair_set, pair, pair_set.name, seed)
+    assert pair.T_query_ref is not None  # spread_pairs has chosen it
+    drives = dataset.traversal(pair_set.reference), dataset.traversal(pair_set.query)
+    sides = (drives[0], pair.ref_timestamp_ns), (drives[1], pair.query_timestamp_ns)
+    left = pair_residual(*sides, pair_set.camera, pair.T_query_ref)
     return Picture(
-        path.name, pair_set.name, *pair.key, pair.distance_m, pair.angle_deg, pair.overlap, pair.source, agreement
+        path.name,
+        pair_set.name,
+        *pair.key,
+        pair.distance_m,
+        pair.angle_deg,
+        pair.overlap,
+        pair.source,
+        agreement,
+        left.deg if left else None,
+        left.mm if left and np.isfinite(left.mm) else None,
     )
 
 
