@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -208,7 +209,8 @@ def _windows(motion: CameraMotion, fx: float) -> list[Indices]:
     starts = np.arange(0, max(count - _WINDOW, 0) + 1)
     if count <= _WINDOW * _WINDOWS:
         starts = np.arange(0, count, _WINDOW)
-    chosen, signal = [], []
+    chosen: list[Indices] = []
+    signal: list[float] = []
     for part in np.array_split(starts, min(_WINDOWS, len(starts))):
         spread = [float(np.sqrt(np.sum(np.var(pixels[s : s + _WINDOW], axis=0)))) for s in part]
         best = int(part[int(np.argmax(spread))])
@@ -261,7 +263,7 @@ def judge(evidence: Evidence, trajectory: Trajectory) -> ClockCheck:
 def _freed_of_readout(plain: Estimate, freed: Estimate, tried_s: float, best: Estimate) -> Estimate:
     """The offset by rotations at the readout that another method found, in proportion to what a readout changes."""
     slope = (freed.offset_s - plain.offset_s) / tried_s
-    sigma = float(np.hypot(max(plain.sigma_s, freed.sigma_s), slope * best.readout_sigma_s))
+    sigma = math.hypot(max(plain.sigma_s, freed.sigma_s), slope * best.readout_sigma_s)
     return replace(freed, offset_s=plain.offset_s + slope * best.readout_s, sigma_s=sigma)
 
 
@@ -278,7 +280,7 @@ def combined(estimates: Sequence[Estimate]) -> tuple[float, float]:
 
 
 def _agree(a: Estimate, b: Estimate) -> bool:
-    return abs(a.offset_s - b.offset_s) <= _AGREEMENT * np.hypot(a.sigma_s, b.sigma_s) + _ALLOWANCE_S
+    return abs(a.offset_s - b.offset_s) <= _AGREEMENT * math.hypot(a.sigma_s, b.sigma_s) + _ALLOWANCE_S
 
 
 def _unknown(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -111,9 +112,10 @@ def match(first: int, a: Features, second: int, b: Features, camera: Camera) -> 
     if len(i) < _FEWEST:
         return None
     scale = min(1.0, _WIDTH / camera.width)
-    essential, inliers = cv2.findEssentialMat(
+    found: Any = cv2.findEssentialMat(
         a.rays[i], b.rays[j], np.eye(3), cv2.RANSAC, 0.999, _INLIER_PX / (camera.fx * scale)
     )
+    essential, inliers = found
     if essential is None or inliers is None:
         return None
     kept = np.flatnonzero(np.ravel(inliers))
@@ -194,7 +196,8 @@ def rotation_by_lines(x: Array, y: Array, fx: float) -> Array | None:
         return None
     *turns, direction = cv2.decomposeEssentialMat(essential)
     # The other one is half a turn away. A drive's next images are not.
-    R, t = min((np.asarray(turn) for turn in turns), key=lambda turn: float(rotation_angle(turn))), np.ravel(direction)
+    R: Array = min((np.asarray(turn, np.float64) for turn in turns), key=lambda turn: float(rotation_angle(turn)))
+    t: Array = np.ravel(direction).astype(np.float64)
     residual = fx * epipolar_distances(x, y, R, t)
     damping = 1e-3
     for _ in range(20):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Times
 from relocbench.datasets.clock.check import Evidence, gather, judge
 from relocbench.datasets.clock.tracks import Tracks
 from relocbench.datasets.core.images import write_image
@@ -76,7 +76,7 @@ def row_of(y: Array) -> Array:
     return y * CAMERA.fy / CAMERA.height
 
 
-def ns(seconds: Array) -> Array:
+def ns(seconds: Array) -> Times:
     return START_NS + np.round(seconds * 1e9).astype(np.int64)
 
 
