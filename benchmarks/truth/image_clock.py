@@ -36,8 +36,8 @@ from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
-from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.jobs import scenes
@@ -129,7 +129,7 @@ def recorded_checks(traversal: Traversal, camera: str, table: Path | None) -> It
     trajectory = own_trajectory(traversal)
     if table is not None:
         poses = read_trajectory(table)
-        trajectory = Trajectory(np.array(list(poses)), np.array(list(poses.values())), 100_000_000)
+        trajectory = Trajectory(poses.times_ns, poses.transforms, 100_000_000)
     evidence = gather(traversal, camera, trajectory, in_process)
     for planted in OFFSETS_MS:
         yield planted / 1000, ("" if isinstance(evidence, str) else judge(evidence, shifted(trajectory, planted)))  # type: ignore[misc]
