@@ -100,7 +100,9 @@ def test_a_las_file_is_refused_for_what_its_header_promises_and_it_lacks(tmp_pat
         ("end", "", 0, ("truncated",)),
     ],
 )
-def test_chunks_of_a_laz_file_are_checked(tmp_path: Path, at: str, form: str, value: int, names: tuple) -> None:
+def test_chunks_of_a_laz_file_are_checked(
+    tmp_path: Path, at: str, form: str, value: int, names: tuple[object, ...]
+) -> None:
     made = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
     made.x, made.y, made.z = np.random.default_rng(1).uniform(-9, 9, (3, 300))
     made.write(str(tmp_path / "a.laz"))
