@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array
+from relocbench.datasets.sensors.record_layout import likely_length, said_of
 from relocbench.errors import DatasetError
 
 Number = Literal["float32", "float64"]
@@ -69,7 +70,8 @@ def detect_layout(data: bytes, path: Path, number: Number | None = None, columns
     fitting = [layout for layout in allowed if data and len(data) % layout.bytes_per_point == 0]
     if not fitting:
         said = " or ".join(str(layout) for layout in allowed) if len(allowed) < 3 else "3 to 6 columns of either type"
-        raise DatasetError(f"{len(data)} bytes are not a whole number of points ({said})", path)
+        message = f"{len(data)} bytes are not a whole number of points ({said})"
+        raise DatasetError(message + said_of(data, likely_length(data)), path)
     if number is not None and columns is not None:
         return fitting[0]
     if not any(data):

@@ -22,6 +22,7 @@ from relocbench.datasets.sensors.e57 import read_e57
 from relocbench.datasets.sensors.las import read_las
 from relocbench.datasets.sensors.plausible_points import check_degrees, note_of_steps
 from relocbench.datasets.sensors.point_clouds import read_point_cloud, with_axes
+from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.text_points import read_text_points
 from relocbench.errors import DatasetError
 from relocbench.files import plain_file, read_bytes
@@ -108,6 +109,29 @@ def read_cloud(path: Path, form: CloudFormat | None = None, origin: Array | None
         points = points - origin
         sensors = None if sensors is None else sensors - origin
     return CloudFile(path, points, origin, sensors, None if normals is None else normals[finite], tuple(notes))
+
+
+def read_fields(path: Path, notes: list[str]) -> dict[str, NDArray[Any]]:
+    """The fields of a scan in a format that describes itself, among them ``x``, ``y`` and ``z``: name -> (N,).
+
+    Points of an E57 file are those of its only setup, in the scanner's frame.
+
+    Args:
+        notes: what was assumed or converted is added.
+
+    Raises:
+        DatasetError: as :func:`read_cloud`, or an E57 file holds several setups.
+        ConfigError: the format needs a package that is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix in (".ply", ".pcd"):
+        return read_point_cloud(path)
+    if suffix not in (".las", ".laz", ".e57"):
+        return dict(read_text_points(path, MOST_SCAN_BYTES))
+    points, _, parts = _read(path, CloudFormat(), notes)
+    if parts is not None and len(parts) != 1:
+        raise DatasetError(f"holds {len(parts)} setups; expected one scan", path)
+    return {axis: points[:, k] for k, axis in enumerate("xyz")}
 
 
 Parts = list[tuple[Array, int]]

@@ -25,8 +25,8 @@ _STEP_M = 0.003
 """steps of single precision from this size on are reported"""
 _FEWEST, _LOOKED_AT = 20, 100_000
 """points that are enough to judge, and about so many that are looked at"""
-_THOUSAND = (200.0, 5000.0)
-"""of two clouds whose sizes differ by so many times, one is in millimetres"""
+_FARTHEST_MEDIAN_M = 1000.0
+"""no lidar has half of its points farther away than this"""
 
 
 def without_saturated(integers: NDArray[Any], path: Path, notes: list[str]) -> NDArray[Any]:
@@ -89,20 +89,20 @@ def note_of_steps(points: Array) -> str:
     return f"coordinates went through single precision (float32), which holds {' and '.join(said)}" if said else ""
 
 
-def factor_of_thousand(size_a: float, size_b: float) -> str:
-    """What a factor of about 1000 between the sizes of two clouds of one place means; empty if there is none.
-
-    Args:
-        size_a, size_b: sizes of the clouds by one measure, in the units of their files.
-    """
-    if not (size_a > 0 and size_b > 0):
-        return ""
-    ratio = size_a / size_b
-    larger, smaller = ("A", "B") if ratio > 1 else ("B", "A")
-    ratio = max(ratio, 1 / ratio)
-    if not _THOUSAND[0] <= ratio <= _THOUSAND[1]:
-        return ""
-    return f"{larger} is {ratio:.0f} times as large as {smaller}: one is in millimetres, the other in metres"
+def check_distances(points: Array, path: Path) -> None:
+    """Raise DatasetError if points (N, 3) of a scan are too far from the lidar to be metres in its own frame."""
+    points = _some(points)
+    points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+    if not len(points):
+        return
+    with np.errstate(over="ignore"):
+        middle = float(np.median(np.linalg.norm(points, axis=1)))
+    if middle <= _FARTHEST_MEDIAN_M:
+        return
+    around = np.ptp(np.percentile(points, [_SHARE, 100.0 - _SHARE], axis=0), axis=0).max() > middle / 2
+    what = "which are millimetres, as it seems" if around else "as coordinates of a map would be"
+    message = f"half of its points are farther than {middle:.0f} from the lidar, {what}"
+    raise DatasetError(f"{message}; expected metres in the lidar's own frame", path)
 
 
 def _some(points: Array) -> Array:

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Mask, Times
+from relocbench.datasets.sensors.plausible_points import check_distances
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
+from relocbench.datasets.sensors.record_layout import check_records
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
@@ -64,6 +66,8 @@ class ScanFiles:
             raise DatasetError(f"is empty; expected a scan of {self.name}", path)
         found = self.decode(data, path)
         kept = in_range(found.points, self.min_range_m, self.max_range_m)
+        if not kept.any():
+            check_distances(found.points, path)
         times = np.full(int(kept.sum()), self.times_ns[index], dtype=np.int64)
         if found.offsets_ns is not None:
             offsets = found.offsets_ns[kept]
@@ -82,11 +86,8 @@ def in_range(points: Array, least_m: float, most_m: float) -> Mask:
 
 
 def records(data: bytes, row: np.dtype[Any], path: Path) -> NDArray[Any]:
-    """The records (N,) of a file. Raises DatasetError if the file does not hold a whole number of them."""
-    if len(data) % row.itemsize:
-        names = " ".join(row.names or ())
-        wanted = f"a whole number of points of {row.itemsize} bytes ({names})"
-        raise DatasetError(f"{len(data)} bytes are not {wanted}", path)
+    """The records (N,) of a file. Raises DatasetError if by size or values it does not hold a whole number of them."""
+    check_records(data, row, path)
     return np.frombuffer(data, dtype=row)
 
 
@@ -94,7 +95,7 @@ def columns(data: bytes, names: str, path: Path, kind: str = "<f4") -> NDArray[A
     """The points (N, columns) of a file whose columns all have one type, with the columns in the order of ``names``.
 
     Raises:
-        DatasetError: the file does not hold a whole number of points.
+        DatasetError: the file does not hold a whole number of points, or of other columns by its values.
     """
     row = np.dtype([(name, kind) for name in names.split()])
     return records(data, row, path).view(kind).reshape(-1, len(names.split()))

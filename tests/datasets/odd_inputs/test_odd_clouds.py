@@ -10,14 +10,24 @@ import laspy
 import numpy as np
 import pye57
 import pytest
+from numpy.typing import NDArray
 from odd_inputs import odd_input
-from refusals import ErrorData, noted, refused
+from refusals import ErrorData, Notes, noted, refused
 
 from baselines.published_weights import read_weights
 from baselines.weights_file import read_tensors
 from relocbench.datasets.core.images import read_image
+from relocbench.datasets.importers.boreas import recording as boreas
+from relocbench.datasets.importers.clouds.recording import read_clouds
+from relocbench.datasets.importers.complex_urban import recording as complex_urban
+from relocbench.datasets.importers.helipr import recording as helipr
+from relocbench.datasets.importers.kitti360 import recording as kitti360
+from relocbench.datasets.importers.mulran import recording as mulran
+from relocbench.datasets.importers.nclt import recording as nclt
+from relocbench.datasets.importers.robotcar import velodyne
 from relocbench.datasets.importers.rosbag.bag import parts_of
 from relocbench.datasets.sensors.cloud_files import SUFFIXES, read_cloud
+from relocbench.datasets.sensors.scan_files import Decoder, ScanFiles
 from relocbench.datasets.sensors.velodyne import read_scan
 from relocbench.errors import DatasetError, MethodError, RelocbenchError
 
@@ -316,3 +326,104 @@ def test_an_e57_file_holds_what_it_promises(
     path.write_bytes(damage(path.read_bytes()))
     with refused(DatasetError, "a.e57", None, *names):
         read_cloud(path)
+
+
+def scan(columns: int, count: int = 960) -> NDArray[np.float32]:
+    """Points of a turn (N, columns): x, y, z, intensity, beam, seconds."""
+    angle = np.linspace(0, 2 * np.pi, count)
+    far = 9 + 3 * np.sin(3 * angle)
+    beam = np.arange(count) % 16
+    table = [far * np.cos(angle), far * np.sin(angle), 0.1 * beam - 1, 0.3 + 0 * angle, beam, angle / 63]
+    return np.column_stack(table).astype("<f4")[:, :columns]
+
+
+DECODERS: dict[str, tuple[Decoder, int]] = {
+    "boreas": (boreas.decode, 6),
+    "complex-urban": (complex_urban.decode_vlp, 4),
+    "kitti-360": (kitti360.decode, 4),
+    "mulran": (mulran.ColumnsInOrder("start"), 4),
+}
+
+
+@pytest.mark.parametrize("name", DECODERS)
+@pytest.mark.parametrize("columns", [3, 4, 5, 6])
+def test_points_of_another_length_are_named_though_the_size_fits(tmp_path: Path, name: str, columns: int) -> None:
+    decode, expected = DECODERS[name]
+    path = tmp_path / "1.bin"
+    if columns == expected:
+        assert len(decode(scan(columns).tobytes(), path).points) == 960
+        return
+    for count in (960, 959):  # the size fits or not
+        with refused(DatasetError, "1.bin", None, 4 * expected, 4 * columns, count):
+            decode(scan(columns, count).tobytes(), path)
+
+
+def test_a_point_of_an_ouster_without_reflectivity_is_named(tmp_path: Path) -> None:
+    row = helipr.RECORDS["Ouster"]
+    for kept in (row.names, [name for name in row.names or () if name != "reflectivity"]):
+        older = np.dtype([(name, row[name]) for name in kept or ()])
+        table = np.frombuffer(np.random.default_rng(1).bytes(960 * older.itemsize), older).copy()
+        for axis, values in zip("xyz", scan(3).T, strict=True):
+            table[axis] = values
+        if older == row:
+            assert len(helipr.HeLiPRPoints("Ouster")(table.tobytes(), tmp_path / "1.bin").points) == 960
+        else:
+            with refused(DatasetError, "1.bin", None, row.itemsize, older.itemsize, 960):
+                helipr.HeLiPRPoints("Ouster")(table.tobytes(), tmp_path / "1.bin")
+
+
+EMPTY: dict[str, tuple[Decoder, bytes]] = {
+    **{name: (decode, np.full((64, n), np.nan, "<f4").tobytes()) for name, (decode, n) in DECODERS.items()},
+    "complex-urban, SICK": (complex_urban.decode_sick, np.full((64, 2), np.nan, "<f4").tobytes()),
+    "robotcar": (velodyne.decode_binary, np.full((4, 64), np.nan, "<f4").tobytes()),
+    "nclt": (nclt.decode, np.zeros(64, nclt.RECORD).tobytes()),
+    "helipr": (helipr.HeLiPRPoints("Ouster"), np.full(64 * 26, 0xFF, np.uint8).tobytes()),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", EMPTY)
+def test_a_scan_without_returns_has_no_points_and_an_empty_file_is_named(tmp_path: Path, name: str) -> None:
+    decode, data = EMPTY[name]
+    path = tmp_path / "1691936557946849.bin"
+    lidar = ScanFiles("top", (path,), np.array([10**18]), np.eye(4), decode, 80.0, 0.02, min_range_m=1.0)
+    path.write_bytes(data)
+    assert len(lidar.read(0).points) == 0
+    path.write_bytes(b"")
+    with refused(DatasetError, path.name, None, "top"):
+        lidar.read(0)
+
+
+def write_as(path: Path, points: NDArray[np.float32]) -> None:
+    if path.suffix == ".las":
+        made = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
+        made.header.scales = np.full(3, 1e-4)
+        made.x, made.y, made.z = points.T.astype(np.float64)
+        made.write(str(path))
+    elif path.suffix == ".e57":
+        with pye57.E57(str(path), mode="w") as file:
+            file.write_scan_raw({f"cartesian{a}": points[:, k].astype(float) for k, a in enumerate("XYZ")})
+    else:
+        rows = [f"{number},{x},{y},{z},{number * 1e-4}" for number, (x, y, z) in enumerate(points.tolist())]
+        path.write_text("\n".join(["id,x,y,z,time", *rows]) + "\n")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".xyz", ".las", ".e57"])
+def test_a_folder_of_clouds_may_be_of_any_kind_that_a_cloud_alone_may_be(tmp_path: Path, suffix: str) -> None:
+    for number in range(3):
+        write_as(tmp_path / f"170000000{number}.5{suffix}", scan(3))
+    (tmp_path / "poses.txt").write_text("".join(f"170000000{k}.5 {k} 0 0 0 0 0 1\n" for k in range(3)))
+    notes = Notes()
+    lidar = read_clouds(tmp_path, "drive", notes).lidars[0]
+    found = lidar.read(1)
+    np.testing.assert_allclose(found.points, scan(3), atol=1e-4)
+    assert (np.ptp(found.times_ns) > 0) == (suffix in (".csv", ".xyz"))  # whose header names times of points
+    assert noted(notes.notes, suffix[1:])
+
+
+def test_clouds_in_millimetres_or_coordinates_of_a_map_are_named_as_such(tmp_path: Path) -> None:
+    for word, points in {"millimetres": 1000 * scan(3), "map": scan(3) + np.float32([691_234, 5_334_987, 0])}.items():
+        for number in range(3):
+            np.save(tmp_path / f"170000000{number}.5.npy", points)
+        with refused(DatasetError, "1700000001.5.npy", None, word):
+            read_clouds(tmp_path, "drive", Notes()).lidars[0].read(1)

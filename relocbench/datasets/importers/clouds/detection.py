@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.importers.generic.scans import USUAL_COLUMNS, GenericLidar
 from relocbench.datasets.sensors.binary_layout import Number, decode_points, detect_layout
-from relocbench.datasets.sensors.point_clouds import read_point_cloud
+from relocbench.datasets.sensors.cloud_files import read_fields
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
@@ -42,8 +42,9 @@ def with_layout(settings: GenericLidar, path: Path, time_ns: int) -> tuple[Gener
         fields = dict(zip(names, decode_points(data, layout, path).T, strict=True))
         words = f"{dtype} {' '.join(names)}"
     else:
-        fields, names = _array(path, columns) if suffix == ".npy" else (read_point_cloud(path), columns)
-        words = f"{suffix[1:]} with {' '.join(fields)}"
+        notes: list[str] = []
+        fields, names = _array(path, columns) if suffix == ".npy" else (read_fields(path, notes), columns)
+        words = "; ".join([f"{suffix[1:]} with {' '.join(fields)}", *notes])
     known = {"columns": names or ("x", "y", "z", "intensity"), "dtype": dtype}
     times, how = _times(fields, time_ns, path)
     return settings.model_copy(update={**known, **times}), f"{words}, {how}"

@@ -1,7 +1,7 @@
 """A folder of point clouds with times, read as a recording: one spinning lidar, which is the rig.
 
-Clouds are PLY, PCD, ``.bin`` or ``.npy``, in the folder itself or in one folder within it. The formats are described in
-``docs/lidar-datasets.md``.
+Clouds are files of any kind in :data:`SUFFIXES`, in the folder itself or in one folder within it. The formats are
+described in ``docs/lidar-datasets.md``.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from relocbench.arrays import Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, detected_motion
 from relocbench.datasets.importers.clouds.detection import with_layout
-from relocbench.datasets.importers.clouds.times import clouds_with_times
+from relocbench.datasets.importers.clouds.times import TIME_FILES, clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
-from relocbench.datasets.importers.generic.scans import SUFFIXES, GenericLidar, GenericLidarStream
+from relocbench.datasets.importers.generic.scans import GenericLidar, GenericLidarStream
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import check_file
+from relocbench.datasets.sensors.cloud_files import SUFFIXES
 from relocbench.datasets.sensors.derived_lidar import DerivedLidar
 from relocbench.datasets.sensors.numbered_rows import read_numbered_rows
 from relocbench.datasets.sensors.pose_tables import MATRIX, Row, pose_table, read_trajectory
@@ -35,6 +36,7 @@ from relocbench.progress import Reporter
 OdometrySource = Literal["auto", "poses", "lidar"]
 
 POSE_FILES = ("poses.txt", "poses.csv", "poses.tum")
+_TEXTS = (".txt", ".csv")
 _TURN_NS = 100_000_000
 
 
@@ -129,24 +131,31 @@ def _assumed(time: str | None, motion: str, pattern: str) -> str:
 def _cloud_files(folder: Path) -> list[Path]:
     """The clouds of the folder, or of the one folder in it that has most of them; all of one kind.
 
+    Files of text are clouds only where there are no others, since they may as well describe them.
+
     Raises:
         DatasetError: there are none, or several kinds.
     """
     places = [folder, *sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))]
-    for place in places:
-        files = [p for p in sorted(place.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
-        if not files:
-            continue
-        kinds = Counter(p.suffix.lower() for p in files)
-        if len(kinds) > 1:
-            counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-            raise DatasetError(f"holds clouds of several kinds ({counts}); expected one", place)
-        for path in files:
-            check_file(path)
-        return files
-    raise DatasetError(
-        f"holds no point clouds; expected files {', '.join(SUFFIXES)} in it or in a folder in it", folder
-    )
+    named = [[p for p in sorted(place.iterdir()) if _may_be_cloud(p)] for place in places]
+    found = next(filter(None, ([p for p in files if p.suffix.lower() not in _TEXTS] for files in named)), None)
+    files = found or max(named, key=len)
+    if not files:
+        raise DatasetError(
+            f"holds no point clouds; expected files {', '.join(SUFFIXES)} in it or in a folder in it", folder
+        )
+    kinds = Counter(p.suffix.lower() for p in files)
+    if len(kinds) > 1:
+        counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+        raise DatasetError(f"holds clouds of several kinds ({counts}); expected one", files[0].parent)
+    for path in files:
+        check_file(path)
+    return files
+
+
+def _may_be_cloud(path: Path) -> bool:
+    other = path.name in (*TIME_FILES, *POSE_FILES) or path.name.startswith(".")
+    return path.suffix.lower() in SUFFIXES and not other
 
 
 def _trajectory(path: Path, clouds: Sequence[tuple[int | None, Path]], reporter: Reporter) -> Trajectory:

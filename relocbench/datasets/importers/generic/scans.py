@@ -13,11 +13,13 @@ from pydantic import Field, model_validator
 from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.core.schema import Strict, Transform
+from relocbench.datasets.sensors import cloud_files
 from relocbench.datasets.sensors.binary_layout import detect_layout
-from relocbench.datasets.sensors.point_clouds import read_point_cloud
+from relocbench.datasets.sensors.plausible_points import check_distances
+from relocbench.datasets.sensors.point_clouds import with_axes
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
-from relocbench.datasets.sensors.scan_files import in_range
+from relocbench.datasets.sensors.scan_files import columns, in_range
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import check_distinct, check_name, load_yaml, read_bytes
@@ -25,7 +27,8 @@ from relocbench.geometry import make_transform
 from relocbench.progress import Reporter, Silent
 
 LIDAR_FILE = "lidar.yaml"
-SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
+SUFFIXES = tuple(suffix for suffix in cloud_files.SUFFIXES if suffix not in (".txt", ".csv"))
+"""of scans; other text in their folder may as well be about them"""
 USUAL_COLUMNS: dict[int, tuple[str, ...]] = {
     3: ("x", "y", "z"),
     4: ("x", "y", "z", "intensity"),
@@ -126,6 +129,8 @@ class GenericLidarStream:
         points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
         times = np.full(len(points), self.times_ns[index], dtype=np.int64)
         kept = in_range(points, settings.min_range, settings.max_range)
+        if not kept.any():
+            check_distances(points, path)
         if settings.time is not None:
             times = _point_times(fields[settings.time], kept, int(self.times_ns[index]), settings, path)
         return Scan(points[kept], times[kept])
@@ -219,24 +224,22 @@ def _fields(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
         return _columns(_binary(path, settings), settings.columns, path)
     if suffix == ".npy":
         return _numpy(path, settings)
-    return read_point_cloud(path)
+    return cloud_files.read_fields(path, [])
 
 
 def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
     data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
     if settings.dtype == "auto":
         raise DatasetError(f"its data type is not known; name columns and dtype in {LIDAR_FILE}", path)
-    width = np.dtype(settings.dtype).itemsize * len(settings.columns)
-    if len(data) % width:
-        what = f"{settings.dtype} {' '.join(settings.columns)}"
-        raise DatasetError(f"{len(data)} bytes are not a whole number of points ({what})", path)
-    return np.frombuffer(data, dtype=np.dtype(settings.dtype).newbyteorder("<")).reshape(-1, len(settings.columns))
+    kind = np.dtype(settings.dtype).newbyteorder("<").str
+    return columns(data, " ".join(settings.columns), path, kind)
 
 
 def _numpy(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
     values = parse_npy(read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES), path)
     if values.dtype.names:
-        return {name: np.ravel(values[name]) for name in values.dtype.names if values.dtype[name].shape == ()}
+        fields = {name: np.ravel(values[name]) for name in values.dtype.names if values.dtype[name].shape == ()}
+        return with_axes(fields, path)
     if values.ndim != 2:
         width = len(settings.columns) or "3 to 6"
         raise DatasetError(f"is an array of shape {values.shape}, expected (points, {width})", path)
