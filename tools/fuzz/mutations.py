@@ -135,6 +135,11 @@ def _truncate(rng: Random, data: bytes) -> bytes:
     return data[: rng.randrange(len(data) + 1)]
 
 
+def _cut_records(rng: Random, data: bytes) -> bytes:
+    """Without some whole records at the end, of a length that points have."""
+    return data[: max(len(data) - rng.choice((12, 16, 20, 24, 26, 28, 30, 34)) * rng.randrange(1, 9), 0)]
+
+
 def _cut_out(rng: Random, data: bytes) -> bytes:
     a, b = sorted((rng.randrange(len(data) + 1), rng.randrange(len(data) + 1)))
     return data[:a] + data[min(b, a + rng.choice((1, 4, 64, b - a))) :]
@@ -208,5 +213,5 @@ def _append(rng: Random, data: bytes) -> bytes:
 
 _MUTATIONS: tuple[Mutation, ...] = (
     _flip, _set_bytes, _insert, _replace(_WORD), _replace(_WORD), _replace(_NUMBER), _near_number, _near_number,
-    _integer, _integer, _truncate, _cut_out, _repeat, _lines, _ends, _append,
+    _integer, _integer, _truncate, _cut_records, _cut_out, _repeat, _lines, _ends, _append,
 )  # fmt: skip

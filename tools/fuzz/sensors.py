@@ -47,6 +47,49 @@ def write_clouds(root: Path) -> None:
     )
 
 
+def write_map_clouds(root: Path) -> None:
+    """The same points as LAS of versions 1.2 and 1.4, LAZ, E57, and text with headers of several kinds."""
+    import laspy
+    import pye57
+
+    folder = root / "clouds"
+    folder.mkdir()
+    cloud = points(30)
+    x, y, z = cloud[:, :3].T
+    keys = np.array([1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9003], "<u2").tobytes()
+    text = b'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174]],UNIT["foot",0.3048]]\0'
+    for name, version, kind, record in (
+        ("feet.las", "1.2", 0, (34735, keys)),
+        ("text.las", "1.4", 6, (2112, text)),
+        ("packed.laz", "1.2", 3, (34735, keys)),
+        ("packed14.laz", "1.4", 6, (2112, text)),
+    ):
+        made = laspy.LasData(laspy.LasHeader(point_format=kind, version=version))
+        made.header.scales = np.full(3, 0.125)
+        made.vlrs.append(laspy.VLR("LASF_Projection", record[0], "", record[1]))
+        if version == "1.4":
+            made.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("LASF_Projection", 2112, "", text)])
+        made.x, made.y, made.z = x, y, z
+        made.write(str(folder / name))
+    with pye57.E57(str(folder / "setups.e57"), mode="w") as file:
+        for _ in range(2):
+            file.write_scan_raw(
+                {"cartesianX": x, "cartesianY": y, "cartesianZ": z},
+                rotation=np.array([1.0, 0, 0, 0]),
+                translation=np.zeros(3),
+            )
+    rows = cloud.tolist()
+    for name, head, mark in (
+        ("id.csv", ["id,x,y,z,time"], ","),
+        ("compare.asc", ["//X Y Z Intensity", str(len(rows))], " "),
+        ("scans.pts", [str(len(rows))], " "),
+        ("semicolons.txt", ["y;x;z[m];i"], ";"),
+    ):
+        numbered = name == "id.csv"
+        lines = [mark.join(f"{v:g}" for v in ([k, *row] if numbered else row)) for k, row in enumerate(rows)]
+        write(folder / name, *head, *lines)
+
+
 def _packed(data: bytes) -> bytes:
     """LZF that only quotes: runs of up to 32 literal bytes, each after its length less one."""
     runs = b"".join(bytes([len(part) - 1]) + part for part in (data[i : i + 32] for i in range(0, len(data), 32)))
@@ -112,6 +155,34 @@ def _cloud(place: Place) -> None:
     read_point_cloud(place.target)
 
 
+def _any_cloud(place: Place) -> list[str]:
+    from relocbench.datasets.sensors.cloud_files import read_cloud
+
+    return list(read_cloud(place.target).notes)
+
+
+def _e57_with_checksums(place: Place) -> list[str]:
+    """Read an E57 file whose pages have right checksums, without which damage to its points is not looked at."""
+    from relocbench.datasets.sensors.cloud_files import read_cloud
+
+    if not place.target.is_file() or place.target.stat().st_size > 2**16:
+        return list(read_cloud(place.target).notes)
+    data = place.target.read_bytes()
+    pages = [data[at : at + 1020] for at in range(0, len(data), 1024)]
+    target = place.out / "right.e57"
+    target.write_bytes(b"".join(page + _crc32c(page).to_bytes(4, "big") for page in pages))
+    return list(read_cloud(target).notes)
+
+
+def _crc32c(data: bytes) -> int:
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x82F63B78 if crc & 1 else 0)
+    return crc ^ 0xFFFFFFFF
+
+
 def _velodyne(place: Place) -> None:
     from relocbench.datasets.sensors.velodyne import read_scan
 
@@ -151,10 +222,21 @@ def _journal(place: Place) -> None:
     Journal(place.target).close()
 
 
-SEEDS = {"clouds": write_clouds, "lidar-folder": write_lidar_folder, "kept": write_kept}
+SEEDS = {"clouds": write_clouds, "map-clouds": write_map_clouds, "lidar-folder": write_lidar_folder, "kept": write_kept}
 PARSERS = (
     Parser("ply", "clouds", ("clouds/*.ply",), _cloud),
     Parser("pcd", "clouds", ("clouds/*.pcd",), _cloud),
+    Parser("las", "map-clouds", ("clouds/*.las",), _any_cloud),
+    Parser("laz", "map-clouds", ("clouds/*.laz",), _any_cloud),
+    Parser("e57-checksums", "map-clouds", ("clouds/*.e57",), _e57_with_checksums),
+    Parser("e57", "map-clouds", ("clouds/*.e57",), _any_cloud),
+    Parser(
+        "text-clouds",
+        "map-clouds",
+        tuple(f"clouds/*.{kind}" for kind in ("csv", "asc", "pts", "txt")),
+        _any_cloud,
+        text=True,
+    ),
     Parser("velodyne", "lidar-folder", ("drive/lidar/top/*.bin",), _velodyne),
     Parser("scans", "lidar-folder", ("drive/lidar/top/*",), _lidar_folder, names=True),
     Parser("lidar.yaml", "lidar-folder", ("drive/lidar.yaml",), _lidar_folder, text=True),

@@ -47,7 +47,7 @@ def read_las(path: Path, most_points: int, notes: list[str]) -> Array:
         raise DatasetError("its header promises 0 points", path)
     if header.points > most_points:
         raise DatasetError(f"holds {header.points} points, more than {most_points}; thin it first", path)
-    if header.compressed and not laspy.LazBackend.detect_available():
+    if header.compressed and not laspy.LazBackend.Lazrs.is_available():
         raise ConfigError(f"compressed LAS files need the package lazrs: {EXTRA}")
     system = coordinate_system(header.projection, header.prefers_wkt, path, notes)
     factors = _factors(system, path, notes)
@@ -72,11 +72,15 @@ def _integers(laspy: Any, path: Path, header: LasHeader) -> NDArray[np.int32]:
     """(N, 3) x, y and z as they are stored."""
     parts = []
     try:
-        with laspy.open(path, read_evlrs=False) as stream:
+        # The parallel decompressor ends the process if points are damaged.
+        one = laspy.LazBackend.Lazrs if header.compressed else None
+        with laspy.open(path, read_evlrs=False, laz_backend=one) as stream:
             for points in stream.chunk_iterator(max(_CHUNK_BYTES // header.record_bytes, 1)):
                 parts.append(np.column_stack([points.X, points.Y, points.Z]))
-    # laspy and lazrs raise errors of many kinds, also of Rust, for damaged files.
-    except Exception as bad:
+    # laspy and lazrs raise errors of many kinds for damaged files; panics of Rust are no Exception.
+    except BaseException as bad:
+        if not isinstance(bad, Exception) and type(bad).__name__ != "PanicException":
+            raise
         raise DatasetError(f"cannot be read as LAS or LAZ ({type(bad).__name__})", path) from bad
     found = np.concatenate(parts) if parts else np.empty((0, 3), np.int32)
     if len(found) != header.points:

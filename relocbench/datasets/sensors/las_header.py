@@ -22,6 +22,10 @@ _LEAST_RECORD = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 _VLR, _EVLR = 54, 60
 _PROJECTION_USERS = (b"LASF_Projection", b"liblas")
 _LASZIP = 22204
+_POINTWISE, _LAYERED = 2, 3
+"""ways of compression that write chunks"""
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""item of a layered point -> layers; of bytes that are not known each byte has one"""
 _VARIABLE = 0xFFFFFFFF
 """size of chunks that differ"""
 _MOST_KEPT = 2**20
@@ -157,12 +161,14 @@ class _Checked:
         """The chunks of compressed points: their table lies within the file, and they are enough for the points."""
         if laszip is None or len(laszip) < 34:
             raise self._fault("holds compressed points, but not how (the record 'laszip encoded')")
-        if struct.unpack_from("<H", laszip)[0] not in (2, 3):
+        compressor = struct.unpack_from("<H", laszip)[0]
+        if compressor not in (_POINTWISE, _LAYERED):
             raise self._fault("its points are compressed in one piece, as by LASzip before 2.0; expected chunks")
         chunk, items = struct.unpack_from("<I", laszip, 12)[0], struct.unpack_from("<H", laszip, 32)[0]
-        sizes = [struct.unpack_from("<H", laszip, 34 + 6 * k + 2)[0] for k in range(items) if len(laszip) >= 40 + 6 * k]
-        if len(sizes) != items or sum(sizes) != record or not chunk:
-            raise self._fault(f"its compressed points have {sum(sizes)} bytes in chunks of {chunk}, expected {record}")
+        found = [struct.unpack_from("<HH", laszip, 34 + 6 * k) for k in range(items) if len(laszip) >= 40 + 6 * k]
+        held = sum(size for _, size in found)
+        if len(found) != items or held != record or not chunk:
+            raise self._fault(f"its compressed points have {held} bytes in chunks of {chunk}, expected {record}")
         if not count:
             return
         # A chunk begins with the bytes of its first point as they are.
@@ -177,6 +183,21 @@ class _Checked:
         if chunks < least or chunks > room:
             message = f"its header promises {count} points, which are at least {least} chunks of up to {chunk}"
             raise self._fault(f"{message}; its table has {chunks} chunks, and there is room for {room}")
+        if compressor == _LAYERED:
+            self._check_layers(count, record, chunks, table, sum(_LAYERS.get(k, size) for k, size in found))
+
+    def _check_layers(self, count: int, record: int, chunks: int, table: int, layers: int) -> None:
+        """The chunks of layers: a first point as it is, the number of points, the bytes of each layer, and these."""
+        at, points, head = self.at + 8, 0, struct.Struct(f"<{1 + layers}I")
+        for number in range(chunks):
+            self.stream.seek(at + record)
+            data = self.stream.read(head.size)
+            many, *sizes = head.unpack(data) if len(data) == head.size else (0, 0)
+            at, points = at + record + head.size + sum(sizes), points + many
+            if at > table:
+                raise self._fault(f"is damaged: its chunk {number + 1} of {chunks} ends at byte {at}, beyond {table}")
+        if points != count:
+            raise self._fault(f"its header promises {count} points, but its chunks have {points}")
 
     def _table_at(self, at: int, form: str) -> int:
         self.stream.seek(max(at, 0))
