@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from relocbench.arrays import Array, Floats, Image, Mask
+from relocbench.datasets.sensors.plausible_points import check_distances
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.scan_files import columns
 from relocbench.errors import DatasetError
@@ -26,13 +27,15 @@ def read_scan(path: Path) -> Array:
     """Points (N, 3) of a KITTI scan (float32 x y z reflectance), metres in the lidar's frame.
 
     Raises:
-        DatasetError: the file is missing, empty or not a whole number of points.
+        DatasetError: the file is missing, empty or not a whole number of points, or these are not metres.
     """
     data = read_bytes(path, "a lidar scan (float32 x y z reflectance)", DatasetError, MOST_SCAN_BYTES)
     if not data:
         raise DatasetError("is empty; expected a lidar scan", path)
     points = columns(data, "x y z reflectance", path)[:, :3].astype(np.float64)
-    return points[np.all(np.isfinite(points), axis=1)]
+    points = points[np.all(np.isfinite(points), axis=1)]
+    check_distances(points, path)
+    return points
 
 
 def project_scan(points: Array, camera: Camera, T_cam_lidar: Array, max_depth: float = 80.0) -> Floats:

@@ -72,6 +72,10 @@ def lidar_odometry(
             run.add(time, scan)
             skewed = skewed or _is_skewed(scan)
             advance(1)
+    missing = sorted(set(times.tolist()) - set(run.times))
+    if missing:
+        message = f"{len(missing)} of {len(times)} scans have fewer than {_FEWEST_POINTS} points and are left out"
+        (reporter or Silent()).note(f"{lidar.name}: {message}, the first at {missing[0]} ns")
     if len(run.times) < 2:
         raise DatasetError(f"{lidar.name} has {len(run.times)} scans with enough points; odometry needs at least 2")
     T_first_lidar = np.array(run.poses)
