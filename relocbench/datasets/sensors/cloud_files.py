@@ -83,7 +83,8 @@ def read_cloud(path: Path, form: CloudFormat | None = None, origin: Array | None
     # Beams without a return are zeros in many formats; a measured point is never exactly at the sensor.
     finite &= points.any(axis=1)
     if not finite.any():
-        raise DatasetError("holds no point with finite coordinates other than 0", path)
+        many = f"all of its {len(points)} points are zero or not finite" if len(points) else "holds 0 points"
+        raise DatasetError(many, path)
     left_out = len(points) - int(np.count_nonzero(finite))
     if left_out:
         notes.append(f"{left_out} of {len(points)} points are zero or not finite and left out")

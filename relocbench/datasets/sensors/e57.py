@@ -69,6 +69,8 @@ def read_e57(path: Path, wanted: Sequence[int], most_points: int) -> tuple[list[
 
 
 def _setup(file: object, number: int, header: object) -> Setup:
+    if not int(header.point_count):  # type: ignore[attr-defined]
+        return Setup(np.empty((0, 3)), np.eye(4), False)
     data = file.read_scan(number, transform=False, ignore_missing_fields=True)  # type: ignore[attr-defined]
     if "cartesianX" in data:
         points = np.column_stack([data[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64)

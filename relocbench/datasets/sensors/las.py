@@ -33,7 +33,7 @@ def read_las(path: Path, most_points: int, notes: list[str]) -> Array:
 
     Raises:
         ConfigError: laspy, lazrs or pyproj is not installed.
-        DatasetError: the file is damaged, does not hold what its header promises, has no point, more than
+        DatasetError: the file is damaged, does not hold what its header promises, has more than
             ``most_points``, coordinates in degrees, or many that their integers cannot hold.
     """
     try:
@@ -43,8 +43,6 @@ def read_las(path: Path, most_points: int, notes: list[str]) -> Array:
         raise ConfigError(f"{path.suffix} files need the packages laspy and pyproj: {EXTRA}") from None
     with path.open("rb") as stream:
         header = read_header(stream, path.stat().st_size, path)
-    if not header.points:
-        raise DatasetError("its header promises 0 points", path)
     if header.points > most_points:
         raise DatasetError(f"holds {header.points} points, more than {most_points}; thin it first", path)
     if header.compressed and not laspy.LazBackend.Lazrs.is_available():
@@ -70,7 +68,9 @@ def _factors(system: Any, path: Path, notes: list[str]) -> Array | None:
 
 def _integers(laspy: Any, path: Path, header: LasHeader) -> NDArray[np.int32]:
     """(N, 3) x, y and z as they are stored."""
-    parts = []
+    parts: list[NDArray[np.int32]] = []
+    if not header.points:
+        return np.empty((0, 3), np.int32)
     try:
         # The parallel decompressor ends the process if points are damaged.
         one = laspy.LazBackend.Lazrs if header.compressed else None

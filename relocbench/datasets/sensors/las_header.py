@@ -13,6 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.sensors.point_table import points_follow
 from relocbench.errors import DatasetError
 
 _LEAST_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
@@ -141,14 +142,11 @@ class _Checked:
             return
         self.stream.seek(self.at + count * record)
         behind = self._coordinates(record, min(held - count, _LOOKED_AT)) * scales + offsets
-        bounds = np.array(struct.unpack_from("<6d", self.start, 179)).reshape(3, 2)
+        promised = np.array(struct.unpack_from("<6d", self.start, 179)).reshape(3, 2).T
         if count:
             self.stream.seek(self.at)
             promised = self._coordinates(record, min(count, _LOOKED_AT)) * scales + offsets
-            bounds = np.column_stack([promised.max(axis=0), promised.min(axis=0)])
-        reach = bounds[:, 0] - bounds[:, 1]
-        near = np.all((behind >= bounds[:, 1] - reach) & (behind <= bounds[:, 0] + reach), axis=1)
-        if reach.any() and near.mean() > 0.5:
+        if points_follow(promised if promised.any() else promised[:0], behind):
             message = f"its header promises {count} points, but {held - count} more records lie behind them"
             raise self._fault(f"{message}; correct the header, such as by `lasinfo -repair`")
 

@@ -20,6 +20,7 @@ from relocbench.datasets.core.images import read_image
 from relocbench.datasets.importers.boreas import recording as boreas
 from relocbench.datasets.importers.clouds.recording import read_clouds
 from relocbench.datasets.importers.complex_urban import recording as complex_urban
+from relocbench.datasets.importers.generic.scans import GenericLidar, GenericLidarStream
 from relocbench.datasets.importers.helipr import recording as helipr
 from relocbench.datasets.importers.kitti360 import recording as kitti360
 from relocbench.datasets.importers.mulran import recording as mulran
@@ -87,6 +88,7 @@ PROMISES: dict[str, tuple[bytes, ErrorData]] = {
     "points beyond the end": (las(offset=("<I", 96, 10**6)), (10**6,)),
     "records too short": (las(record=("<H", 105, 12)), (12,)),
     "more records than promised": (las(count=("<I", 107, 200)), (200, 100)),
+    "none promised": (las(count=("<I", 107, 0)), (0, 300)),
     "two counts": (las(minor=4, count=("<Q", 247, 200)), (200, 300)),
     "no scale": (las(scale=("<d", 131, 0.0)), ()),
     "version 2.0": (las(version=("<BB", 24, (2, 0))), ("2.0",)),
@@ -427,3 +429,22 @@ def test_clouds_in_millimetres_or_coordinates_of_a_map_are_named_as_such(tmp_pat
             np.save(tmp_path / f"170000000{number}.5.npy", points)
         with refused(DatasetError, "1700000001.5.npy", None, word):
             read_clouds(tmp_path, "drive", Notes()).lidars[0].read(1)
+
+
+NAMES = {".ply": "binary_little_endian", ".pcd": "binary"}
+
+
+@pytest.mark.parametrize("suffix", [".las", ".ply", ".pcd", ".npy", ".xyz"])
+def test_a_cloud_without_points_is_named_and_a_scan_without_points_is_one(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".las":
+        path.write_bytes(las(0))
+    elif suffix == ".npy":
+        np.save(path, np.empty((0, 4)))
+    else:
+        path.write_text(HEADS[suffix[1:]].format(n=0, kind=NAMES[suffix]) if suffix in NAMES else "# x y z\n")
+    with refused(DatasetError, path.name, None, 0):
+        read_cloud(path)
+    settings = GenericLidar(pattern="spinning")
+    lidar = GenericLidarStream("top", settings, np.eye(4), (path,), np.array([10**18]))
+    assert len(lidar.read(0).points) == 0
