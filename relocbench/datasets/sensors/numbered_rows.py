@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from relocbench.datasets.core.pairfile import any_non_finite
+from relocbench.datasets.sensors.pose_columns import is_value
 from relocbench.datasets.sensors.times import ReadTimes, check_increasing, times_in_ns
 from relocbench.errors import DatasetError
 from relocbench.files import fields_of, lines_of, read_text, whole_number
@@ -80,16 +81,22 @@ class NumberedRows:
 def read_numbered_rows(path: Path, what: str) -> NumberedRows:
     """Read a table; commas or spaces part fields.
 
-    Comments are no rows, except for those of numbers alone, as many as a row has: rows that somebody took out.
+    A first line of words is a header. Comments are no rows, except for those of numbers alone, as many as a row has:
+    rows that somebody took out.
 
     Raises:
         DatasetError: with file and line: the file is missing or no text, or has decimal commas.
     """
     found: list[NumberedRow | str | None] = []
+    started = False
     for number, line in enumerate(lines_of(read_text(path, what, DatasetError)), start=1):
         content, mark, comment = line.partition("#")
         fields = fields_of(content, path, number, DatasetError)
-        found.append(NumberedRow(number, fields) if fields else comment if mark else None)
+        if fields and not started and not any(map(is_value, fields)):
+            found = []  # what is above a header is no row either
+        else:
+            found.append(NumberedRow(number, fields) if fields else comment if mark else None)
+            started = started or bool(fields)
     width = next((len(row.fields) for row in found if isinstance(row, NumberedRow)), 0)
     rows = [row if isinstance(row, NumberedRow) else None for row in found if not _is_remark(row, width)]
     filled = max((index + 1 for index, row in enumerate(rows) if row is not None), default=0)

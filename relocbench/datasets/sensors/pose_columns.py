@@ -82,7 +82,7 @@ def read_pose_columns(
         if not fields:
             if not rows:
                 header = parse_header(comment, number) or header
-        elif not rows and header is None and not any(map(_is_value, fields)):
+        elif not rows and header is None and not any(map(is_value, fields)):
             header = parse_header(content, number)
             if header is None:
                 raise error(f"its header does not name the columns of a pose; expected {what}", path, number)
@@ -136,7 +136,7 @@ def _meaning(name: str) -> str:
     return axis if axis and axis in "xyz" and _POSITION.fullmatch(stem) else ""
 
 
-def _is_value(text: str) -> bool:
+def is_value(text: str) -> bool:
     """Whether a field is, or is meant to be, a number."""
     return text[:1] in "0123456789+-." or text.lower() in ("nan", "inf", "infinity")
 

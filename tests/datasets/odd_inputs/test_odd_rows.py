@@ -420,7 +420,7 @@ def test_a_cloud_whose_row_of_times_is_empty_is_left_out(tmp_path: Path) -> None
         path.rename(path.with_name(f"{k + (k > 0):06d}.bin"))  # 0, 2, 3: rows are those of these numbers
     rows = [f"1 0 0 {i} 0 1 0 0 0 0 1 0" for i in range(4)]
     (folder / "poses.txt").write_text("\n".join(rows) + "\n")
-    (folder / "times.txt").write_text("\n".join([times[0], "", *times[1:]]) + "\n")
+    (folder / "times.txt").write_text("\n".join(["timestamp", times[0], "", *times[1:]]) + "\n")
     drive = read_clouds(folder, "a", Notes())
     assert drive.lidars[0].times_ns.tolist() == list(map(int, times))
     assert drive.poses is not None

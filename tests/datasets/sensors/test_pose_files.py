@@ -120,7 +120,7 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path: Path, text: str, words: Err
         ("1.0\n2.0\n3.0\n", ("times.txt", None, "3", "t.txt", "2")),
         ("1.0\n1.0\n", ("times.txt", 2, "1.0")),
         ("1.0 2.0\n", ("times.txt", 1, "2")),
-        ("one\n", ("times.txt", 1, "one")),
+        ("1.0\ntwo\n", ("times.txt", 2, "two")),
     ],
 )
 def test_times_that_do_not_fit_are_refused(tmp_path: Path, times: str, words: ErrorData) -> None:
