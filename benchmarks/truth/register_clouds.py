@@ -4,7 +4,8 @@ Simulated: scans of streets in other weather (``street``), by a car that drives 
 short submaps of opposite drives (``submaps``), the street of repeating facades (``periodic``); rooms of 4 to 6 m
 scanned twice (``room``), put together without sensors (``merged``), seen by a depth camera (``depth``); an object of
 1 m (``object``); and clouds of different places (``other streets``, ``other rooms``, ``other merged``,
-``other depth``), all of which must be refused.
+``other depth``), all of which must be refused, as must shapes that leave motions open (``corridor``, ``floor``,
+``tunnel``, ``sphere``, ``staircase``).
 
 Real: all pairs of KITTI 07 and Newer College against their graph, which is itself off by centimetres, clouds of
 different recordings, and views of the TUM RGB-D depth camera against the motion capture.
@@ -34,6 +35,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +53,7 @@ from register_scenes import (
     unrelated_rooms,
     unrelated_streets,
 )
+from register_shapes import SHAPES, shape_pair
 
 from relocbench.datasets.groundtruth.clouds.register import CloudRegistration, CloudRegistrationOptions, register_clouds
 from relocbench.datasets.groundtruth.registration.global_registration import pose_difference
@@ -70,6 +73,7 @@ SIMULATED: dict[str, Callable[[int], Pair]] = {
     "other rooms": unrelated_rooms,
     "other depth": unrelated_depth,
     "other merged": lambda seed: unrelated_rooms(seed, merged=True),
+    **{name: partial(shape_pair, name) for name in SHAPES},
 }
 REAL = ("kitti 07", "newer college", "tum rgbd", "other real")
 DATA = Path(os.environ.get("RELOCBENCH_REAL_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))

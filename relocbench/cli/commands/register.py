@@ -177,7 +177,9 @@ def register(
 
         with locked_output(out):
             clouds = sides[0].cloud, sides[1].cloud
-            written = write_registration(out, found, *clouds, (str(a), str(b)), cloud=save_cloud)
+            with progress.stage("writing files and pictures", 1) as advance:
+                written = write_registration(out, found, *clouds, (str(a), str(b)), cloud=save_cloud)
+                advance(1)
     if json:
         from relocbench.datasets.groundtruth.clouds.writing import as_values
 
@@ -309,6 +311,9 @@ def _tell(found: CloudRegistration, sides: tuple[Side, Side], quiet: bool) -> No
 
     print(f"verdict: {'trusted' if found.trusted else 'not trusted: ' + found.reason}")
     print(f"rests on: {found.rests_on}")
+    if found.copied:
+        print(f"same points: {_share(found.copied)} of B's points are points of A. It is a copy and no second "
+              "measurement, and sigma says nothing about its errors")  # fmt: skip
     if not np.isfinite(found.T_a_b).all():
         return
     translation, quaternion = transform_to_tq(found.T_a_b)
@@ -323,7 +328,10 @@ def _tell(found: CloudRegistration, sides: tuple[Side, Side], quiet: bool) -> No
         for line in _matrix(T_files(found, sides[0].cloud, sides[1].cloud)):
             print(f"  {line}")
     said = ", ".join(_length(s) for s in found.sigma_m)
-    print(f"sigma along A's x, y, z, at the middle of B: {said}; of rotation {found.sigma_deg:.3g} deg")
+    turned = f"{found.sigma_deg:.3g} deg" if math.isfinite(found.sigma_deg) else "unknown"
+    print(f"sigma along A's x, y, z, at the middle of B: {said}; of rotation {turned}")
+    if found.unobservable:
+        print(f"unobservable in A: {found.unobservable}")
     e = found.evidence
     print(f"overlap {_share(e.overlap_ref)} of A, {_share(e.overlap_query)} of B; "
           f"free space violated {_share(e.violations_ref)}, {_share(e.violations_query)}; "
@@ -332,7 +340,7 @@ def _tell(found: CloudRegistration, sides: tuple[Side, Side], quiet: bool) -> No
           f"residuals {_length(e.residual_ref_m)}, {_length(e.residual_query_m)}")  # fmt: skip
     if not quiet:
         print(f"scale: {found.scale.reason}")
-        for name, side in zip("AB", found.sides, strict=True):
+        for name, side in zip("AB", found.sides, strict=False):
             print(f"sensor of {name}: {_SENSORS[side.sensor]}")
         if found.rival is not None:
             T, unexplained = found.rival

@@ -63,7 +63,9 @@ def read_side(path: Path, poses: Path | None, reading: Reading, reporter: Report
     if not path.is_dir():
         if poses is not None:
             raise DatasetError("is one cloud; poses are for a folder of clouds", path)
-        file = read_cloud(path, reading.form)
+        with reporter.stage(f"reading {path.name}", 1) as advance:
+            file = read_cloud(path, reading.form)
+            advance(1)
         return Side(cloud_of_file(file, reading.sensor), (f"{len(file.points)} points", *file.notes))
     files = cloud_files(path, reading.files)
     if len(files) == 1 and poses is None:

@@ -13,33 +13,34 @@ S sums the gradient over patches of surface before it is squared, since errors o
 cloud's points they are measured with. The fit bends towards the few patches that decide a direction, and leaves too
 little of their errors. Each patch therefore counts as if the fit had been made without it (the jackknife over clusters:
 Bell and McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey
-Methodology 2002).
+Methodology 2002). Errors of real scans, which the motion of the sensor distorts, are correlated over larger patches as
+well. S is therefore multiplied by the growth of the scatter from patches of 4 m to those of 8 and 16 m, on average over
+all directions, since the scatter of few patches is uncertain in each of them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from relocbench.arrays import Array, Indices
-from relocbench.datasets.groundtruth.pose_graph.block_fits import Matches, match_points
+from relocbench.datasets.groundtruth.clouds.open_directions import OpenDirections, open_directions
+from relocbench.datasets.groundtruth.pose_graph.block_fits import match_points
 from relocbench.datasets.groundtruth.pose_graph.edge_information import (
     LENGTH_M,
-    minimum,
     nearest_semidefinite,
     patches_of,
-    sandwich_information,
+    scatter_by_patch,
 )
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import adjoint, apply, invert, project_to_rotation, se3_exp
 
 _OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(9000,), near_m=(1e9,))
-_PATCH_M = 4.0
-"""size of the patches of surface on which errors are correlated"""
-_OPEN_SHARE = 1e-5
-"""share of the largest eigenvalue below which a direction is open"""
+_PATCH_M, _LARGER_M = 4.0, (8.0, 16.0)
+"""size of the patches of surface on which errors are correlated, and sizes on which they may be as well"""
 _ITERATIONS, _STILL_M = 8, 1e-4
 _KERNEL_M = 0.05
 """scale of Geman-McClure's kernel, which the weights of matches have"""
@@ -47,10 +48,12 @@ _MOVE_M = 0.02
 """by how much the pose is moved to measure the derivative of the gradient, about the noise of points"""
 _RIDGE = 1e-6
 """share of the trace that is added where the derivative is inverted patch by patch"""
+_LEAST_SHARE = 1e-9
+"""share of the trace that is added to the diagonal of a matrix before it is inverted"""
 _LEAST_SIGMA_M = 0.003
 """least standard deviation of a distance"""
-_OPEN = 1e-4
-"""information added to every direction, so that open ones have a sigma of 100 m or 100 rad, enlarged"""
+OPEN = 1e-4
+"""information of every direction at least, so that open ones have a sigma of 100 m or 100 rad, enlarged"""
 
 
 class FinePlanes:
@@ -71,6 +74,8 @@ class FinalFit:
     """(6, 6) of xi = (rho, phi) in ``T_ref_query @ se3_exp(xi)``"""
     residuals: tuple[Array, Array]
     """distances of the query's points from the reference's planes, and of the reference's from the query's"""
+    open: OpenDirections
+    """the motions that the surfaces cannot tell, of which nothing is known"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +86,36 @@ class _Problem:
     by_planes: Array
     residuals: tuple[Array, Array]
     weights: Array
-    patches: Indices
+    points: Array
+    """(M, 3) in the reference's frame"""
+    normals: Array
+    """(M, 3)"""
+
+    def patches(self, size_m: float) -> Indices:
+        """(M,) number of the patch of surface that each point lies on."""
+        return patches_of(self.points, self.normals, size_m)
+
+    @property
+    def gradients(self) -> Array:
+        """(M, 6) of each distance; g is their sum."""
+        return np.asarray((self.weights * np.concatenate(self.residuals))[:, None] * self.by_points)
+
+    @cached_property
+    def slopes(self) -> Array:
+        """(M,) of the kernel's weights ``w / (1 + square)^2``, their second derivative, at least 0."""
+        square = np.square(np.concatenate(self.residuals) / _KERNEL_M)
+        return np.asarray(self.weights * np.maximum(1 - 3 * square, 0.0) / (1 + square))
+
+    @cached_property
+    def open(self) -> OpenDirections:
+        return open_directions(self.by_planes, self.by_points, self.weights)
+
+    @property
+    def step(self) -> Array:
+        """(6,) xi to the minimum, without any motion in open directions."""
+        closed = self.open.closed
+        H = closed.T @ self.H @ closed
+        return np.asarray(-closed @ np.linalg.solve(H + _ridge(H), closed.T @ self.g))
 
 
 def final_fit(ref: FinePlanes, query: FinePlanes, T_ref_query: Array) -> FinalFit:
@@ -89,7 +123,7 @@ def final_fit(ref: FinePlanes, query: FinePlanes, T_ref_query: Array) -> FinalFi
     T = np.array(T_ref_query, dtype=np.float64)
     problem = _problem(ref, query, T)
     for _ in range(_ITERATIONS):
-        xi = minimum(problem.H, problem.g, _OPEN_SHARE)
+        xi = problem.step
         if not np.isfinite(xi).all() or np.linalg.norm(xi[:3]) > 0.2 or np.linalg.norm(xi[3:]) > 0.02:
             break
         T = T @ se3_exp(xi)
@@ -98,10 +132,35 @@ def final_fit(ref: FinePlanes, query: FinePlanes, T_ref_query: Array) -> FinalFi
         if np.linalg.norm(xi[:3]) < _STILL_M and np.linalg.norm(xi[3:]) < _STILL_M / LENGTH_M:
             break
     J = _derivative(ref, query, T)
-    gradients = (problem.weights * np.concatenate(problem.residuals))[:, None] * problem.by_points
-    by_patch = _jackknifed(problem, gradients)
-    information = sandwich_information(J, by_patch.T @ by_patch, _LEAST_SIGMA_M**2)
-    return FinalFit(T, information + _OPEN * np.eye(6), problem.residuals)
+    by_patch = _jackknifed(problem)
+    information = _sandwich(J, _growth(problem, J) * by_patch.T @ by_patch, problem.open)
+    return FinalFit(T, information + OPEN * np.eye(6), problem.residuals, problem.open)
+
+
+def _sandwich(J: Array, scatter: Array, directions: OpenDirections) -> Array:
+    """(6, 6) information ``J (S + floor J)^-1 J`` of what is told, and none in open directions."""
+    closed = directions.closed
+    J, scatter = (closed.T @ m @ closed for m in (J, scatter))
+    spread = scatter + _LEAST_SIGMA_M**2 * J
+    information = J @ np.linalg.solve(spread + _ridge(spread), J)
+    return directions.lifted((information + information.T) / 2)
+
+
+def _growth(problem: _Problem, J: Array) -> float:
+    """By how much the scatter of the gradient grows where it is summed over larger patches; at least 1."""
+    gradients, closed = problem.gradients, problem.open.closed
+
+    def scatter(size_m: float) -> Array:
+        return np.asarray(closed.T @ scatter_by_patch(gradients, problem.patches(size_m)) @ closed)
+
+    small = scatter(_PATCH_M) + _LEAST_SIGMA_M**2 * closed.T @ J @ closed
+    small = small + _ridge(small)
+    growth = [float(np.trace(np.linalg.solve(small, scatter(size_m)))) / len(small) for size_m in _LARGER_M]
+    return max(1.0, *growth) if len(small) else 1.0
+
+
+def _ridge(matrix: Array) -> Array:
+    return _LEAST_SHARE * max(float(np.trace(matrix)), 1e-300) * np.eye(len(matrix))
 
 
 def _derivative(ref: FinePlanes, query: FinePlanes, T: Array) -> Array:
@@ -113,20 +172,17 @@ def _derivative(ref: FinePlanes, query: FinePlanes, T: Array) -> Array:
     return nearest_semidefinite(np.array(columns))
 
 
-def _jackknifed(problem: _Problem, gradients: Array) -> Array:
+def _jackknifed(problem: _Problem) -> Array:
     """(P, 6) gradients of the patches, as large as if the fit had been made without each: ``(I - H_p H^-1)^-1 g_p``.
 
     H is the analytic derivative, since a patch's share of it matters, which noise would drown in a measured one.
     """
-    _, patch = np.unique(problem.patches, return_inverse=True)
+    _, patch = np.unique(problem.patches(_PATCH_M), return_inverse=True)
     count = int(patch.max(initial=-1)) + 1
-    square = np.square(np.concatenate(problem.residuals) / _KERNEL_M)
-    # The weights of the kernel w / (1 + square)^2 and its second derivative w (1 - 3 square) / (1 + square)^3.
-    slopes = problem.weights * np.maximum(1 - 3 * square, 0.0) / (1 + square)
     sums, shares = np.zeros((count, 6)), np.zeros((count, 6, 6))
-    np.add.at(sums, patch, gradients)
+    np.add.at(sums, patch, problem.gradients)
     for k in range(6):
-        np.add.at(shares[:, k], patch, (slopes * problem.by_points[:, k])[:, None] * problem.by_planes)
+        np.add.at(shares[:, k], patch, (problem.slopes * problem.by_points[:, k])[:, None] * problem.by_planes)
     shares = (shares + shares.transpose(0, 2, 1)) / 2
     scale = np.repeat([1.0, LENGTH_M], 3)
     H = nearest_semidefinite(shares.sum(axis=0))
@@ -145,11 +201,6 @@ def _problem(ref: FinePlanes, query: FinePlanes, T_ref_query: Array) -> _Problem
     weights = np.concatenate([forward.weights, backward.weights])
     H = nearest_semidefinite(by_points.T @ (weights[:, None] * by_planes))
     g = by_points.T @ (weights * np.concatenate(residuals))
-    patches = np.concatenate([_patches(forward, T_ref_query), _patches(backward, np.eye(4))])
-    return _Problem(H, g, by_points, by_planes, residuals, weights, patches)
-
-
-def _patches(matches: Matches, T_ref_points: Array) -> Indices:
-    """(M,) number of the patch, in the reference's frame, of each matched point."""
-    normals = matches.by_points[:, :3] @ T_ref_points[:3, :3].T
-    return patches_of(apply(T_ref_points, matches.points), normals, _PATCH_M)
+    points = np.concatenate([apply(T_ref_query, forward.points), backward.points])
+    normals = np.concatenate([forward.by_points[:, :3] @ T_ref_query[:3, :3].T, backward.by_points[:, :3]])
+    return _Problem(H, g, by_points, by_planes, residuals, weights, points, normals)

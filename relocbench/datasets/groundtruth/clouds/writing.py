@@ -45,6 +45,8 @@ def as_values(registration: CloudRegistration, a: Cloud, b: Cloud) -> dict[str, 
         "trusted": registration.trusted,
         "reason": registration.reason,
         "rests_on": registration.rests_on,
+        "unobservable": registration.unobservable,
+        "copied_share": registration.copied,
         **pose,
         "origin_a": None if a.origin is None else a.origin.tolist(),
         "origin_b": None if b.origin is None else b.origin.tolist(),
@@ -59,8 +61,7 @@ def as_values(registration: CloudRegistration, a: Cloud, b: Cloud) -> dict[str, 
         else {"T_a_b": registration.rival[0].tolist(), "unexplained": registration.rival[1]},
         "scale": registration.scale.factor,
         "scale_reason": registration.scale.reason,
-        "sensor_a": registration.sides[0].sensor,
-        "sensor_b": registration.sides[1].sensor,
+        **{f"sensor_{name}": side.sensor for name, side in zip("ab", registration.sides, strict=False)},
         "guesses": registration.guesses,
     }
 
@@ -82,10 +83,11 @@ def write_registration(
         write_text(pose, _rows(registration.T_a_b))
         write_text(tum, f"# t tx ty tz qx qy qz qw  T_a_b\n0 {' '.join(pose_fields(registration.T_a_b))}\n")
         written += [pose, tum]
-    pictures = folder / "before_after.png", folder / "residuals.png"
-    write_before_after(pictures[0], registration, names)
-    write_residuals(pictures[1], registration)
-    written += pictures
+    if registration.sides:
+        pictures = folder / "before_after.png", folder / "residuals.png"
+        write_before_after(pictures[0], registration, names)
+        write_residuals(pictures[1], registration)
+        written += pictures
     if cloud and np.isfinite(registration.T_a_b).all():
         path = folder / "b_in_a.ply"
         moved = apply(registration.T_a_b, b.points) + (0.0 if a.origin is None else a.origin)

@@ -24,6 +24,8 @@ from relocbench.geometry import invert, rotation_angle
 
 Matcher = Literal["ransac", "fgr", "kiss-matcher"]
 
+_MOST_AGREE = 0.5
+"""share of the matches"""
 SAME_M, SAME_DEG = 1.0, 4.0
 """poses that differ by no more than this count as one"""
 
@@ -36,6 +38,9 @@ class GlobalOptions:
     voxel_m: float = 0.7
     iterations: int = 30_000
     """number of RANSAC's iterations; it never stops early"""
+    first_iterations: int = 0
+    """number of RANSAC's iterations that are tried before: if most matches agree with their result, it is taken, since
+    each further iteration would be verified by all matches, which takes minutes where clouds are nearly the same"""
     seeds: tuple[int, ...] = (0, 1, 2)
     """seeds; the matcher runs once for each"""
     coarser_m: tuple[float, ...] = (1.0, 1.4)
@@ -151,9 +156,9 @@ def _ransac(ref: Features, query: Features, options: GlobalOptions, seed: int) -
     registration = o3d.pipelines.registration
     o3d.utility.random.seed(seed)
     near = 1.5 * options.voxel_m
-    # Open3D prints a warning to standard output if few features match.
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        result = registration.registration_ransac_based_on_feature_matching(
+
+    def run(iterations: int) -> Any:
+        return registration.registration_ransac_based_on_feature_matching(
             open3d_cloud(query.points, query.normals),
             open3d_cloud(ref.points, ref.normals),
             _feature(query.descriptors),
@@ -168,8 +173,14 @@ def _ransac(ref: Features, query: Features, options: GlobalOptions, seed: int) -
                 registration.CorrespondenceCheckerBasedOnDistance(near),
             ],
             # A confidence of 1 never stops early.
-            registration.RANSACConvergenceCriteria(options.iterations, 1.0),
+            registration.RANSACConvergenceCriteria(iterations, 1.0),
         )
+
+    # Open3D prints a warning to standard output if few features match.
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        result = run(options.first_iterations) if options.first_iterations else None
+        if result is None or result.fitness < _MOST_AGREE:
+            result = run(options.iterations)
     return np.asarray(result.transformation, dtype=np.float64) if len(result.correspondence_set) >= 3 else None
 
 
