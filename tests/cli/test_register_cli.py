@@ -104,7 +104,7 @@ def test_all_pairs_of_a_folder_are_compared_with_a_graph(real_data: FindData) ->
         (("a.npy", "picture.png"), "picture.png: is not a point cloud by its name"),
         (("a.npy",), "expected a second cloud"),
         (("a.npy", "few.npy"), "few.npy: has 3 points; registration needs at least 200"),
-        (("a.npy", "nothing.npy"), "nothing.npy: holds no point with finite coordinates other than 0"),
+        (("a.npy", "nothing.npy"), "nothing.npy: all of its 500 points are zero or not finite"),
     ],
 )
 def test_bad_input_is_one_line_and_exits_2(
