@@ -21,7 +21,8 @@ def copied_share(a: Array, b: Array, T_a_b: Array) -> float:
     brings sampled points onto their nearest ones is exact.
     """
     tree = cKDTree(a, balanced_tree=False, compact_nodes=False)
-    spacing = float(np.median(tree.query(_sample(a), k=2, workers=1)[0][:, 1]))
+    nearest: Array = np.asarray(tree.query(_sample(a), k=2, workers=1)[0])
+    spacing = float(np.median(nearest[:, 1]))
     points = _sample(b)
     T = np.array(T_a_b, dtype=np.float64)
     for _ in range(_ROUNDS):

@@ -40,7 +40,7 @@ class OpenDirections:
     """(6, k) orthonormal, rotations in metres at the characteristic length"""
 
     def __len__(self) -> int:
-        return self.basis.shape[1]
+        return int(self.basis.shape[1])
 
     @cached_property
     def closed(self) -> Array:

@@ -185,7 +185,7 @@ def _in_clouds_frames(
         return scale.reduced(a.T_cloud_node @ T_nodes @ invert(b.T_cloud_node))
 
     T_a_b = to_clouds(best.T_a_b)
-    of_nodes = np.linalg.inv(np.linalg.inv(best.information) + result.spread)
+    of_nodes: Array = np.asarray(np.linalg.inv(np.linalg.inv(best.information) + result.spread))
     # With C = T_b_middle, T_a_middle exp(xi) is T_a_b exp(Ad(C) xi) C.
     back = adjoint(invert(T_b_middle))
     information = back.T @ scale.reduced_information(of_nodes) @ back
