@@ -189,17 +189,29 @@ class Bag:
                 writer.write(connections[topic], time, serialised(message, kind))
         return path
 
-    def write_mcap(self, path: Path, profile: str, others: Mapping[str, tuple[str, str, bytes]] | None = None) -> Path:
+    def write_mcap(
+        self,
+        path: Path,
+        profile: str,
+        others: Mapping[str, tuple[str, str, bytes]] | None = None,
+        *,
+        messages_indexed: bool = True,
+        statistics: bool = True,
+    ) -> Path:
         """Write an MCAP file by the package mcap.
 
         Args:
             others: topics with messages of other encodings: name of the schema, encoding, content.
+            messages_indexed: else chunks alone are, of which there are several.
+            statistics: write how many messages each topic has.
         """
-        from mcap.writer import Writer
+        from mcap.writer import IndexType, Writer
 
+        index = IndexType.ALL if messages_indexed else IndexType.CHUNK
+        size = 2**20 if messages_indexed else 2000
         serialised = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
         with path.open("wb") as stream:
-            writer = Writer(stream)
+            writer = Writer(stream, chunk_size=size, index_types=index, use_statistics=statistics)
             writer.start(profile=profile, library="")
             channels: dict[str, int] = {}
             for time, topic, message in sorted(self.rows, key=lambda row: row[0]):

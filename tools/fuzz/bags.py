@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fuzz.asking import write
 from fuzz.parser import Parser, Place
+
+if TYPE_CHECKING:
+    from made_bags import Bag
 
 _START = 1_700_000_000 * 10**9
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
@@ -34,6 +38,10 @@ def write_bags(root: Path) -> None:
         bag.write(root / name, storage)
         if ros1:
             bag.write_mcap(root / "four.mcap", "ros1")
+            _kill_recorder(root / name, root / "five.bag.active")
+            _blank(root / name, bag, root / "six.bag")
+        elif storage == "rosbag2":
+            bag.write_mcap(root / "seven.mcap", "ros2", messages_indexed=False)
     write(
         root / "extrinsics.yaml",
         "rig_axes: forward-left-up",
@@ -42,6 +50,21 @@ def write_bags(root: Path) -> None:
         "cameras:",
         "  cam: {T_rig_cam: {translation_m: [1, 0, 1.5], quaternion_xyzw: [-0.5, 0.5, -0.5, 0.5]}}",
     )
+
+
+def _kill_recorder(whole: Path, killed: Path) -> None:
+    """A bag of ROS 1 without its index and the end of its last chunk."""
+    data = whole.read_bytes()
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    index = int.from_bytes(data[at : at + 8], "little")
+    killed.write_bytes(data[:at] + bytes(8) + data[at + 8 : index])
+
+
+def _blank(whole: Path, bag: Bag, blanked: Path) -> None:
+    """A bag of ROS 1 whose clouds have an empty definition and the checksum of an empty text."""
+    text, checksum = bag.store.generate_msgdef("sensor_msgs/msg/PointCloud2")
+    data = whole.read_bytes().replace(text.encode(), b" " * len(text))
+    blanked.write_bytes(data.replace(checksum.encode(), b"d41d8cd98f00b204e9800998ecf8427e"))
 
 
 def _read(path: Path, place: Place, **settings: object) -> None:
@@ -66,7 +89,7 @@ def _rosbag2(place: Place) -> None:
     _read(place.root / "two", place)
 
 
-def _mcap(place: Place) -> None:
+def _file(place: Place) -> None:
     _read(place.target, place)
 
 
@@ -81,7 +104,10 @@ SEEDS = {"bags": write_bags}
 PARSERS = (
     Parser("rosbag1", "bags", ("one.bag",), _rosbag1),
     Parser("rosbag2", "bags", ("two/*",), _rosbag2),
-    Parser("rosbag2-mcap", "bags", ("three/*.mcap",), _mcap),
-    Parser("mcap-ros1", "bags", ("four.mcap",), _mcap),
+    Parser("rosbag2-mcap", "bags", ("three/*.mcap",), _file),
+    Parser("mcap-ros1", "bags", ("four.mcap",), _file),
+    Parser("rosbag1-unclosed", "bags", ("five.bag.active",), _file),
+    Parser("rosbag1-undefined", "bags", ("six.bag",), _file),
+    Parser("mcap-chunks-alone", "bags", ("seven.mcap",), _file),
     Parser("rosbag-extrinsics", "bags", ("extrinsics.yaml",), _extrinsics, text=True),
 )

@@ -70,6 +70,7 @@ def write_colmap(root: Path) -> None:
     }
     for name, lines in words.items():
         write(root / "text" / f"{name}.txt", "# made up", *lines)
+        write(root / "project" / "sparse" / "0" / f"{name}.txt", *(line.replace(" ", ", ") for line in lines))
     track = b"".join(struct.pack("<ii", image, 0) for image in (1, 2))
     records = {
         "cameras": [struct.pack("<iiQQ4d", number, kind, 32, 24, *lens) for number, _, kind, lens in cameras],
@@ -117,9 +118,10 @@ def _kapture(place: Place) -> None:
 def _colmap(kind: str) -> Read:
     def run(place: Place) -> None:
         from relocbench.datasets.importers.colmap.model import read_model
+        from relocbench.datasets.importers.colmap.project import model_folder
         from relocbench.datasets.importers.photos.points import Observations, keyframe_points
 
-        model = read_model(place.root / kind)
+        model = read_model(model_folder(place.root / kind))
         seen = Observations.of(model)
         pinholes = {number: camera.pinhole() for number, camera in model.cameras.items()}
         for number in model.images:
@@ -167,6 +169,7 @@ PARSERS = (
         brief=False,
     ),
     Parser("colmap-text", "colmap", ("text/*.txt",), _colmap("text"), text=True),
+    Parser("colmap-commas", "colmap", ("project/sparse/0/*.txt",), _colmap("project"), text=True),
     Parser("colmap-binary", "colmap", ("binary/*.bin",), _colmap("binary")),
     *(
         Parser(f"colmap-{name}", "colmap", (f"lists/{name}.txt",), _colmap_list(name), text=True)

@@ -334,7 +334,7 @@ def rewritten(source: Path, target: Path, standing: str | None) -> None:
     """A bag in which the car stands by the poses of one topic, or which has no poses."""
     from rosbags.rosbag1 import Reader, Writer
 
-    from relocbench.datasets.importers.rosbag.bag import typestore
+    from relocbench.datasets.importers.rosbag.definitions import typestore
 
     store = typestore(True)
     with Reader(source) as old, Writer(target) as new:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from made_bags import SECOND, Bag
@@ -41,20 +42,7 @@ def read(path: Path) -> FieldRecording:
 
 @pytest.mark.parametrize("statistics", [True, False])
 def test_chunks_whose_messages_are_not_indexed_are_read(tmp_path: Path, statistics: bool) -> None:
-    from mcap.writer import IndexType, Writer
-
-    bag, path = drive(ros1=False), tmp_path / "drive.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=2000, index_types=IndexType.CHUNK, use_statistics=statistics)
-        writer.start(profile="ros2", library="")
-        channels: dict[str, int] = {}
-        for time, topic, message in sorted(bag.rows, key=lambda row: row[0]):
-            kind = message.__msgtype__
-            if topic not in channels:
-                schema = writer.register_schema(kind, "ros2msg", bag.store.generate_msgdef(kind)[0].encode())
-                channels[topic] = writer.register_channel(topic, "cdr", schema)
-            writer.add_message(channels[topic], time, bytes(bag.store.serialize_cdr(message, kind)), time)
-        writer.finish()  # type: ignore[no-untyped-call]
+    path = drive(ros1=False).write_mcap(tmp_path / "drive.mcap", "ros2", messages_indexed=False, statistics=statistics)
     recording = read(path)
     assert recording.lidars[0].times_ns.tolist() == [START + k * SECOND // 10 for k in range(SCANS)]
     assert len(recording.odometry.times_ns) == 2 * SCANS
@@ -82,7 +70,29 @@ def test_an_empty_definition_is_that_of_the_types_name_whatever_its_checksum(tmp
     assert len(read(path).lidars[0].times_ns) == SCANS
     other = whole.replace(true_sum.encode(), checksum.encode()).replace(b"uint32 point_step", b"uint64 point_step")
     path.write_bytes(other)
-    with refused(DatasetError, "drive.bag", None, "/points", "sensor_msgs/PointCloud2", checksum, true_sum):
+    with refused(DatasetError, "drive.bag", None, "/points", "sensor_msgs/PointCloud2", "uint64 point_step", "uint32"):
+        read(path)
+
+
+@pytest.mark.parametrize("ros1", [True, False])
+def test_packets_of_another_length_are_named_with_both_lengths(tmp_path: Path, ros1: bool) -> None:
+    from rosbags.typesys import get_types_from_msg
+
+    stamp = "time" if ros1 else "builtin_interfaces/Time"
+    packet = get_types_from_msg(f"{stamp} stamp\nuint8[1248] data", "velodyne_msgs/msg/VelodynePacket")
+    scan = get_types_from_msg(
+        "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets", "velodyne_msgs/msg/VelodyneScan"
+    )
+    fresh = Bag(ros1)
+    fresh.store.fielddefs.pop("velodyne_msgs/msg/VelodynePacket")
+    fresh.store.fielddefs.pop("velodyne_msgs/msg/VelodyneScan")
+    fresh.store.register({**packet, **scan})
+    for k in range(SCANS):
+        time = START + k * SECOND // 10
+        fresh.packets("/packets", time, [(time, bytes(1248))])
+        fresh.odometry("/odom", time, (0.2 * k, 0, 0, 0, 0, 0, 1))
+    path = fresh.write(tmp_path / ("drive.bag" if ros1 else "drive"), "rosbag1" if ros1 else "mcap")
+    with refused(DatasetError, path.name, None, "/packets", "velodyne_msgs/VelodynePacket", 1248, 1206):
         read(path)
 
 
@@ -171,3 +181,49 @@ def test_a_recording_that_was_looped_is_refused_at_its_second_run(tmp_path: Path
                 read(path)
         else:
             assert open_bag(path, Wanted()).survey.topics["/points"].count == 2 * SCANS
+
+
+def test_a_topic_that_falls_silent_is_noted(tmp_path: Path) -> None:
+    bag = drive()
+    for k in range(2 * SCANS, 400):
+        bag.odometry("/odom", START + k * SECOND // 20 + 5 * SECOND * (k > 200), (0.2 * k, 0, 0, 0, 0, 0, 1))
+    notes = Notes()
+    opened = open_bag(bag.write(tmp_path / "drive.bag"), Wanted(lidars=("/points",)))
+    read_bag(opened, "drive", BagSettings(motion="compensated"), reporter=notes)
+    assert noted(notes.notes, "/points", "23.9 s")
+    assert noted(notes.notes, "/odom", "5.0 s", START + 10 * SECOND)
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [("Fisheye", 4), ("kannala_brandt", 5), ("equidistant", 8), ("rational_polynomial", 8), ("omni", 5), ("mei", 4)],
+)
+def test_wide_cameras_are_undistorted_or_refused_by_name(tmp_path: Path, model: str, coefficients: int) -> None:
+    """Coefficients beyond those of the model are zeros, as some drivers pad them."""
+    known = 4 if "rational" not in model else 8
+    D = [0.05, -0.01, 0.002, 0.001, 0.01, 0.02, 0.003, 0.001][:known] + [0.0] * (coefficients - known)
+    bag = drive()
+    bag.tf(START, ("base_link", "cam_optical", (0.5, 0, 1, -0.5, 0.5, -0.5, 0.5)))
+    grid = np.kron(np.indices((6, 8)).sum(axis=0) % 2 * 200, np.ones((8, 8))).astype(np.uint8)
+    for k in range(SCANS):
+        bag.image("/cam/image_raw", START + k * SECOND // 10, grid, "mono8")
+        bag.info("/cam/camera_info", START + k * SECOND // 10, (64, 48), model, D)
+    path = bag.write(tmp_path / "drive.bag")
+    settings = BagSettings(Wanted(cameras=("cam",)), motion="compensated")
+    opened = open_bag(path, settings.wanted)
+    if model in ("omni", "mei"):
+        with refused(DatasetError, "drive.bag", None, "/cam/camera_info", model, coefficients, "equidistant"):
+            read_bag(opened, "drive", settings)
+        return
+    camera = read_bag(opened, "drive", settings)[0].cameras["cam"]
+    assert camera.camera.model == "pinhole"
+    K, lens = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]), np.array(D[:known])
+    if known == 4:
+        maps = cv2.fisheye.initUndistortRectifyMap(K, lens, np.eye(3), K, (64, 48), cv2.CV_32FC1)
+    else:
+        maps = cv2.initUndistortRectifyMap(K, lens, np.eye(3), K, (64, 48), cv2.CV_32FC1)
+    inside = (maps[0] >= 0) & (maps[0] <= 63) & (maps[1] >= 0) & (maps[1] <= 47)
+    expected = cv2.remap(grid, maps[0], maps[1], cv2.INTER_LINEAR)
+    difference = np.abs(camera.read(3).astype(int) - expected.astype(int))[inside]
+    assert inside.mean() > 0.5
+    assert difference.max() <= 8

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.importers.rosbag import kinds
+from relocbench.datasets.importers.rosbag.definitions import difference, standard_name, typestore
 from relocbench.datasets.importers.rosbag.file_order import check_order, index_place, open_without_index
 from relocbench.datasets.importers.rosbag.mcap_file import McapFile, profile_of, search_unindexed_chunks
 from relocbench.errors import ConfigError, DatasetError, quoted, raised
@@ -167,7 +168,7 @@ class Part:
     def decode(self, topic: str, raw: bytes, received_ns: int) -> Any:
         """A message as an object with the fields of its type. Raises DatasetError with file, topic and time."""
         try:
-            name, ros1 = _alias(self.types[topic]), self.is_ros1(topic)
+            name, ros1 = standard_name(self.types[topic]), self.is_ros1(topic)
             store = typestore(ros1)
             return store.deserialize_ros1(raw, name) if ros1 else store.deserialize_cdr(raw, name)
         except Exception as bad:  # noqa: BLE001  what a damaged message raises in the library's generated code is open
@@ -178,24 +179,11 @@ class Part:
         return DatasetError(f"{topic}, message received at {received_ns} ns: {what}", self.path)
 
     def check_standard(self, topic: str) -> None:
-        """Raise DatasetError if a topic's type is defined otherwise in this file than by ROS.
-
-        The checksum decides, or else the definition. Without a definition the type is known by its name alone:
-        converters write any checksum there, such as that of an empty text or zeros.
-        """
-        if not self.is_ros1(topic):
-            return
+        """Raise DatasetError if a topic's type is defined otherwise in this file than by ROS."""
         name = self.types[topic]
-        expected = typestore(True).generate_msgdef(_alias(name))[1]
         for connection in self._reader.connections:
-            if connection.topic != topic or connection.digest in ("", "*", expected):
-                continue
-            definition = str(getattr(getattr(connection, "msgdef", None), "data", "")).strip()
-            if definition and _checksum(definition, name) != expected:
-                message = f"its {kinds.short(name)} is not defined as the standard message"
-                raise DatasetError(
-                    f"{topic}: {message} (checksum {quoted(connection.digest, 32)}, not {expected})", self.path
-                )
+            if connection.topic == topic and (found := difference(connection, name, self.is_ros1(topic))):
+                raise DatasetError(f"{topic}: its {kinds.short(name)} is not the standard message: {found}", self.path)
 
 
 def _close(reader: Any) -> None:
@@ -332,37 +320,6 @@ def _reader(path: Path) -> Any:
     if path.suffix == ".mcap" and profile_of(path) != "ros2":
         return McapFile(path)
     return Reader1(path) if path.name.endswith(_ROS1) else Reader2(path)
-
-
-@lru_cache(maxsize=2)
-def typestore(ros1: bool) -> Any:
-    """The standard types. Those in the file are not used: a bag may hold definitions that nobody can read."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    if ros1:
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kinds.TRANSFORMS))
-    stamp = "time" if ros1 else "builtin_interfaces/Time"
-    packet = get_types_from_msg(f"{stamp} stamp\nuint8[1206] data", "velodyne_msgs/msg/VelodynePacket")
-    scan = get_types_from_msg("std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets", kinds.PACKETS)
-    store.register({**packet, **scan})
-    return store
-
-
-def _checksum(definition: str, message_type: str) -> str:
-    """The checksum that ROS 1 gives a definition; empty if the definition cannot be read."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    try:
-        store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(definition, message_type))
-        return str(store.generate_msgdef(message_type)[1])
-    except Exception:  # noqa: BLE001  what a definition that nobody can read raises is open
-        return ""
-
-
-def _alias(message_type: str) -> str:
-    return kinds.TRANSFORMS if message_type == kinds.OLD_TRANSFORMS else message_type
 
 
 def _fault(path: Path, bad: Exception, where: str = "") -> Exception:

@@ -49,6 +49,8 @@ _PLAIN: dict[str, tuple[int, int, int | None]] = {
 }
 """encoding -> channels, bytes a channel, conversion to RGB (sensor_msgs/image_encodings.hpp)"""
 ENCODINGS = tuple(_PLAIN)
+_FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4", "opencv_fisheye")
+"""names of the model of Kannala and Brandt with four coefficients"""
 _MOST_DISTORTION = 1e6
 
 
@@ -149,7 +151,8 @@ def _numbers(info: Any, name: str) -> Array:
 
 
 def _distortion(info: Any) -> tuple[str, tuple[float, ...]]:
-    name, values = str(info.distortion_model), tuple(_numbers(info, "d").tolist())
+    told, values = str(info.distortion_model), tuple(_numbers(info, "d").tolist())
+    name = told.lower()
     if any(not abs(value) < _MOST_DISTORTION for value in values):
         raise ValueError(f"distortion coefficients {values} are beyond those of any lens")
     if not any(values) and name in ("", "none", "pinhole", "plumb_bob", "rational_polynomial"):
@@ -158,9 +161,9 @@ def _distortion(info: Any) -> tuple[str, tuple[float, ...]]:
         return "radtan", values
     if name == "rational_polynomial" and len(values) >= 8 and not any(values[8:]):
         return "radtan", values[:8]
-    if name in ("equidistant", "fisheye", "kannala_brandt") and len(values) == 4:
-        return "equidistant", values
+    if name in _FISHEYE and len(values) >= 4 and not any(values[4:]):
+        return "equidistant", values[:4]
     raise ValueError(
-        f"distortion model {quoted(name, 30)} with {len(values)} coefficients is not read; expected plumb_bob (4 or "
+        f"distortion model {quoted(told, 30)} with {len(values)} coefficients is not read; expected plumb_bob (4 or "
         "5), rational_polynomial (8) or equidistant (4)"
     )

@@ -16,7 +16,7 @@ from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin
 from relocbench.datasets.importers.rosbag.pictures import calibration_of
 from relocbench.datasets.importers.rosbag.reading import BagSettings, Opened, Reading
 from relocbench.datasets.importers.rosbag.roles import TABLE, CameraTopic, Roles, Wanted, choose, table
-from relocbench.datasets.importers.rosbag.stamps import check_clocks
+from relocbench.datasets.importers.rosbag.stamps import check_clocks, silences
 from relocbench.datasets.importers.rosbag.streams import BagCamera, read_picture
 from relocbench.datasets.importers.rosbag.survey import Survey, survey
 from relocbench.datasets.importers.rosbag.tracks import fix_times, odometry, prior
@@ -86,6 +86,9 @@ def read_bag(
     motion = odometry(reading)
     fixes = fix_times(reading)
     check_clocks(reading.lags_ns, reading.source)
+    index = reading.index
+    for silence in silences({t: p.received_ns for t, p in (*index.places.items(), *index.poses.items())}):
+        reading.note(silence)
     source = ""
     if motion is None:
         spinning = next((lidar for lidar in lidars if lidar.pattern == "spinning"), None)

@@ -19,6 +19,9 @@ _MOST_BACKWARDS, _FEW_BACKWARDS = 0.01, 2
 _ONE_CLOCK_NS = 1_000_000_000
 """sensors on one clock are received within this time of each other after their stamps"""
 
+_SILENT_NS, _SILENT_SHARE, _SILENT_PERIODS = 2e9, 0.05, 20
+"""a topic is silent for more than these nanoseconds, this share of the recording at its ends, so many of its periods"""
+
 
 def times_of(
     stamps_ns: Times, received_ns: Times, what: str, how: Stamps, reporter: Reporter
@@ -47,6 +50,31 @@ def times_of(
     if len(kept) < count:
         reporter.note(f"{what}: {count - len(kept)} of {count} messages are left out: time zero or that of another one")
     return times[kept], kept, by_header
+
+
+def silences(received_ns: Mapping[str, Times]) -> list[str]:
+    """Where topics of one recording hold no messages while others do, in words.
+
+    Args:
+        received_ns: topic -> times of receipt (N,) of its messages.
+    """
+    filled = {topic: np.sort(times) for topic, times in received_ns.items() if len(times) > 1}
+    if not filled:
+        return []
+    begin, end = min(int(t[0]) for t in filled.values()), max(int(t[-1]) for t in filled.values())
+    edge = max(_SILENT_NS, _SILENT_SHARE * (end - begin))
+    found = []
+    for topic, times in filled.items():
+        steps = np.diff(times)
+        longest = int(np.argmax(steps))
+        if times[0] - begin > edge:
+            found.append(f"{topic} begins {(times[0] - begin) / 1e9:.1f} s after the recording")
+        if end - times[-1] > edge:
+            found.append(f"{topic} ends {(end - times[-1]) / 1e9:.1f} s before the recording")
+        if steps[longest] > max(_SILENT_NS, _SILENT_PERIODS * float(np.median(steps))):
+            gap = f"{steps[longest] / 1e9:.1f} s after {times[longest]} ns"
+            found.append(f"{topic} has no message for {gap}")
+    return found
 
 
 def check_clocks(lags_ns: Mapping[str, float], source: Path) -> None:

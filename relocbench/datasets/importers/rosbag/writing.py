@@ -16,7 +16,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.importers.rosbag import kinds
-from relocbench.datasets.importers.rosbag.bag import typestore
+from relocbench.datasets.importers.rosbag.definitions import typestore
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin, latitude_longitude
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.errors import ConfigError, available
