@@ -46,7 +46,7 @@ _AGREEMENT = 3.5
 _ALLOWANCE_S = 0.001
 _LEAST_S = 0.002
 """an offset of less is none: exposures take as long"""
-_SURE = 0.995
+_SURE = 0.9995
 """probability of Student's distribution up to an offset that counts"""
 _LEAST_READOUT_S = 0.005
 """a readout of less is none"""
@@ -92,6 +92,8 @@ class ClockCheck:
     """between the motion of the images, as a pinhole camera sees it, and that of the poses, as they stand"""
     residual_at_offset: Residual | None
     """with the offset, and freed of the readout: no clock explains it"""
+    pinhole_offset_s: float = np.nan
+    """what rotations would say if all rows were read at once; NaN where they tell nothing"""
     why: str = field(default="", compare=False)
     """why nothing can be told, or what contradicts"""
 
@@ -109,7 +111,7 @@ class ClockCheck:
             if self.verdict == "one clock"
             else f"an image of {self.camera} at t has the pose at t + offset, {found}"
         )
-        return text + (f"; rows are read over {_ms(self.readout_s)} ms" if self.readout_s else "")
+        return text + (f"; rows are read over {1000 * self.readout_s:.1f} ms" if self.readout_s else "")
 
     @property
     def left(self) -> str:
@@ -255,9 +257,8 @@ def judge(evidence: Evidence, trajectory: Trajectory) -> ClockCheck:
     if not clash and abs(offset) > limit and abs(offset) >= _LEAST_S:
         verdict = "offset"
     after = residual_at(freed if readout else plain, motion, offset if verdict == "offset" else 0.0)
-    return ClockCheck(
-        camera, verdict, offset, sigma, readout, best.readout_sigma_s if readout else 0.0, estimates, before, after
-    )
+    spread, pinhole = best.readout_sigma_s if readout else 0.0, np.nan if ends[0] is None else ends[0].offset_s
+    return ClockCheck(camera, verdict, offset, sigma, readout, spread, estimates, before, after, pinhole)
 
 
 def _freed_of_readout(plain: Estimate, freed: Estimate, tried_s: float, best: Estimate) -> Estimate:
@@ -286,7 +287,7 @@ def _agree(a: Estimate, b: Estimate) -> bool:
 def _unknown(
     camera: str, why: str, residual: Residual | None = None, estimates: tuple[Estimate, ...] = ()
 ) -> ClockCheck:
-    return ClockCheck(camera, "cannot tell", np.nan, np.nan, 0.0, 0.0, estimates, residual, residual, why)
+    return ClockCheck(camera, "cannot tell", np.nan, np.nan, 0.0, 0.0, estimates, residual, residual, why=why)
 
 
 def _methods(estimates: Sequence[Estimate]) -> str:

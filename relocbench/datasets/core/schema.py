@@ -139,8 +139,7 @@ class ClockEntry(Strict):
 
     applied_s: float
     """seconds that were added to the images' times to find their poses"""
-    verdict: Literal["one clock", "offset", "contradiction", "cannot tell", "given"]
-    """"given": nothing was estimated"""
+    verdict: Literal["one clock", "offset", "contradiction", "cannot tell"]
     offset_s: float | None = None
     """as estimated, against the poses as they were recorded"""
     sigma_s: float | None = None

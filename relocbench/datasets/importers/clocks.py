@@ -8,7 +8,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.clock.check import ClockCheck, check_clock
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ClockOptions
-from relocbench.datasets.core.schema import ClockEntry, TraversalFile
+from relocbench.datasets.core.schema import TraversalFile
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.sensors.recording import Trajectory
 
@@ -29,8 +29,9 @@ def write_posed_traversal(
 ) -> None:
     """Write a drive with its frames, each with the pose at its time plus an offset.
 
-    The images must exist before they can tell the offset: the frames are written with the poses as recorded, and the
-    poses again where an offset was found. Frames that then have no pose are removed.
+    The images must exist before they can tell the offset: the frames are written with the poses as recorded or as
+    given, and the poses again where an offset was found. Frames that then have no pose are removed. An offset that is
+    given is applied whatever the images tell, which is recorded beside it.
 
     Args:
         trajectory: poses of the rig as they were recorded.
@@ -40,24 +41,21 @@ def write_posed_traversal(
     Raises:
         DatasetError: as ``poses_at`` and ``write_frames`` do.
     """
-    offset = given_s or 0.0
-    poses = poses_at(offset)
-    given = ClockEntry(applied_s=offset, verdict="given")
-    job.writer.traversal(file.model_copy(update={"clock": given}), poses)
+    poses = poses_at(given_s or 0.0)
+    job.writer.traversal(file, poses)
     write_frames(poses)
-    if given_s is not None:
-        return
     traversal = Traversal(job.writer.layout.traversal(file.name))
     checks = [check_clock(traversal, camera, trajectory, job.work) for camera in file.cameras]
-    best = _chosen(checks)
     for check in checks:
         job.reporter.note(f"{file.name}: {check.words}{f'; {check.left}' if check.left else ''}")
+    best = _chosen(checks)
     if best is None:
-        job.reporter.note(f"{file.name}: the cameras' clocks differ; the times stay as recorded")
-    entry = (best or checks[0]).entry(best.correction_s if best else 0.0)
-    if entry.applied_s:
-        job.reporter.note(f"{file.name}: images at t have the poses at t {1000 * entry.applied_s:+.0f} ms")
-        shifted = poses_at(entry.applied_s)
+        job.reporter.note(f"{file.name}: the cameras' clocks differ, so that no offset is applied")
+    found_s = best.correction_s if best else 0.0
+    entry = (best or checks[0]).entry(found_s if given_s is None else given_s)
+    if given_s is None and found_s:
+        job.reporter.note(f"{file.name}: images at t have the poses at t {1000 * found_s:+.0f} ms")
+        shifted = poses_at(found_s)
         for time in poses.keys() - shifted.keys():
             for camera in file.cameras:
                 job.writer.remove_frame(file.name, camera, time)
