@@ -33,11 +33,11 @@ def write_poses(root: Path) -> None:
 
 def _read(name: str) -> object:
     def run(place: Place) -> None:
-        import numpy as np
 
-        from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file
+        from relocbench.datasets.motion.orientation import likely_order
+        from relocbench.datasets.sensors.pose_files import read_pose_file
 
-        poses = np.array(list(read_pose_file(place.root / name).values()))
+        poses = read_pose_file(place.root / name).transforms
         likely_order(poses, "xyzw")
 
     return run

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.datasets.checks.faults import Findings, check_points, read_intrinsics_table, read_pose_table, read_yaml
+from relocbench.datasets.checks.motion import check_motion
 from relocbench.datasets.checks.pair_sets import CheckedTraversal, check_pair_sets, check_version
 from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
@@ -53,6 +54,7 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
     if not quick:
         _check_depth_scale(drives, findings)
     pair_sets = check_pair_sets(layout, drives, findings, reporter, version)
+    check_motion(layout, drives, pair_sets, findings)
     _check_correspondences(layout, pair_sets, digests, findings, reporter, quick)
     if file is not None:
         _check_splits(layout, file, pair_sets, findings)

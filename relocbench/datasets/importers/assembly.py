@@ -13,8 +13,9 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import DatasetOptions, RuleOptions
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.motion.worlds import doubt_of_world
 from relocbench.datasets.pairs.depth_scale import DepthFrame, depth_scale
-from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.pairs.pairing import make_pairs, steps_left_out
 from relocbench.datasets.pairs.posed_frames import posed_frames
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.undistortion import undistort
@@ -118,6 +119,11 @@ def write_pairs(
         posed_frames(drives[query], camera, numbers if same else None),
     )
     pairs = make_pairs(*frames, job.options, same_traversal=same, source=source, where=where)
+    if same and (missing := steps_left_out(frames[0], job.options)):
+        job.reporter.note(f"{reference}: {missing}")
+    ordered = not drives[query].names
+    if not same and ordered and (doubt := doubt_of_world(drives[reference].poses, drives[query].poses)):
+        job.reporter.note(f"{reference} and {query} {doubt}")
     _note_unpaired(drives[query], camera, {p.query_timestamp_ns for p in pairs}, job, same)
     write_pair_set(job, reference, query, camera, pairs)
 

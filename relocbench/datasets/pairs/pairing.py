@@ -83,16 +83,32 @@ def make_pairs(
 def step_matches(frames: PosedFrames, steps: Sequence[int]) -> list[tuple[int, int, str]]:
     """Matches (reference row, query row, group ``step_k``) of keyframe number i with frame number i + k.
 
-    If frame number i + k is missing, there is no match.
+    If frame number i + k is missing, there is no match, and none between pieces of the drive.
     """
     row_of = {number: row for row, number in enumerate(frames.numbers)}
     keyframes = frames.keyframe_rows
     return [
-        (r, row_of[frames.numbers[r] + k], f"step_{k}")
+        (r, q, f"step_{k}")
         for k in steps
         for r in keyframes
-        if frames.numbers[r] + k in row_of
+        if (q := row_of.get(frames.numbers[r] + k)) is not None and frames.pieces[q] == frames.pieces[r]
     ]
+
+
+def steps_left_out(frames: PosedFrames, options: PairingOptions) -> str:
+    """Which pairs of the step rule are missing because nobody knows the way from one frame to the next; or nothing."""
+    apart = np.flatnonzero(np.diff(frames.pieces))
+    if not len(apart) or options.pair_rule == "nearest":
+        return ""
+    seconds = np.diff(np.array(frames.timestamps, dtype=np.int64)) / 1e9
+    worst = int(apart[np.argmax(seconds[apart])])
+    metres = float(np.linalg.norm(frames.T_world_cam[worst + 1, :3, 3] - frames.T_world_cam[worst, :3, 3]))
+    places = "one hole or jump of the poses" if len(apart) == 1 else f"{len(apart)} holes or jumps of the poses"
+    return (
+        f"no pair steps over {places}: {seconds[worst]:.3g} s and {metres:.3g} m from "
+        f"{frames.timestamps[worst]} to {frames.timestamps[worst + 1]} ns, where most steps take "
+        f"{np.median(seconds):.3g} s"
+    )
 
 
 def nearest_matches(

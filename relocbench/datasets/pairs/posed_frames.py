@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.motion.judging import judge
 from relocbench.geometry import invert
 
 
@@ -24,10 +26,15 @@ class PosedFrames:
     """times of the frames with depth or points"""
     numbers: tuple[int, ...] = ()
     """the recording's frame numbers, which may have gaps; default: 0, 1, 2, ..."""
+    pieces: tuple[int, ...] = ()
+    """number of the piece of the drive that each frame belongs to: nobody knows the way from one piece to the next;
+    default: one piece"""
 
     def __post_init__(self) -> None:
         if not self.numbers:
             object.__setattr__(self, "numbers", tuple(range(len(self.timestamps))))
+        if not self.pieces:
+            object.__setattr__(self, "pieces", (0,) * len(self.timestamps))
         if not len(self.timestamps) == len(self.numbers) == len(self.T_world_cam):
             raise ValueError(
                 f"posed frames need as many times ({len(self.timestamps)}) as poses ({len(self.T_world_cam)}) "
@@ -43,17 +50,28 @@ class PosedFrames:
 def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | None = None) -> PosedFrames:
     """The frames of a traversal on disk that have an image and a pose.
 
+    Where images have names they are a collection in no order, and one piece.
+
     Args:
         numbers: timestamp_ns -> frame number, if the recording's frame numbers have gaps.
     """
     times = [t for t in traversal.timestamps(camera) if t in traversal.poses]
     poses = [traversal.T_world_cam(camera, t) for t in times]
+    T_world_cam = np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
     return PosedFrames(
         tuple(times),
-        np.array(poses, dtype=np.float64).reshape(-1, 4, 4),
+        T_world_cam,
         frozenset(traversal.keyframe_timestamps(camera)),
         tuple(numbers[t] for t in times) if numbers is not None else (),
+        () if traversal.names else pieces_of(times, T_world_cam),
     )
+
+
+def pieces_of(timestamps: Sequence[int], T_world_cam: Array) -> tuple[int, ...]:
+    """Number of the piece of the drive that each of N frames belongs to, by jumps, holes and outliers."""
+    motion = judge(np.array(timestamps, dtype=np.int64), T_world_cam)
+    starts = {*motion.breaks, *(row for one in motion.outliers for row in (one.first, one.last + 1) if row)}
+    return tuple(np.searchsorted(sorted(starts), np.arange(len(timestamps)), side="right").tolist())
 
 
 def pair_of(reference: PosedFrames, r: int, query: PosedFrames, q: int) -> Pair:

@@ -18,9 +18,11 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.sensors.numbered_rows import read_numbered_rows, read_numbered_times
+from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_columns import read_pose_columns
 from relocbench.datasets.sensors.pose_tables import (
     MATRIX,
+    PoseTable,
     QuaternionOrder,
     Row,
     pose_table,
@@ -34,13 +36,6 @@ from relocbench.progress import Reporter
 _EXPECTED = (
     "expected 8 columns (t tx ty tz and a quaternion), 12 (the upper three rows of a pose) or 13 (a time before them)"
 )
-"""of rotations that are printed with few digits"""
-_STEADY = 0.97
-_WANDERS = 0.99
-_BETTER = 8.0
-"""lengths of the mean of unit directions of travel in the rig's axes: above the first it is one direction, below the
-second it need not be; and how many times farther from 1 it must be in the wrong order than in the right one"""
-_FEWEST_STEPS = 20
 
 
 def read_pose_file(
@@ -48,17 +43,18 @@ def read_pose_file(
     order: QuaternionOrder | None = None,
     times: Path | None = None,
     reporter: Reporter | None = None,
-) -> dict[int, Array]:
-    """Read a file of poses: timestamp_ns -> (4, 4) ``T_world_rig``, in time order, without rows that have no pose.
+) -> PoseTable:
+    """Read a file of poses ``T_world_rig`` of a drive, without rows that have no pose and without outliers.
 
     Args:
         order: order of the quaternion's components; None: as a header says, or ``xyzw``.
         times: file with the time of each line, for poses without times; default: ``STEM.times.txt`` beside the file.
-        reporter: is told which rows were left out.
+        reporter: is told which rows were left out, and what is implausible.
 
     Raises:
         DatasetError: with file and line: a wrong number of columns, a header that names another order than ``order``, a
-            field that is not a number, a rotation that is none, times that go back, or no pose at all.
+            field that is not a number, a rotation that is none, times that go back, no pose at all, or
+            poses that cannot be those of a drive.
     """
     if path.is_dir():
         raise DatasetError("is a folder; expected a file of poses", path)
@@ -67,19 +63,19 @@ def read_pose_file(
         raise DatasetError(f"holds no pose; {_EXPECTED}", path)
     line, fields = rows[0]
     if len(fields) == 8:
-        poses = read_trajectory(path, order, reporter=reporter).by_time
+        poses = read_trajectory(path, order, reporter=reporter)
     elif len(fields) == 12:
         poses = _matrices_of_frames(path, times or _beside(path), reporter)
     elif len(fields) == 13:
-        poses = read_matrix_rows(path, reporter).by_time
+        poses = read_matrix_rows(path, reporter)
     else:
         raise DatasetError(f"{_EXPECTED}, found {len(fields)}", path, line)
-    if not poses:
+    if not len(poses.times_ns):
         raise DatasetError("holds no pose", path)
-    return poses
+    return plausible(poses, reporter)
 
 
-def _matrices_of_frames(path: Path, times: Path, reporter: Reporter | None) -> dict[int, Array]:
+def _matrices_of_frames(path: Path, times: Path, reporter: Reporter | None) -> PoseTable:
     """Poses of twelve numbers a line, with their times in the same lines of another file."""
     if times == _beside(path) and not times.exists():
         raise DatasetError(
@@ -99,49 +95,11 @@ def _matrices_of_frames(path: Path, times: Path, reporter: Reporter | None) -> d
     )
     if reporter is not None and len(both) < len(rows):
         reporter.note(f"{short_name(path)}: {len(rows) - len(both)} of {len(rows)} frames are without a pose or a time")
-    return found.by_time
+    return found
 
 
 def _beside(path: Path) -> Path:
     return path.with_name(f"{path.stem}.times.txt")
-
-
-def likely_order(T_world_rig: Array, order: QuaternionOrder) -> QuaternionOrder:
-    """The order in which quaternions make more sense: what drives or walks moves mostly one way in its own axes.
-
-    With the components in the wrong order rotations are wrong but valid, and neither their size from one pose to the
-    next nor anything else about them tells; the direction of travel in the rig's axes does, once the road bends. The
-    other order is told only where this direction wanders in the given one and is steady in the other.
-
-    Args:
-        T_world_rig: (N, 4, 4) as read in ``order``.
-    """
-    from scipy.spatial.transform import Rotation  # imported late: loading takes a while
-
-    quaternions = Rotation.from_matrix(T_world_rig[:, :3, :3]).as_quat()
-    # The four numbers of each line, put into their places by the other order.
-    turned = quaternions[:, [3, 0, 1, 2]] if order == "wxyz" else quaternions[:, [1, 2, 3, 0]]
-    other = Rotation.from_quat(turned).as_matrix()
-    steady = [_steadiness(T_world_rig[:, :3, 3], R) for R in (T_world_rig[:, :3, :3], other)]
-    given, turned_round = steady
-    if given is None or turned_round is None or given > _WANDERS or turned_round < _STEADY:
-        return order
-    if 1 - given < _BETTER * (1 - turned_round):
-        return order
-    return "xyzw" if order == "wxyz" else "wxyz"
-
-
-def _steadiness(positions: Array, R_world_rig: Array) -> float | None:
-    """Length of the mean of the unit directions of travel in the rig's axes, 0 to 1; None where little moves."""
-    # Equal distances along the path: what stands still has no direction.
-    chosen = spaced(positions, path_lengths(positions)[-1] / 1000)
-    steps = np.diff(positions[chosen], axis=0)
-    lengths = np.linalg.norm(steps, axis=1, keepdims=True)
-    if len(steps) < _FEWEST_STEPS or not lengths.all():
-        return None
-    directions = np.einsum("nji,nj->ni", R_world_rig[chosen[:-1]], steps)
-    directions /= lengths
-    return float(np.linalg.norm(directions.mean(axis=0)))
 
 
 def path_lengths(positions: Array) -> Array:

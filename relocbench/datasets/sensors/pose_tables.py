@@ -51,6 +51,8 @@ class PoseTable:
     """(N, 4, 4)"""
     lines: Sequence[int] = ()
     """(N,) where each pose stands; empty where it is in no line of a text"""
+    breaks: tuple[int, ...] = ()
+    """rows of poses before which nobody knows the way: after a jump, a hole, or poses that were left out"""
 
     @property
     def by_time(self) -> dict[int, Array]:

@@ -12,7 +12,7 @@ from refusals import Notes
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
-from relocbench.datasets.groundtruth.odometry.jumps import find_jumps, interrupted
+from relocbench.datasets.groundtruth.odometry.jumps import interrupted, jumps_of
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
 
@@ -51,7 +51,7 @@ def recording(odometry: Trajectory) -> FieldRecording:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_motion_of_a_vehicle_is_no_jump(seed: int) -> None:
-    assert find_jumps(driven(seed=seed)) == ()
+    assert jumps_of(driven(seed=seed)) == ()
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_motion_of_a_vehicle_is_no_jump(seed: int) -> None:
 )
 @pytest.mark.parametrize("at", [1, 2, 30, AT, 230, 396, 398, 399])
 def test_a_jump_is_found_where_it_is(twist: list[float], at: int) -> None:
-    (jump,) = find_jumps(with_jump(driven(), at, twist))
+    (jump,) = jumps_of(with_jump(driven(), at, twist))
     assert (jump.index, jump.time_ns) == (at, at * STEP_NS + 1)
     assert jump.metres == pytest.approx(np.linalg.norm(twist[:3]), abs=0.08)
     assert jump.degrees == pytest.approx(np.degrees(np.linalg.norm(twist[3:])), abs=0.5)
@@ -80,9 +80,9 @@ def test_a_jump_is_found_while_the_vehicle_brakes_or_accelerates(acceleration: f
     positions = np.stack([along, 0 * along, 0 * along], axis=1)
     poses = make_transform(np.tile(np.eye(3), (len(along), 1, 1)), positions)
     drive = Trajectory(np.round(seconds * 1e9).astype(np.int64), poses)
-    assert find_jumps(drive) == ()
+    assert jumps_of(drive) == ()
     for at in range(70, 130):
-        assert [jump.index for jump in find_jumps(with_jump(drive, at, [metres, 0, 0, 0, 0, 0]))] == [at]
+        assert [jump.index for jump in jumps_of(with_jump(drive, at, [metres, 0, 0, 0, 0, 0]))] == [at]
 
 
 def test_odometry_is_interrupted_at_its_jumps_and_this_is_told() -> None:
@@ -103,7 +103,7 @@ def test_odometry_is_interrupted_at_its_jumps_and_this_is_told() -> None:
 
 def test_breaks_that_are_known_stay_and_are_not_judged() -> None:
     odometry = replace(with_jump(driven(), AT, [0.5, 0, 0, 0, 0, 0]), breaks=(AT,))
-    assert find_jumps(odometry) == ()
+    assert jumps_of(odometry) == ()
     other = with_jump(odometry, 300, [0.5, 0, 0, 0, 0, 0])
     assert interrupted(recording(other), Notes()).odometry.breaks == (AT, 300)
 
@@ -127,7 +127,7 @@ def bump(metres: Array) -> Array:
 def test_a_speed_bump_is_no_jump(rate: float, speed: float) -> None:
     seconds = np.arange(0.0, 800.0 / speed, 1 / rate)
     front, rear = bump(speed * seconds + 1.3), bump(speed * seconds - 1.3)
-    assert find_jumps(straight(seconds, speed, heave=(front + rear) / 2, pitch=(rear - front) / 2.6)) == ()
+    assert jumps_of(straight(seconds, speed, heave=(front + rear) / 2, pitch=(rear - front) / 2.6)) == ()
 
 
 @pytest.mark.parametrize(("rate", "hertz", "degrees"), [(10, 2, 1), (30, 8, 2), (30, 12, 3), (20, 10, 2)])
@@ -141,7 +141,7 @@ def test_a_shaken_hand_is_no_jump_and_hides_none(rate: float, hertz: float, degr
         moved = interrupted(recording(with_jump(drive, at, [2.0, 0, 0, 0, 0, 0])), Notes()).odometry
         assert at in moved.breaks
     once_only = straight(seconds, 1.2, heave=0.01 * once, yaw=np.radians(degrees) * once)
-    assert find_jumps(once_only) == ()
+    assert jumps_of(once_only) == ()
 
 
 @pytest.mark.parametrize("pause_s", [0.2, 1.2, 60.0])
@@ -150,7 +150,7 @@ def test_a_jump_beside_a_pause_is_found(pause_s: float) -> None:
     seconds[200:] += pause_s
     drive = straight(seconds)
     for at in range(196, 205):
-        jumps = find_jumps(with_jump(drive, at, [1.0, 0, 0, 0, 0, 0]))
+        jumps = jumps_of(with_jump(drive, at, [1.0, 0, 0, 0, 0, 0]))
         across_a_gap = at == 200 and pause_s > 1.0
         assert [jump.index for jump in jumps] == ([] if across_a_gap else [at])
 
@@ -158,16 +158,16 @@ def test_a_jump_beside_a_pause_is_found(pause_s: float) -> None:
 def test_jumps_between_breaks_that_are_close_are_found() -> None:
     drive = replace(straight(np.arange(0.0, 40.0, 0.1)), breaks=(200, 203))
     for at in (198, 199, 201, 202, 204, 205):
-        assert [jump.index for jump in find_jumps(with_jump(drive, at, [0.0, 1.0, 0, 0, 0, 0]))] == [at]
+        assert [jump.index for jump in jumps_of(with_jump(drive, at, [0.0, 1.0, 0, 0, 0, 0]))] == [at]
 
 
 def test_a_pose_that_is_off_or_has_a_wrong_time_is_interrupted_on_both_sides() -> None:
     drive = straight(np.arange(0.0, 40.0, 0.1))
     T, times = drive.T_odom_rig.copy(), drive.times_ns.copy()
     T[200, 1, 3] += 0.7
-    assert [jump.index for jump in find_jumps(replace(drive, T_odom_rig=T))] == [200, 201]
+    assert [jump.index for jump in jumps_of(replace(drive, T_odom_rig=T))] == [200, 201]
     times[200] -= 50_000_000
-    assert [jump.index for jump in find_jumps(replace(drive, times_ns=times))] == [200, 201]
+    assert [jump.index for jump in jumps_of(replace(drive, times_ns=times))] == [200, 201]
 
 
 @pytest.mark.parametrize(("rate", "metres"), [(1.0, 10.0), (2.0, 3.0), (5.0, 0.5), (10.0, 0.3)])
@@ -178,9 +178,9 @@ def test_what_poses_tell_that_are_far_apart_in_time(rate: float, metres: float) 
     positions = np.stack([braking, 0 * seconds, 0 * seconds], axis=1)
     poses = make_transform(np.tile(np.eye(3), (len(seconds), 1, 1)), positions)
     drive = Trajectory((seconds * 1e9).astype(np.int64), poses, max_gap_ns=3_000_000_000)
-    assert find_jumps(drive) == ()
+    assert jumps_of(drive) == ()
     at = int(50 * rate)
-    assert [jump.index for jump in find_jumps(with_jump(drive, at, [metres, 0, 0, 0, 0, 0]))] == [at]
+    assert [jump.index for jump in jumps_of(with_jump(drive, at, [metres, 0, 0, 0, 0, 0]))] == [at]
 
 
 def test_odometry_that_jumps_everywhere_is_interrupted_at_large_jumps_only() -> None:
@@ -197,4 +197,4 @@ def test_odometry_that_jumps_everywhere_is_interrupted_at_large_jumps_only() -> 
 def test_a_short_or_single_pose_has_no_jumps() -> None:
     whole = driven()
     for count in (1, 2, 5, 6):
-        assert find_jumps(Trajectory(whole.times_ns[:count], whole.T_odom_rig[:count])) == ()
+        assert jumps_of(Trajectory(whole.times_ns[:count], whole.T_odom_rig[:count])) == ()

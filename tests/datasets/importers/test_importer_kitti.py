@@ -252,7 +252,7 @@ def test_two_sequences_are_paired_across(recording: Path, tmp_path: Path) -> Non
     notes = Notes()
     dataset = build(recording, tmp_path / "out", notes, sequence=("03", "04"))
     assert dataset.pair_set_names == ["kitti_03__kitti_04__image_0"]
-    assert noted(notes.notes, "03", "04")
+    assert noted(notes.notes, "kitti_03", "kitti_04")
     pairs = dataset.pair_set("kitti_03__kitti_04__image_0").pairs
     assert [p.distance_m for p in pairs] == pytest.approx([0, 0, 0, 0.4], abs=1e-9)
 

@@ -119,7 +119,7 @@ DOORS = {
         RECORDINGS["generic"],
         "one/poses.txt",
         1,
-        lambda root, notes: list(read_folder(root / "one", "a", reporter=notes).T_world_rig),
+        lambda root, notes: list(read_folder(root / "one", "a", reporter=notes).poses.by_time),
     ),
 }
 
@@ -190,7 +190,7 @@ def test_two_runs_in_one_table_are_not_sorted_into_one_another() -> None:
 
 def test_a_row_of_nan_is_no_pose_at_its_time() -> None:
     notes = Notes()
-    poses = read_pose_file(odd_input("01_nan_rows") / "traj.txt", reporter=notes)
+    poses = read_pose_file(odd_input("01_nan_rows") / "traj.txt", reporter=notes).by_time
     assert list(poses) == [1_000_000_000, 1_100_000_000, 1_300_000_000]
     assert noted(notes.notes, "1 of 4", "NaN", "line 3")
 
@@ -199,12 +199,12 @@ def test_a_row_of_nan_is_no_pose_at_its_time() -> None:
 def test_whole_times_are_read_by_their_digits_and_said(name: str, first: int) -> None:
     notes = Notes()
     poses = read_pose_file(odd_input("04_seconds_or_microseconds_as_integers") / f"{name}.txt", reporter=notes)
-    assert next(iter(poses)) == first
+    assert poses.times_ns[0] == first
     assert noted(notes.notes, "microseconds" if name == "us" else "seconds")
 
 
 def test_a_header_that_names_the_real_part_first_is_obeyed() -> None:
-    poses = list(read_pose_file(odd_input("03_header_names_wxyz") / "t.csv").values())
+    poses = list(read_pose_file(odd_input("03_header_names_wxyz") / "t.csv").transforms)
     np.testing.assert_allclose(poses[0][:2, :2], [[0, -1], [1, 0]], atol=1e-6)
 
 
@@ -244,8 +244,8 @@ def test_columns_are_those_that_the_header_names(tmp_path: Path, name: str) -> N
     path = tmp_path / "t.csv"
     path.write_text(HEADERS[name])
     found = read_pose_file(path)
-    assert list(found) == list(POSES)
-    np.testing.assert_allclose(np.array(list(found.values())), np.array(list(POSES.values())), atol=1e-12)
+    assert found.times_ns.tolist() == list(POSES)
+    np.testing.assert_allclose(found.transforms, np.array(list(POSES.values())), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -376,7 +376,7 @@ def test_rows_of_poses_and_of_their_times_belong_together(tmp_path: Path) -> Non
         rows = [f"1 0 0 {i} 0 1 0 0 0 0 1 0" for i in range(4)]
         path.write_text("\n".join([rows[0], lost, *rows[2:]]) + "\n")
         times.write_text("\n".join(["1.0", "2.0", lost_time, "4.0"]) + "\n")
-        return read_pose_file(path)
+        return read_pose_file(path).by_time
 
     for lost in LOST:
         assert {t // 10**9: T[0, 3] for t, T in written(lost, "3.0").items()} == {1: 0, 3: 2, 4: 3}

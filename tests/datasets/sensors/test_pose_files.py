@@ -12,7 +12,8 @@ from refusals import ErrorData, refused
 from repository import ROOT
 from two_laps import START_NS, laps, matrix_lines, tum_lines
 
-from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file
+from relocbench.datasets.motion.orientation import likely_order
+from relocbench.datasets.sensors.pose_files import read_pose_file
 from relocbench.errors import DatasetError
 
 POSES = laps(1)
@@ -45,15 +46,15 @@ def test_every_format_gives_the_same_poses(tmp_path: Path, name: str) -> None:
     path = tmp_path / "a drive.txt"
     FORMATS[name](path)
     found = read_pose_file(path)
-    assert list(found) == list(POSES)
-    np.testing.assert_allclose(np.array(list(found.values())), np.array(list(POSES.values())), atol=1e-12)
+    assert found.times_ns.tolist() == list(POSES)
+    np.testing.assert_allclose(found.transforms, np.array(list(POSES.values())), atol=1e-12)
 
 
 def test_both_orders_of_quaternions_are_read_as_told(tmp_path: Path) -> None:
     path = tmp_path / "t.txt"
     path.write_text(tum_lines(POSES, "wxyz"))
-    np.testing.assert_allclose(list(read_pose_file(path, "wxyz").values()), list(POSES.values()), atol=1e-12)
-    assert not np.allclose(list(read_pose_file(path).values()), list(POSES.values()), atol=0.1)
+    np.testing.assert_allclose(read_pose_file(path, "wxyz").transforms, list(POSES.values()), atol=1e-12)
+    assert not np.allclose(read_pose_file(path).transforms, list(POSES.values()), atol=0.1)
 
 
 @pytest.mark.parametrize("written", ["xyzw", "wxyz"])
@@ -61,7 +62,7 @@ def test_both_orders_of_quaternions_are_read_as_told(tmp_path: Path) -> None:
 def test_the_order_in_which_a_car_drives_ahead_is_the_likely_one(tmp_path: Path, written: str, read: str) -> None:
     path = tmp_path / "t.txt"
     path.write_text(tum_lines(POSES, written))
-    poses = np.array(list(read_pose_file(path, read).values()))  # type: ignore[arg-type]
+    poses = read_pose_file(path, read).transforms  # type: ignore[arg-type]
     assert likely_order(poses, read) == written  # type: ignore[arg-type]
 
 
@@ -78,7 +79,7 @@ def test_the_order_of_real_trajectories_is_found() -> None:
     files = sorted(REAL.glob("*.txt"))
     assert len(files) == 3
     for path in files:
-        wrong, right = (np.array(list(read_pose_file(path, order).values())) for order in ("xyzw", "wxyz"))
+        wrong, right = (read_pose_file(path, order).transforms for order in ("xyzw", "wxyz"))
         assert (likely_order(wrong, "xyzw"), likely_order(right, "wxyz")) == ("wxyz", "wxyz"), path.name
 
 

@@ -131,7 +131,7 @@ def _track(
     kind = PoseNumbers(" ".join(POSE_COLUMNS), T_enu_sensor)
     table = pose_table(rows, kind, path, reporter, own_ns=_S if applanix else _US)
     T_body_rig = invert(T_RIG_APPLANIX if applanix else T_rig_lidar)
-    return rig_trajectory(table, T_body_rig), str(path.relative_to(folder))
+    return rig_trajectory(table, reporter, T_body_rig), str(path.relative_to(folder))
 
 
 def _cameras(folder: Path, T_rig_lidar: Array) -> dict[str, CameraStream]:

@@ -168,7 +168,7 @@ def _trajectory(path: Path, clouds: Sequence[tuple[int | None, Path]], reporter:
     if not rows.filled:
         raise DatasetError("holds no pose", path)
     if any(len(row.fields) != 12 for row in rows.filled.values()):
-        return rig_trajectory(read_trajectory(path, reporter=reporter))
+        return rig_trajectory(read_trajectory(path, reporter=reporter), reporter)
     filled = rows.filled
     numbers = rows.of_files([cloud for _, cloud in clouds])
     both = [
@@ -177,7 +177,7 @@ def _trajectory(path: Path, clouds: Sequence[tuple[int | None, Path]], reporter:
         if time is not None and number in filled
     ]
     posed = [Row(row.line, "", row.fields) for _, row in both]
-    return rig_trajectory(pose_table(posed, MATRIX, path, reporter, times=[time for time, _ in both]))
+    return rig_trajectory(pose_table(posed, MATRIX, path, reporter, times=[time for time, _ in both]), reporter)
 
 
 def _described(folder: Path, name: str) -> tuple[Condition, dict[str, CameraStream]]:

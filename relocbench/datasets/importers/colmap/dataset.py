@@ -35,6 +35,7 @@ from relocbench.datasets.importers.photos.collection import (
     ModelPoints,
     Photo,
     in_metres,
+    without_far,
     write_traversal,
 )
 from relocbench.datasets.importers.photos.lists import chosen_queries, listed_pairs, pairs_by_name
@@ -94,7 +95,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         reporter.note(f"reads the model in {folder.relative_to(project)}")
     model = read_model(folder, reporter)
     root = options.images or _image_folder(folder)
-    keyframes, queries = _photos(folder, root, model, options, reporter)
+    photos = _photos(folder, root, model, options, reporter)
+    keyframes, queries = (without_far(some, folder, reporter) for some in photos)
     names = (MAP, QUERY) if queries else (MAP, MAP)
     options.check_conditions(names)
     writer = open_writer(

@@ -88,7 +88,7 @@ def read_complex_urban(
         raise DatasetError(f"holds no scan of {' or '.join(_DEFAULT)}; expected TIME.bin", folder / "sensor_data")
     path = folder / "global_pose.csv"
     needless = odometry == "lidar" and not path.exists()
-    track = None if needless else rig_trajectory(read_matrix_rows(path, reporter))
+    track = None if needless else rig_trajectory(read_matrix_rows(path, reporter), reporter)
     return DriveFiles(
         name=name,
         folder=folder,

@@ -172,7 +172,7 @@ def _poses(reading: Reading, log: Log) -> Trajectory | None:
     times, kept = reading.times(topic, found.times_ns, found.received_ns)
     T_ned_body = motion.poses(found.values[kept])
     # The map is turned like the body: from north, east, down to north, west, up.
-    return rig_trajectory(PoseTable(log.bag, times, T_RIG_BODY @ T_ned_body), invert(T_RIG_BODY))
+    return rig_trajectory(PoseTable(log.bag, times, T_RIG_BODY @ T_ned_body), reading.reporter, invert(T_RIG_BODY))
 
 
 def _turned(

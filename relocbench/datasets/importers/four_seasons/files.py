@@ -13,6 +13,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import parse_pose
+from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_columns import read_pose_columns
 from relocbench.datasets.sensors.pose_tables import TQ, Row, pose_table
 from relocbench.datasets.sensors.times import times_in_ns
@@ -195,7 +196,7 @@ def read_gnss_poses(path: Path, reporter: Reporter | None = None) -> dict[int, G
             )
         rows.append(Row(line, fields[0], fields[1:8]))
         scales[line] = fields[8]
-    table = pose_table(rows, TQ, path, reporter)
+    table = plausible(pose_table(rows, TQ, path, reporter), reporter)
     poses = zip(table.transforms, table.lines, strict=True)
     metric = [GnssPose(T_w_cam, _parse_scale(scales[line], path, line)) for T_w_cam, line in poses]
     return dict(zip(table.times_ns.tolist(), metric, strict=True))

@@ -16,6 +16,7 @@ from relocbench.datasets.importers.four_seasons.files import (
     read_times,
     read_transformations,
 )
+from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.geometry import invert
@@ -75,7 +76,7 @@ def read_recording(root: Path, name: str, reporter: Reporter | None = None) -> R
         source, scales = GNSS_POSES, {t: pose.scale for t, pose in gnss.items()}
     else:
         file = root / MLAD_POSES
-        poses = read_trajectory(file, reporter=reporter).by_time if file.exists() else {}
+        poses = plausible(read_trajectory(file, reporter=reporter), reporter).by_time if file.exists() else {}
         source, scales = MLAD_POSES if poses else "", {}
     # Nothing says that the world of MLAD's poses.txt is the one that Transformations.txt refers to.
     on_earth = transformations is not None and source == GNSS_POSES

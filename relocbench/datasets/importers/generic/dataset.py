@@ -26,7 +26,8 @@ from relocbench.datasets.importers.assembly import import_image, note_depth_scal
 from relocbench.datasets.importers.clocks import write_posed_traversal
 from relocbench.datasets.pairs.depth_scale import DepthFrame
 from relocbench.datasets.sensors.image_files import ImageFiles
-from relocbench.datasets.sensors.pose_tables import read_trajectory
+from relocbench.datasets.sensors.plausible_poses import plausible
+from relocbench.datasets.sensors.pose_tables import PoseTable, read_trajectory
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.trajectories import timed_files, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort, undistort_points
@@ -108,8 +109,8 @@ class GenericFolder:
     location: str
     rate_hz: float | None
     cameras: dict[str, CameraFolder]
-    T_world_rig: dict[int, Array] = field(repr=False)
-    """timestamp_ns -> (4, 4), the poses in poses.txt"""
+    poses: PoseTable | None = field(repr=False)
+    """the poses ``T_world_rig`` in poses.txt; None where it was not read"""
 
     @property
     def image_times(self) -> list[int]:
@@ -149,7 +150,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         if not cameras:
             raise DatasetError(f"has no camera of {reference.name} ({', '.join(reference.cameras)})", query.root)
         for camera in cameras:
-            write_pairs(job, reference.name, query.name, camera, source=POSE_FILE, where=query.root)
+            numbers = {time: number for number, time in enumerate(reference.cameras[camera].images)}
+            write_pairs(job, reference.name, query.name, camera, source=POSE_FILE, where=query.root, numbers=numbers)
     return writer.finish()
 
 
@@ -175,7 +177,7 @@ def read_folder(root: Path, name: str, need_poses: bool = True, reporter: Report
         location=header.location,
         rate_hz=header.rate_hz,
         cameras={c: _read_camera_folder(root, "" if single else c, entry, reporter) for c, entry in cameras.items()},
-        T_world_rig=read_trajectory(root / POSE_FILE, reporter=reporter).by_time if need_poses else {},
+        poses=read_trajectory(root / POSE_FILE, reporter=reporter) if need_poses else None,
     )
 
 
@@ -198,21 +200,28 @@ def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera, report
     return folder
 
 
-def rig_trajectory(folder: GenericFolder, max_gap_s: float) -> Trajectory:
-    """The poses of the rig.
+def rig_trajectory(
+    folder: GenericFolder, max_gap_s: float, reporter: Reporter | None = None, *, holes: bool = True
+) -> Trajectory:
+    """The poses of the rig, without outliers, and interrupted at jumps and holes.
 
     Args:
         max_gap_s: longest gap between two poses to interpolate over. An image exactly at a pose's time always has it.
+        holes: shorter gaps that are holes in this drive are not interpolated over either.
+
+    Raises:
+        DatasetError: the poses cannot be those of one drive.
     """
-    times = np.array(list(folder.T_world_rig), dtype=np.int64)
-    poses = np.array(list(folder.T_world_rig.values())).reshape(-1, 4, 4)
-    return Trajectory(times, poses, math.floor(max_gap_s * 1e9))
+    assert folder.poses is not None
+    table = plausible(folder.poses, reporter, holes=holes)
+    return Trajectory(table.times_ns, table.transforms, math.floor(max_gap_s * 1e9), table.breaks)
 
 
 def _write_traversal(job: Build[Options], folder: GenericFolder, given_s: float | None) -> None:
     """Write rig, poses, and the images, depth and points of the posed frames."""
     writer, options = job.writer, job.options
-    trajectory = rig_trajectory(folder, options.max_pose_gap)
+    holes = options.given("max_pose_gap") is None
+    trajectory = rig_trajectory(folder, options.max_pose_gap, job.reporter, holes=holes)
 
     def poses_at(offset_s: float) -> dict[int, Array]:
         times = np.array(folder.image_times, dtype=np.int64)
@@ -306,9 +315,9 @@ def _write_frame(unit: _FrameUnit) -> None:
 
 
 def _why_no_pose(folder: GenericFolder) -> str:
-    if not folder.T_world_rig:
+    if folder.poses is None or not len(folder.poses.times_ns):
         return "holds no pose; expected lines 't tx ty tz qx qy qz qw'"
-    poses, frames = list(folder.T_world_rig), folder.image_times
+    poses, frames = folder.poses.times_ns, folder.image_times
     return (
         f"no image has a pose: poses span {poses[0]} to {poses[-1]} ns, images {frames[0]} to {frames[-1]} ns "
         "(an integer is nanoseconds, a number with a decimal point seconds)"

@@ -78,4 +78,4 @@ def read_generic(
 
 
 def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int, reporter: Reporter) -> Trajectory:
-    return rig_trajectory(read_trajectory(path, reporter=reporter), invert(T_new_rig), max_gap_ns)
+    return rig_trajectory(read_trajectory(path, reporter=reporter), reporter, invert(T_new_rig), max_gap_ns)

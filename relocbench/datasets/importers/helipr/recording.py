@@ -156,4 +156,4 @@ def read_helipr(
 
 
 def _poses(path: Path, lidar: ScanFiles, reporter: Reporter | None) -> Trajectory:
-    return rig_trajectory(read_trajectory(path, reporter=reporter), invert(lidar.T_rig_lidar))
+    return rig_trajectory(read_trajectory(path, reporter=reporter), reporter, invert(lidar.T_rig_lidar))

@@ -32,6 +32,7 @@ from relocbench.datasets.importers.photos.collection import (
     ModelPoints,
     Photo,
     in_metres,
+    without_far,
     write_traversal,
 )
 from relocbench.datasets.importers.photos.lists import chosen_queries, listed_pairs, pairs_by_name
@@ -108,8 +109,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
             folders.append(read_folder(root))
             advance(1)
     reference, *others = parts = _parts(folders, names, options)
-    keyframes = _keyframes(reference, options, reporter)
-    queries = {part.name: _photos(part, options) for part in others}
+    keyframes = without_far(_keyframes(reference, options, reporter), reference.folder.root, reporter)
+    queries = {part.name: without_far(_photos(part, options), part.folder.root, reporter) for part in others}
     if options.query_poses is not None:
         queries = _with_poses(queries, options.query_poses, options.metres_per_unit, reporter)
     _check_truth(queries, options, reporter)

@@ -23,7 +23,7 @@ from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.pairs.pairing import make_pairs
-from relocbench.datasets.pairs.posed_frames import PosedFrames
+from relocbench.datasets.pairs.posed_frames import PosedFrames, pieces_of
 from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, project_scan, read_scan
 from relocbench.errors import ConfigError, DatasetError
@@ -76,6 +76,7 @@ class _Plan:
             np.array([self.poses[i] for i in numbers]),
             frozenset(self.times[i] for i in self.depth_files),
             numbers,
+            pieces_of([self.times[i] for i in numbers], np.array([self.poses[i] for i in numbers])),
         )
 
 
@@ -118,14 +119,6 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     options.check_conditions([s.traversal for s in sequences])
     plans = [_read(s, options, needs_depth=s is sequences[0], reporter=reporter) for s in sequences]
     reference, query = plans[0], plans[-1]
-    if query is not reference and all(
-        np.allclose(p.poses.get(0, np.zeros((4, 4))), np.eye(4), atol=1e-6) for p in plans
-    ):
-        reporter.note(
-            f"the poses of {reference.sequence.name} and {query.sequence.name} both begin at the identity, as KITTI's "
-            "own do, so each is probably in a world of its own and pairs across them would have wrong true poses. "
-            f"Transform {query.sequence.poses_file} into the world of {reference.sequence.name} first"
-        )
     # Options that give no pair are reported before the depth of a long recording is computed.
     frames, where = (reference.posed_frames(), query.posed_frames()), reference.sequence.folder
     make_pairs(*frames, options, same_traversal=query is reference, source="", where=where)

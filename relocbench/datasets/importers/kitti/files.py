@@ -11,7 +11,8 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.sensors.numbered_rows import NumberedRows, read_numbered_rows, read_numbered_times
-from relocbench.datasets.sensors.pose_tables import MATRIX, Row, pose_table
+from relocbench.datasets.sensors.plausible_poses import plausible
+from relocbench.datasets.sensors.pose_tables import MATRIX, PoseTable, Row, pose_table
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_rows, whole_number
 from relocbench.geometry import Camera, make_transform, project_to_rotation
@@ -152,4 +153,15 @@ class KittiSequence:
         timed, times = self.times(rate_hz, frames, reporter)
         if timed is not None:
             rows.check_agrees(timed)
-        return times, poses
+        numbers = [number for number in poses if number in times]
+        table = plausible(
+            PoseTable(
+                self.poses_file,
+                np.array([times[number] for number in numbers], dtype=np.int64),
+                np.array([poses[number] for number in numbers]).reshape(-1, 4, 4),
+                [rows.filled[number].line for number in numbers],
+            ),
+            reporter,
+        )
+        posed = set(table.times_ns.tolist())
+        return times, {number: poses[number] for number in numbers if times[number] in posed}

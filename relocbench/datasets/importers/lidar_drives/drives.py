@@ -11,6 +11,7 @@ import numpy as np
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
+from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.errors import ConfigError, DatasetError, available
@@ -110,16 +111,26 @@ def _start(prior: Trajectory) -> Array:
     return np.asarray(np.floor(prior.T_odom_rig[0, :3, 3] / 1000.0) * 1000.0)
 
 
-def rig_trajectory(table: PoseTable, T_body_rig: Array | None = None, max_gap_ns: int = 1_000_000_000) -> Trajectory:
+def rig_trajectory(
+    table: PoseTable,
+    reporter: Reporter | None,
+    T_body_rig: Array | None = None,
+    max_gap_ns: int = 1_000_000_000,
+) -> Trajectory:
     """Poses of the rig from those of another body on it; default: the body is the rig.
 
+    Outliers are left out; other jumps are interrupted when the drives are registered, and holes are bridged up to
+    ``max_gap_ns``, since a vehicle's way does not bend much in it.
+
     Raises:
-        DatasetError: there are fewer than two poses.
+        DatasetError: there are fewer than two poses, or they cannot be those of one drive.
     """
+    table = plausible(table, reporter, jumps=False, holes=False)
     if len(table.times_ns) < 2:
         raise DatasetError(f"holds {len(table.times_ns)} poses; a trajectory has at least 2", table.path)
     T_map_body = table.transforms
-    return Trajectory(table.times_ns, T_map_body if T_body_rig is None else T_map_body @ T_body_rig, max_gap_ns)
+    T_map_rig = T_map_body if T_body_rig is None else T_map_body @ T_body_rig
+    return Trajectory(table.times_ns, T_map_rig, max_gap_ns, table.breaks)
 
 
 def chosen_of(wanted: Sequence[str] | None, known: Sequence[str], default: Sequence[str], what: str) -> list[str]:

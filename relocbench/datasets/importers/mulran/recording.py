@@ -81,7 +81,7 @@ def read_mulran(
     lidar = ScanFiles("Ouster", *scans, T_BASE_OUSTER, ColumnsInOrder(scan_time), 120.0, 0.03, min_range_m=0.8)
     path = folder / "global_pose.csv"
     needless = odometry == "lidar" and not path.exists()
-    track = None if needless else rig_trajectory(read_matrix_rows(path, reporter))
+    track = None if needless else rig_trajectory(read_matrix_rows(path, reporter), reporter)
     return DriveFiles(
         name=name,
         folder=folder,

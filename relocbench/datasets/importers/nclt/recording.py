@@ -117,7 +117,7 @@ def read_poses(path: Path, reporter: Reporter | None = None) -> Trajectory:
     """
     rows = [Row(line, time, fields) for line, (time, *fields) in read_rows(path, f"poses (time {_SIX})", DatasetError)]
     kind = PoseNumbers(_SIX, lambda values: T_RIG_BODY @ transform_from_xyzrpy(values) @ T_RIG_BODY)
-    return rig_trajectory(pose_table(rows, kind, path, reporter, own_ns=_US))
+    return rig_trajectory(pose_table(rows, kind, path, reporter, own_ns=_US), reporter)
 
 
 def _cameras(folder: Path, calibration: Path | None) -> dict[str, CameraStream]:

@@ -9,6 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
@@ -18,8 +20,12 @@ from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import import_image, note_depth_scale
 from relocbench.datasets.importers.photos.options import PhotoOptions
 from relocbench.datasets.importers.photos.points import Observations, SparseModel, keyframe_points
+from relocbench.datasets.motion.collections import far_from_all
 from relocbench.datasets.pairs.depth_scale import DepthFrame
+from relocbench.datasets.sensors.plausible_poses import distance
+from relocbench.errors import quoted
 from relocbench.geometry import Camera, invert
+from relocbench.progress import Reporter
 from relocbench.tracking import KeyframePoints
 
 CAMERA = "photo"
@@ -101,6 +107,23 @@ def in_metres(T_cam_world: Array, metres_per_unit: float) -> Array:
     scaled = T_cam_world.copy()
     scaled[:3, 3] *= metres_per_unit
     return scaled
+
+
+def without_far(photos: Sequence[Photo], where: Path, reporter: Reporter) -> list[Photo]:
+    """The photos without those whose poses are far from those of all others, which are named.
+
+    Args:
+        where: where the poses are from, for messages.
+    """
+    posed = [(photo.name, photo.T_cam_world) for photo in photos if photo.T_cam_world is not None]
+    far = far_from_all(np.array([invert(T_cam_world)[:3, 3] for _, T_cam_world in posed]).reshape(-1, 3))
+    left_out = {posed[row][0] for row, _ in far}
+    for row, metres in far:
+        reporter.note(
+            f"{where.name}: image {quoted(posed[row][0])} is {distance(metres)} from the nearest of the others, "
+            "which are close together; it is left out"
+        )
+    return [photo for photo in photos if photo.name not in left_out]
 
 
 def write_traversal(

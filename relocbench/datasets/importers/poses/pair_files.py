@@ -192,7 +192,7 @@ def _poses(listed: Sequence[_Listed], placed: Mapping[str, Path], job: Build[Opt
     """
     poses: dict[str, dict[int, Array]] = {name: {} for one in listed for name in one.key[:2]}
     for name, file in placed.items():
-        own = read_pose_file(file, job.options.given("quaternions"), reporter=job.reporter)
+        own = read_pose_file(file, job.options.given("quaternions"), reporter=job.reporter).by_time
         times = {t for one in listed for p in one.pairs for n, t in zip(one.key[:2], p.key, strict=True) if n == name}
         if (unit_ns := unit_of_dates(times)) != 1:
             # Pairs keep their times as they stand, by which predictions name them.

@@ -11,24 +11,22 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from relocbench.arrays import Array
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import DatasetOptions, PairingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
-from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.motion.orientation import likely_order
+from relocbench.datasets.motion.worlds import doubt_of_world
+from relocbench.datasets.pairs.pairing import make_pairs, steps_left_out
 from relocbench.datasets.pairs.posed_frames import PosedFrames
-from relocbench.datasets.sensors.pose_files import likely_order, read_pose_file, spaced
+from relocbench.datasets.sensors.pose_files import read_pose_file, spaced
+from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.files import check_distinct, check_name, fitting_name, plain_name
-from relocbench.geometry import rotation_angle
 from relocbench.progress import Reporter
-
-_AT_ORIGIN = (1e-3, 1e-3)
-"""metres and radians within which a first pose is the origin of its own world"""
 
 
 class Options(PairingOptions):
@@ -80,16 +78,16 @@ class _Drive:
     """One trajectory."""
 
     name: str
-    source: Path
-    poses: dict[int, Array]
-    """timestamp_ns -> (4, 4) ``T_world_frame``"""
+    table: PoseTable
+    """``T_world_frame``"""
 
     def frames(self, apart_m: float, *, keyframes: bool) -> PosedFrames:
         """Its poses at least ``apart_m`` of its path apart."""
-        times, T_world_frame = list(self.poses), np.array(list(self.poses.values()))
-        rows = spaced(T_world_frame[:, :3, 3], apart_m)
-        chosen = tuple(times[row] for row in rows)
-        return PosedFrames(chosen, T_world_frame[rows], frozenset(chosen if keyframes else ()))
+        rows = spaced(self.table.transforms[:, :3, 3], apart_m)
+        chosen = tuple(self.table.times_ns[rows].tolist())
+        pieces = np.searchsorted(self.table.breaks, rows, side="right")
+        frames = self.table.transforms[rows], frozenset(chosen if keyframes else ())
+        return PosedFrames(chosen, *frames, pieces=tuple(pieces.tolist()))
 
 
 def build(sources: list[Path], options: DatasetOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -114,11 +112,11 @@ def build(sources: list[Path], options: DatasetOptions, out: Path, reporter: Rep
     with reporter.stage("reading poses", len(sources)) as advance:
         drives = []
         for name, source, times in zip(names, sources, files, strict=True):
-            drives.append(_Drive(name, source, read_pose_file(source, options.given("quaternions"), times, reporter)))
+            drives.append(_Drive(name, read_pose_file(source, options.given("quaternions"), times, reporter)))
             advance(1)
     _tell_doubts(drives, job)
     for drive in drives:
-        writer.traversal(_description(drive, options), drive.poses)
+        writer.traversal(_description(drive, options), drive.table.by_time)
     reference, *others = drives
     with reporter.stage("pairs", len(others) or 1) as advance:
         for query in others or [reference]:
@@ -134,7 +132,7 @@ def _description(drive: _Drive, options: Options) -> TraversalFile:
         condition=options.condition_of(drive.name),
         cameras={},
         frames={options.frame: Transform.of(np.eye(4))},
-        source=f"poses of {drive.source.name}",
+        source=f"poses of {drive.table.path.name}",
     )
 
 
@@ -152,7 +150,7 @@ def _pairs(reference: _Drive, query: _Drive, options: Options) -> list[Pair]:
             rule,
             same_traversal=same,
             source=f"poses of {reference.name}" + ("" if same else f" and {query.name}"),
-            where=query.source,
+            where=query.table.path,
             revisit_ns=round(options.revisit_gap * 1e9) if options.revisit_gap else None,
         )
     except DatasetError as bad:
@@ -165,23 +163,18 @@ def _tell_doubts(drives: Sequence[_Drive], job: Build[Options]) -> None:
     """Note what looks like poses that were misread: no number of a pair would tell."""
     order = job.options.quaternions
     for drive in drives:
-        poses = np.array(list(drive.poses.values()))
-        if (likely := likely_order(poses, order)) != order:
+        if (likely := likely_order(drive.table.transforms, order)) != order:
             job.reporter.note(
                 f"{drive.name}: read as {order}, its rotations do not go with its way, and read as {likely} they do: "
                 f"expected --quaternions {likely}"
             )
-    starts = [next(iter(drive.poses.values())) for drive in drives]
-    if len(drives) > 1 and all(_is_origin(T) for T in starts):
-        job.reporter.note(
-            "all trajectories begin at the origin, as those do that have a world of their own: pairs are right only if "
-            "they share one"
-        )
-
-
-def _is_origin(T_world_frame: Array) -> bool:
-    metres, radians = _AT_ORIGIN
-    return bool(np.linalg.norm(T_world_frame[:3, 3]) <= metres and rotation_angle(T_world_frame[:3, :3]) <= radians)
+    reference, *others = drives
+    for other in others:
+        if doubt := doubt_of_world(reference.table.by_time, other.table.by_time):
+            job.reporter.note(f"{reference.name} and {other.name} {doubt}")
+    frames = reference.frames(job.options.keyframe_distance, keyframes=True)
+    if not others and not job.options.revisit_gap and (missing := steps_left_out(frames, job.options)):
+        job.reporter.note(f"{reference.name}: {missing}")
 
 
 def sigma_of_pair(pair: Pair, sigma_m: float | None, sigma_deg: float | None) -> Pair:

@@ -22,6 +22,7 @@ from relocbench.datasets.importers.lidar_drives.texts import (
     transform_from_xyzrpy,
 )
 from relocbench.datasets.sensors.matrices import as_transform
+from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import PoseNumbers, Row, pose_table, short_name
 from relocbench.datasets.sensors.times import check_increasing, times_in_ns
 from relocbench.errors import DatasetError
@@ -128,7 +129,8 @@ def read_inertial(path: Path, reporter: Reporter | None = None) -> InertialTrack
             raise DatasetError(f"utm_zone changes from {zone} to {row[5]}; expected a single zone", path, line)
         zone = row[5]
         rows.append(Row(line, row[0], [*row[2:5], *row[6:]]))
-    table = pose_table(rows, PoseNumbers(_INS_NUMBERS, transform_from_xyzrpy), path, reporter, own_ns=US)
+    numbers = PoseNumbers(_INS_NUMBERS, transform_from_xyzrpy)
+    table = plausible(pose_table(rows, numbers, path, reporter, own_ns=US), reporter, jumps=False, holes=False)
     if not len(table.times_ns):
         raise DatasetError(f"holds no good solution (ins_status {' or '.join(_GOOD_STATUS)})", path)
     return InertialTrack(table.times_ns, table.transforms, zone, left_out)

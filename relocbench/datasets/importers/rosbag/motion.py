@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.importers.rosbag.index import Fixes
 from relocbench.datasets.sensors.geodesy import ECCENTRICITY2, R_enu_ecef, ecef_from_geodetic, prime_vertical_radius
+from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_files import path_lengths
+from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import invert, make_transform, transform_from_tq
+from relocbench.progress import Reporter
 
 _AROUND_M = 50.0
 """metres of road before and after a fix that its heading is fitted to"""
@@ -80,11 +84,28 @@ def in_order(times_ns: Times) -> Times:
     return np.asarray(order[first], dtype=np.int64)
 
 
-def odometry(times_ns: Times, values: Array, T_body_rig: Array, max_gap_ns: int) -> Trajectory:
-    """The trajectory of the rig in the frame of its first pose, from poses (N, 7) of a frame fixed to it."""
+def odometry(
+    times_ns: Times,
+    values: Array,
+    T_body_rig: Array,
+    max_gap_ns: int,
+    bag: Path,
+    reporter: Reporter | None = None,
+) -> Trajectory:
+    """The trajectory of the rig in the frame of its first pose, from poses (N, 7) of a frame fixed to it.
+
+    Args:
+        bag: for messages.
+        reporter: is told of outliers, which are left out.
+
+    Raises:
+        DatasetError: the poses cannot be those of one drive.
+    """
     kept = in_order(times_ns)
-    T_world_rig = poses(values[kept]) @ T_body_rig
-    return Trajectory(times_ns[kept], np.asarray(invert(T_world_rig[0]) @ T_world_rig), max_gap_ns)
+    table = PoseTable(bag, times_ns[kept], poses(values[kept]) @ T_body_rig)
+    table = plausible(table, reporter, jumps=False, holes=False)
+    T_odom_rig = np.asarray(invert(table.transforms[0]) @ table.transforms)
+    return Trajectory(table.times_ns, T_odom_rig, max_gap_ns, table.breaks)
 
 
 def poses(values: Array) -> Array:

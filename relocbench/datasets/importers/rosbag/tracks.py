@@ -12,9 +12,11 @@ from relocbench.datasets.importers.rosbag import motion
 from relocbench.datasets.importers.rosbag.index import Poses
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin
 from relocbench.datasets.importers.rosbag.reading import Reading
+from relocbench.datasets.sensors.plausible_poses import plausible
+from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.errors import DatasetError
-from relocbench.geometry import invert
+from relocbench.geometry import invert, make_transform
 
 _PRIOR_SIGMA_M = 10.0
 
@@ -41,6 +43,8 @@ def odometry(reading: Reading) -> Trajectory | None:
         found.values[kept],
         _T_body_rig(reading, found, reading.settings.extrinsics.T_rig_odometry),
         reading.settings.max_gap_ns,
+        reading.source,
+        reading.reporter,
     )
 
 
@@ -111,7 +115,8 @@ def prior(
         T_map_rig = motion.poses(found.values[kept]) @ _T_body_rig(
             reading, found, reading.settings.extrinsics.T_rig_gnss
         )
-        known = Trajectory(at, T_map_rig) if len(at) else None
+        table = plausible(PoseTable(reading.source, at, T_map_rig), reading.reporter, jumps=False, holes=False)
+        known = Trajectory(table.times_ns, table.transforms, breaks=table.breaks) if len(at) else None
         return (lambda _: known), _PRIOR_SIGMA_M, origin
     fixes = reading.index.fixes[chosen]
     if fixes.left_out:
@@ -122,11 +127,17 @@ def prior(
     start = origin or GeodeticOrigin.of(fixes)
     if origin is None:
         reading.note(f"GNSS positions are relative to {start}")
-    enu = motion.east_north_up(fixes.values[kept, :3], start)
     antenna = _antenna(reading, fixes.frame)
+    positions = make_transform(np.eye(3), motion.east_north_up(fixes.values[kept, :3], start))
+    try:
+        table = PoseTable(reading.source, at, positions)
+        placed = plausible(table, reading.reporter, jumps=False, holes=False, axes=False)
+    except DatasetError as bad:
+        reading.note(f"{chosen} {bad.expected}; drives are registered without GNSS")
+        return _without, _PRIOR_SIGMA_M, origin
 
     def fitted(measured: Trajectory) -> Trajectory | None:
-        found = motion.map_of_fixes(at, enu, measured, antenna)
+        found = motion.map_of_fixes(placed.times_ns, placed.transforms[:, :3, 3], measured, antenna)
         if found is None:
             reading.note(f"{chosen}: the drive is too short to tell its heading; it is registered without GNSS")
         return found

@@ -225,7 +225,7 @@ def _trajectory(truth: PoseTable, max_gap: float) -> Trajectory:
     """The true poses. Raises DatasetError if there is none."""
     if not len(truth.times_ns):
         raise DatasetError("holds no pose", truth.path)
-    return Trajectory(truth.times_ns, truth.transforms, round(max_gap * 1e9))
+    return Trajectory(truth.times_ns, truth.transforms, round(max_gap * 1e9), truth.breaks)
 
 
 def _poses_at(trajectory: Trajectory, times: list[int], offset_ns: int) -> dict[int, Array]:
