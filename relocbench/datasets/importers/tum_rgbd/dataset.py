@@ -31,6 +31,7 @@ from relocbench.datasets.importers.assembly import (
 )
 from relocbench.datasets.importers.clocks import write_posed_traversal
 from relocbench.datasets.pairs.depth_scale import DepthFrame
+from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import PoseTable, read_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.times import times_in_ns
@@ -142,7 +143,7 @@ def _write_traversal(job: Build[Options], source: Path, name: str, index: int) -
     camera = _intrinsics(source, options.intrinsics[min(index, len(options.intrinsics) - 1)])
     frames = _frames(source, name, options, job.reporter)
     truth = read_trajectory(source / "groundtruth.txt", reporter=job.reporter, own_ns=_SECOND_NS)
-    trajectory = _trajectory(truth, options.max_truth_gap)
+    trajectory = _trajectory(plausible(truth, job.reporter), options.max_truth_gap)
     file = TraversalFile(
         name=name,
         condition=options.condition_of(name),
