@@ -424,7 +424,10 @@ def test_a_folder_of_clouds_may_be_of_any_kind_that_a_cloud_alone_may_be(tmp_pat
 
 
 def test_clouds_in_millimetres_or_coordinates_of_a_map_are_named_as_such(tmp_path: Path) -> None:
-    for word, points in {"millimetres": 1000 * scan(3), "map": scan(3) + np.float32([691_234, 5_334_987, 0])}.items():
+    for word, points in {
+        "millimetres": 1000 * scan(3),
+        "map": scan(3) + np.array([691_234, 5_334_987, 0], np.float32),
+    }.items():
         for number in range(3):
             np.save(tmp_path / f"170000000{number}.5.npy", points)
         with refused(DatasetError, "1700000001.5.npy", None, word):
