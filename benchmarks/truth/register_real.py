@@ -29,13 +29,17 @@ def real_pairs(part: str, data: Path) -> Iterator[tuple[str, Pair]] | None:
     """The pairs of a part by name; None if its recording is not there."""
     graphs, kitti, tum = data / "lidar_submaps_with_graph", data / "kitti_odometry", data / "tum_rgbd"
     needed = {"kitti 07": [graphs], "newer college": [graphs], "tum rgbd": [tum],
-              "other real": [graphs, kitti]}  # fmt: skip
+              "other real": [graphs, kitti], "small gicp": [data / "small_gicp_demo"]}  # fmt: skip
     if not all(folder.is_dir() for folder in needed[part]):
         return None
     if part in ("kitti 07", "newer college"):
         folder = graphs / ("kitti_07_dump" if part == "kitti 07" else "newer_01")
         files = sorted(folder.glob("*/points.bin" if part == "kitti 07" else "planes_*.bin"))
         return _all_pairs(_clouds(files), read_cloud_poses(folder / "graph.txt", len(files)))
+    if part == "small gicp":
+        folder = needed[part][0]
+        target, source = _clouds([folder / "target.ply", folder / "source.ply"])
+        return iter([("demo", Pair(target, source, np.loadtxt(folder / "T_target_source.txt")))])
     scans = sorted((kitti / "sequences" / "00" / "velodyne").glob("*.bin"))
     if part == "tum rgbd":
         return _depth_pairs(tum)

@@ -49,6 +49,8 @@ _FITS = 0.5
 """share of the best fit that an alternative must reach to be refined"""
 _TIMES, _MORE = 2.5, 0.03
 """a second pose that holds, or nearly, must leave more unexplained than the best: by this factor and this much more"""
+_TIMES_BESIDE = 1.25
+"""the same factor for a pose less than a metre beside the best, where the same surfaces are compared"""
 _ROUGHER, _CLOSE_M = 1.5, 0.01
 """factor of the residuals, or of residuals this small, from which a second pose is no rival of the best"""
 _APART_M, _SEEN_M = 0.25, 0.05
@@ -92,7 +94,8 @@ class Candidate:
         """Whether this pose leaves about as little unexplained as the best one, and its surfaces lie as close."""
         this, other = (max(c.evidence.residual_ref_m, c.evidence.residual_query_m) for c in (self, best))
         close = this < _ROUGHER * max(other, _CLOSE_M)
-        return close and self.unexplained < _TIMES * best.unexplained + _MORE
+        times = _TIMES_BESIDE if _same(self.T_a_b, best.T_a_b) else _TIMES
+        return close and self.unexplained < times * best.unexplained + _MORE
 
 
 @dataclass(frozen=True, eq=False)
