@@ -199,7 +199,7 @@ def _why_none_near(
     to_increase = "--max-distance" if angle <= options.max_angle else "--max-distance and --max-angle"
     return (
         f"no pair: the nearest keyframe to any query is {distance:.3g} m and {angle:.3g} deg away; {limits}: "
-        f"increase {to_increase}"
+        f"increase {to_increase}{'' if same_traversal else ', or has each drive a world of its own?'}"
     )
 
 
