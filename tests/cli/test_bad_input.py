@@ -66,8 +66,8 @@ def truncated_png_in_a_dataset(case: Case) -> list[object]:
     return case.evaluate
 
 
-def nan_pose_in_a_recording(case: Case) -> list[object]:
-    case.edit(case.recording / "poses" / "00.txt", r"^1\.0 ", "nan ")
+def word_in_a_pose_of_a_recording(case: Case) -> list[object]:
+    case.edit(case.recording / "poses" / "00.txt", r"^1\.0 ", "one ")
     return case.build
 
 
@@ -128,7 +128,7 @@ Told = tuple[str, int | None, tuple[object, ...]]
 CASES: list[tuple[Damage, Told]] = [
     (truncated_png_in_a_recording, ("image_0/000001.png", None, ())),
     (truncated_png_in_a_dataset, ("", None, ("winter/images/cam0", "manifest.csv"))),
-    (nan_pose_in_a_recording, ("poses/00.txt", 1, ("nan",))),
+    (word_in_a_pose_of_a_recording, ("poses/00.txt", 1, ("one",))),
     (nan_pose_in_a_dataset, ("winter/poses.csv", None, ())),
     (dataset_inside_the_recording, ("recording/out", None, ())),
     (missing_calibration_line, ("calib.txt", None, ("P1",))),
