@@ -57,9 +57,23 @@ T_RIG_BACK = make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]) @ T_RIG
 _LATE_NS = 50_000_000
 _GNSS_OFF_M = 60.0
 """north and east"""
-RETURN, ELSEWHERE = 2, 3
-"""numbers of the drive the other way, and of one through another district"""
-LEGS: tuple[Leg, ...] = (Leg(0, "Sunny", "common"), Leg(1, "Overcast", "common"), Leg(2, "Sunny", "return"))
+RETURN, ELSEWHERE, OVERCAST_RETURN, REPEATING, OVERCAST_REPEATING, RAIN = 2, 3, 4, 5, 6, 7
+"""numbers of drives: the other way, through another district, along repeating facades, and in rain"""
+LEGS = {
+    leg.number: leg
+    for leg in (
+        Leg(0, "Sunny", "common"),
+        Leg(1, "Overcast", "common"),
+        Leg(RETURN, "Sunny", "return"),
+        Leg(ELSEWHERE, "Overcast", "common"),
+        Leg(OVERCAST_RETURN, "Overcast", "return"),
+        Leg(REPEATING, "Sunny", "periodic"),
+        Leg(OVERCAST_REPEATING, "Overcast", "periodic"),
+        Leg(RAIN, "Rain", "common"),
+    )
+}
+_PART_M = 36.0
+"""half of a street of repeating facades, whose middle is that of the drives along it"""
 
 
 def _same(recording: FieldRecording) -> FieldRecording:
@@ -151,6 +165,30 @@ def unlocated(recording: FieldRecording) -> FieldRecording:
     return replace(recording, prior=None)
 
 
+def part(recording: FieldRecording, low_m: float, high_m: float) -> FieldRecording:
+    """The part of a recording between two distances from the middle of its drive."""
+    times, T = recording.odometry.times_ns, recording.odometry.T_odom_rig
+    way = _way(T)
+    inside = (way >= way[-1] / 2 + low_m) & (way <= way[-1] / 2 + high_m)
+    return replace(recording, odometry=replace(recording.odometry, times_ns=times[inside], T_odom_rig=T[inside]))
+
+
+def moved_back(recording: FieldRecording, back_m: float) -> FieldRecording:
+    """The recording whose GNSS puts it where the car had been so many metres before."""
+    assert recording.prior is not None
+    T = recording.prior.T_odom_rig
+    way = _way(T)
+    there = np.column_stack([np.interp(way - back_m, way, T[:, k, 3]) for k in range(3)])
+    moved = T.copy()
+    moved[:, :3, 3] = there
+    return replace(recording, prior=replace(recording.prior, T_odom_rig=moved))
+
+
+def _way(T: Array) -> Array:
+    """(N,) metres along poses (N, 4, 4)."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1))])
+
+
 def jumped(recording: FieldRecording) -> FieldRecording:
     """The recording with odometry whose step in the middle is off by 30 cm along, 10 cm across and 1 degree."""
     T = recording.odometry.T_odom_rig.copy()
@@ -187,6 +225,14 @@ class Case:
     """number of the query's leg"""
     reference: Spoil = _same
     spoil: Spoil = _same
+    ref: int = 0
+    """number of the reference's leg"""
+    ends_m: float = np.inf
+    """only pairs so close to the beginning or the end of the query's drive are in the table"""
+
+    @property
+    def legs(self) -> tuple[int, int]:
+        return self.ref, self.query
 
 
 def cases(seed: int) -> dict[str, Case]:
@@ -207,12 +253,43 @@ def cases(seed: int) -> dict[str, Case]:
     def one_over(recording: FieldRecording) -> FieldRecording:
         return mounted(recording, upside_down, ("lms_rear",))
 
+    def first_half(recording: FieldRecording) -> FieldRecording:
+        return part(recording, -_PART_M, 0.0)
+
+    def second_half(recording: FieldRecording) -> FieldRecording:
+        return part(recording, 0.0, _PART_M)
+
+    def as_first(recording: FieldRecording) -> FieldRecording:
+        return second_half(moved_back(recording, _PART_M))
+
+    def with_crossing(recording: FieldRecording) -> FieldRecording:
+        return part(moved_back(recording, _PART_M), 0.0, 60.0)
+
+    def whole(recording: FieldRecording) -> FieldRecording:
+        return part(recording, -_PART_M, _PART_M)
+
+    def repeating(title: str, reference: Spoil, spoil: Spoil) -> Case:
+        return Case(title, OVERCAST_REPEATING, reference, spoil, REPEATING)
+
     return {
         "right": Case("nothing wrong", 1),
+        "rain": Case("nothing wrong, rain", RAIN),
+        "rain-ends": Case("the same, the first and the last 4 m", RAIN, ends_m=4.0),
+        "parts": repeating(
+            "different parts of a street of repeating facades, GNSS as if they were one", first_half, as_first
+        ),
+        "parts-alone": repeating(
+            "the same without GNSS", lambda r: unlocated(first_half(r)), lambda r: unlocated(second_half(r))
+        ),
+        "parts-crossing": repeating(
+            "the same with GNSS, and the crossings at its ends", lambda r: part(r, -60.0, 0.0), with_crossing
+        ),
+        "same-part": repeating("one part of a street of repeating facades", whole, whole),
         "late": Case("both lidars of one drive 50 ms late", 1, spoil=lambda r: late(r, ("lms_front", "lms_rear"))),
         "late-10": Case("both lidars of one drive 10 ms late", 1, spoil=lambda r: late(r, late_ns=10_000_000)),
         "one-late": Case("one of two lidars 50 ms late", 1, spoil=lambda r: late(r, ("lms_rear",))),
-        "return": Case("nothing wrong, driven opposite ways", 2),
+        "return": Case("nothing wrong, driven opposite ways", RETURN),
+        "return-overcast": Case("the same, overcast on the way back", OVERCAST_RETURN),
         "turned": Case("extrinsics 1 deg and 5 cm off in both drives, driven opposite ways", 2, off, off),
         "turned-one": Case("extrinsics 1 deg and 5 cm off in one drive", 1, spoil=off),
         "doubled": Case("every second scan repeats the one before", 1, spoil=lambda r: repeated(r, 2)),
@@ -248,7 +325,7 @@ def outcomes(
     a: Taken, b: Taken, case: Case, folder: Path, spoken: Spoken, workers: int
 ) -> tuple[list[PairOutcome], Array, list[str]]:
     """The outcomes of a build, the pose (4, 4) of the query's camera on its rig, and what the build said."""
-    options, T_rig_cam = FieldOptions(), T_RIG_BACK if case.query == RETURN else T_RIG_CAM
+    options, T_rig_cam = FieldOptions(), T_RIG_BACK if LEGS[case.query].route == "return" else T_RIG_CAM
     told = _Listening(spoken)
     recordings = [case.reference(a.recording), case.spoil(b.recording)]
     faults = [fault for recording in recordings for fault in faults_of(recording, ())]
@@ -262,7 +339,12 @@ def outcomes(
     except DatasetError as fault:
         return [], T_rig_cam, [*told.notes, f"refused: {fault.expected}"]
     name = aligned.drives[1].name
-    frames = CameraFrames("camera", T_RIG_CAM, T_rig_cam, a.image_ns, b.image_ns)
+    driven = [r.odometry.times_ns[[0, -1]] for r in (case.reference(a.recording), case.spoil(b.recording))]
+    images = (
+        tuple(time for time in taken.image_ns if first <= time <= last)
+        for taken, (first, last) in zip((a, b), driven, strict=True)
+    )
+    frames = CameraFrames("camera", T_RIG_CAM, T_rig_cam, *images)
     registrations = tuple(aligned.registrations[name])
     limits = options.limits_at(1.0), options.max_angle
     drives = aligned.drives[0], aligned.drives[1]
@@ -285,13 +367,27 @@ class _Listening(Spoken):
 
 def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[str, Any]:
     """The figures of a case."""
-    off = []
+    off, along = [], []
     for pair in found:
         if pair.accepted:
             T_world_ref = a.truth.at(np.array([pair.ref_timestamp_ns]))[0] @ T_RIG_CAM
             T_world_query = b.truth.at(np.array([pair.query_timestamp_ns]))[0] @ T_rig_cam
-            off.append(off_truth(pair, invert(T_world_query) @ T_world_ref))
-    return case_figures(found, off, sum(m > WRONG_M or d > WRONG_DEG for m, d, _ in off))
+            T_query_ref = invert(T_world_query) @ T_world_ref
+            off.append(off_truth(pair, T_query_ref))
+            assert pair.T_query_ref is not None
+            along.append(float((T_rig_cam @ invert(pair.T_query_ref @ invert(T_query_ref)))[0, 3]))
+    figures = case_figures(found, off, sum(m > WRONG_M or d > WRONG_DEG for m, d, _ in off))
+    return figures | {"along_m": round(float(np.mean(along)), 5) if along else None}
+
+
+def at_ends(case: Case, b: Taken, found: list[PairOutcome]) -> list[PairOutcome]:
+    """The pairs near the ends of the query's drive that the case is about."""
+    way = _way(b.truth.T_world_rig)
+    first, last, at = (
+        np.interp(np.array(times, dtype=np.float64) - b.truth.times_ns[0], b.truth.times_ns - b.truth.times_ns[0], way)
+        for times in ([b.image_ns[0]], [b.image_ns[-1]], [p.query_timestamp_ns for p in found])
+    )
+    return [p for p, near in zip(found, np.minimum(at - first, last - at) <= case.ends_m, strict=True) if near]
 
 
 def line(title: str, f: dict[str, Any]) -> str:
@@ -299,12 +395,13 @@ def line(title: str, f: dict[str, Any]) -> str:
     seconds = f"{f['processor_s_per_m']:.2f} s"
     if not f["pairs"]:
         because = f["refused_because"].removeprefix("refused: ")
-        return f"| {title} | refused before any registration | | | | {because} | {seconds} |"
+        return f"| {title} | refused before any registration | | | | | {because} | {seconds} |"
     if not f["accepted"]:
-        return f"| {title} | 0 of {f['pairs']} | | | | {f['refused_because']} | {seconds} |"
+        return f"| {title} | 0 of {f['pairs']} | | | | | {f['refused_because']} | {seconds} |"
     return (
         f"| {title} | {f['accepted']} of {f['pairs']} | {100 * float(f['median_m']):.1f} cm, {f['median_deg']:.3f}° | "
-        f"{100 * float(f['max_m']):.1f} cm, {f['max_deg']:.3f}° | {f['normalised']} | {f['refused_because']} | "
+        f"{100 * float(f['max_m']):.1f} cm, {f['max_deg']:.3f}° | {100 * float(f['along_m']):+.1f} cm | "
+        f"{f['normalised']} | {f['refused_because']} | "
         f"{seconds} |"
     )
 
@@ -330,19 +427,20 @@ def main() -> None:
     chosen = a.cases.split(",") if a.cases else [*known, *SPINNING]
     if unknown := set(chosen) - {*known, *SPINNING}:
         parser.error(f"no case {', '.join(sorted(unknown))}; there is {', '.join([*known, *SPINNING])}")
-    spoken, work, legs = Spoken(), a.work / f"{a.split}-{a.seed}-{a.frames}", LEGS
-    folders = record_legs(LEGS, work / "recording", a.split, a.seed, a.frames, EXTENT_M, spoken, a.workers)
-    if any(name in known and known[name].query == ELSEWHERE for name in chosen):
-        other = Leg(ELSEWHERE, "Overcast", "common")
-        folders |= record_legs((other,), work / "other", a.split, a.seed + 1, a.frames, EXTENT_M, spoken, a.workers)
-        legs = (*LEGS, other)
+    spoken, work = Spoken(), a.work / f"{a.split}-{a.seed}-{a.frames}"
+    legs = [LEGS[n] for n in sorted({n for name in chosen if name in known for n in known[name].legs})]
+    folders: dict[int, Path] = {}
+    for folder, seed in (("recording", a.seed), ("other", a.seed + 1)):
+        here = [leg for leg in legs if (leg.number == ELSEWHERE) == (folder == "other")]
+        if here:
+            folders |= record_legs(here, work / folder, a.split, seed, a.frames, EXTENT_M, spoken, a.workers)
     result: dict[str, dict[str, Any]] = {}
     lines: list[str] = []
     for name in chosen:
         if name in known:
             case = known[name]
             taken = read_legs(legs, folders)
-            pair = taken[0], taken[case.query]
+            pair = taken[case.ref], taken[case.query]
         else:
             title, rings, distorted = SPINNING[name]
             case = Case(title, 1)
@@ -350,15 +448,17 @@ def main() -> None:
         spoken.note(f"case {name}: {case.title}")
         began = _processor_s()
         found, T_rig_cam, notes = outcomes(*pair, case, work / "built" / name, spoken, a.workers)
+        found = at_ends(case, pair[1], found)
         spent = (_processor_s() - began) / driven_m(pair[1].recording)
         result[name] = row(*pair, found, T_rig_cam) | {"notes": notes, "processor_s_per_m": round(spent, 3)}
         if not found:
             result[name]["refused_because"] = notes[-1]
         lines.append(line(case.title, result[name]))
         spoken.note(lines[-1])
-    head = "| situation | accepted | median | largest | normalised squared error | most frequent reason of refusal "
+    head = "| situation | accepted | median | largest | mean along | normalised squared error "
+    head += "| most frequent reason of refusal "
     head += "| processor time a metre |"
-    print("\n".join(["", head, "|---" * 7 + "|", *lines, ""]), file=sys.stderr)
+    print("\n".join(["", head, "|---" * 8 + "|", *lines, ""]), file=sys.stderr)
     print(json.dumps({"benchmark": "sensor_faults", "split": a.split, "seed": a.seed, "cases": result}))
 
 

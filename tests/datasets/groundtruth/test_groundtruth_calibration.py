@@ -158,6 +158,22 @@ def test_a_late_clock_is_found_or_within_its_sigma(known_ms: int, late_ms: int, 
     assert late_ms or not found
 
 
+def test_lidars_that_agree_make_an_error_that_they_share_less_likely() -> None:
+    common = SENSORS.spread(Cause(RIG, "extrinsics"))
+    A = (np.eye(SENSORS.unknowns) - common @ np.linalg.pinv(common)) / 3e-4**2  # what they share is not measured
+    prior = SENSORS.prior()
+    given = np.sqrt(common.T @ prior @ common / len(SENSORS) ** 2).diagonal()
+
+    def unseen(truth: Array) -> Array:
+        """(6,) standard deviations of the mean of all lidars, in units of those that are assumed."""
+        found = calibrate(Reduced(A, A @ truth), SENSORS)
+        return np.asarray(np.sqrt(np.diag(common.T @ found.covariance @ common)) / len(SENSORS) / given)
+
+    assert (unseen(np.zeros(SENSORS.unknowns)) < 0.4).all()
+    typical = np.random.default_rng(3).multivariate_normal(np.zeros(SENSORS.unknowns), prior, size=8)
+    assert np.mean([unseen(truth) for truth in typical]) > 0.65
+
+
 def test_errors_that_are_not_corrected_count_as_uncertainty() -> None:
     truth = np.zeros(SENSORS.unknowns)
     late = SIZE * SENSORS.number("winter", 1) + 6

@@ -304,6 +304,19 @@ def test_pairs_come_out_camera_to_camera_with_sigmas_along_across_and_above_the_
     assert pair.T_query_ref is not None
 
 
+def test_at_the_ends_of_the_common_road_the_place_along_it_is_less_certain() -> None:
+    reference, query, found = two_drives(80.0, 13)
+    solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
+    outcomes = Outcomes(solution, (reference.nodes, trajectory(reference)), (query.nodes, trajectory(query)), found)
+    last = len(query.nodes) - 1
+    for node, factor in ((0, 1.5), (20, 1.0), (last, 1.5)):
+        times = int(reference.nodes.times_ns[node]), int(query.nodes.times_ns[node])
+        outcome, T = outcomes.of(*times, CAMERA, CAMERA), adjoint(invert(CAMERA))
+        C = CAMERA[:3, :3] @ (T @ solution.covariance(node, node) @ T.T)[:3, :3] @ CAMERA[:3, :3].T
+        assert outcome.sigma_along_m == pytest.approx(factor * np.sqrt(C[0, 0]), rel=0.02)
+        assert outcome.sigma_across_m == pytest.approx(np.sqrt(C[1, 1]), rel=0.02)
+
+
 def test_between_nodes_a_pose_follows_the_odometry_and_is_less_certain() -> None:
     reference, query, found = two_drives(100.0, 14)
     fine = query.nodes

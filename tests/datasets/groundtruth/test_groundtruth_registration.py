@@ -29,6 +29,7 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
 from relocbench.datasets.groundtruth.registration.hypotheses import (
     HypothesisOptions,
     SearchResult,
+    choose_hypothesis,
     promising_guesses,
 )
 from relocbench.datasets.groundtruth.registration.lengths import may_hold_by_chance, ratio_of_lengths
@@ -40,7 +41,12 @@ from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, alternatives, shifted_poses
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
-from relocbench.datasets.groundtruth.verification.verification import Thresholds, verdict, verification_evidence
+from relocbench.datasets.groundtruth.verification.verification import (
+    Thresholds,
+    explained_by_one,
+    verdict,
+    verification_evidence,
+)
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, se3_log
@@ -293,6 +299,42 @@ def test_shifted_poses_hold_the_right_place_and_the_wrong_ones() -> None:
     assert any(abs(a - 6.0) < 0.5 for a in apart)
     turned = [error(T)[1] for T in alternatives(ref, query, TRUTH, ShiftOptions(reach_m=14.0))]
     assert any(t > 175 for t in turned)
+
+
+def _periodic_but(odd: tuple[float, ...]) -> clouds.Street:
+    """A street of repeating fronts, some of which, at these places, stand further back."""
+    street = clouds.periodic(6.0)
+    depths = [np.where(np.isin(s, odd), 3.0, d) for s, d in zip(street.starts, street.depths, strict=True)]
+    return replace(street, depths=(depths[0], depths[1]))
+
+
+def test_only_what_one_of_two_poses_explains_decides_between_them() -> None:
+    shifted = make_transform(np.eye(3), [6.0, 0, 0]) @ TRUTH
+    for odd, decided in (((93.0, 114.0), True), ((), False)):
+        street = _periodic_but(odd)
+        ref, query = (PreparedSubmap(clouds.submap(street, k, T)) for k, T in enumerate((T_STREET_REF, T_STREET_QUERY)))
+        right, wrong, seen = explained_by_one(ref, query, TRUTH, shifted)
+        assert explained_by_one(ref, query, shifted, TRUTH) == pytest.approx((wrong, right, seen))
+        assert (right > 3 * wrong and right > 0.03 * seen) == decided
+        assert decided or right + wrong < 0.005 * seen
+
+
+@pytest.mark.thorough
+def test_different_parts_of_a_street_that_repeats_itself_are_ambiguous() -> None:
+    o = DriveRegistrationOptions()
+
+    def chosen(odd: tuple[float, ...], query_at: float, guess_m: float) -> SearchResult:
+        street = _periodic_but(odd)
+        drives = clouds.Drive(street, 1, 60.0, 110.0), clouds.Drive(street, 2, query_at, query_at + 50.0)
+        ref, query = (PreparedDrive(drive, drive.nodes) for drive in drives)
+        T = invert(drives[0].T_street_node[4]) @ clouds.pose(guess_m) @ invert(clouds.pose(query_at + 8.0))
+        guess = (4, 4, T @ drives[1].T_street_node[4])
+        return choose_hypothesis(ref, query, [guess], o.hypotheses, o.register, o.shift)
+
+    elsewhere = chosen((), 132.0, 68.0)
+    assert elsewhere.best is None
+    assert elsewhere.ambiguous
+    assert chosen((75.0, 96.0, 111.0), 60.0, 68.0).best is not None
 
 
 @pytest.mark.thorough

@@ -1,19 +1,27 @@
 """Which causes are in error: the smallest set that explains the measurements, and the calibration that follows.
 
 An error that is too small to be certain is not corrected, but part of the covariance: it is the mean over what may be
-in error, each with its probability (Hoeting et al., Bayesian model averaging, 1999).
+in error, and over how good the rest is, each with its probability (Hoeting et al., Bayesian model averaging, 1999).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.calibration.adjustment import Reduced
-from relocbench.datasets.groundtruth.calibration.unknowns import OBSERVED, SIZE, Cause, Sensors, unknowns_reduced
+from relocbench.datasets.groundtruth.calibration.unknowns import (
+    OBSERVED,
+    SIZE,
+    Cause,
+    Sensors,
+    Sigmas,
+    unknowns_reduced,
+)
 
 _LEAST_GAIN = {"extrinsics": 12.0, "time": 5.0}
 """a cause is in error if it makes the measurements more likely by a factor of exp(this). What surfaces have in common
@@ -22,6 +30,9 @@ _RARE, _SLIGHTLY = -3.0, -2.0
 """logarithm of the odds of a cause before anything is measured, and of a clock that is off by little"""
 _CLOSELY = 2 / 3
 """a clock that is off by little has to be observed to this share, 10 ms"""
+_BETTER = tuple(Sigmas(mount, mount, clock) for mount, clock in product((1.0, 0.5, 0.25), repeat=2))
+"""factors of how good a calibration is that is not in error: where the lidars agree with each other to a millimetre, an
+error that they have in common, which only drives in opposite directions show, is of millimetres too"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,26 +98,38 @@ def find_causes(reduced: Reduced, sensors: Sensors) -> tuple[Cause, ...]:
 def calibrate(reduced: Reduced, sensors: Sensors) -> Calibration:
     """The calibration by the normal equations of all drives, whose origin is the calibration as it is given."""
     causes = find_causes(reduced, sensors)
-    prior = sensors.prior(causes)
-    errors, covariance = reduced.estimate(prior)
-    best = reduced.log_evidence(prior)
+    evidence = np.array([reduced.log_evidence(sensors.prior(causes, better=better)) for better in _BETTER])
+    likely = np.exp(evidence - evidence.max())
+    errors, covariance = _mean(reduced, [sensors.prior(causes, better=better) for better in _BETTER], likely)
+    most = int(np.argmax(likely))
     total, weights = covariance, 1.0
     for cause in set(sensors.causes()) - set(causes):
-        for prior, rare, share in _priors_with(cause, causes, sensors):
+        for prior, rare, share in _priors_with(cause, causes, sensors, _BETTER[most]):
             others, spread = reduced.estimate(prior)
             if _is_observed(cause, sensors, spread, share):
-                weight = float(np.exp(reduced.log_evidence(prior) - best + rare))
+                weight = float(np.exp(reduced.log_evidence(prior) - evidence[most] + rare))
                 total = total + weight * (spread + np.outer(others - errors, others - errors))
                 weights += weight
     return Calibration(sensors, causes, errors, total / weights)
 
 
-def _priors_with(cause: Cause, causes: tuple[Cause, ...], sensors: Sensors) -> Iterator[tuple[Array, float, float]]:
+def _mean(reduced: Reduced, priors: Sequence[Array], weights: Array) -> tuple[Array, Array]:
+    """The mean (K,) and the covariance (K, K) of estimates with several priors, of which each has a weight."""
+    estimates = [reduced.estimate(prior) for prior in priors]
+    shares = weights / weights.sum()
+    errors = np.einsum("i,ik->k", shares, [e for e, _ in estimates])
+    moments = [covariance + np.outer(e - errors, e - errors) for e, covariance in estimates]
+    return errors, np.asarray(np.einsum("i,ikl->kl", shares, moments))
+
+
+def _priors_with(
+    cause: Cause, causes: tuple[Cause, ...], sensors: Sensors, better: Sigmas
+) -> Iterator[tuple[Array, float, float]]:
     """Priors (K, K) with one more cause, the logarithms of their odds, and the share of what counts as observed up to
     which they take part."""
-    yield sensors.prior([*causes, cause]), _RARE, 1.0
+    yield sensors.prior([*causes, cause], better=better), _RARE, 1.0
     if cause.kind == "time":
-        yield sensors.prior(causes, slight=cause), _SLIGHTLY, _CLOSELY
+        yield sensors.prior(causes, slight=cause, better=better), _SLIGHTLY, _CLOSELY
 
 
 def _is_observed(cause: Cause, sensors: Sensors, covariance: Array, share: float) -> bool:

@@ -44,6 +44,12 @@ class Sigmas:
         extrinsics = np.repeat([self.position_m * enlarged, self.rotation_rad], 3) ** 2
         return extrinsics if kind == "extrinsics" else np.array([self.time_s**2])
 
+    def times(self, factors: Sigmas) -> Sigmas:
+        """Each multiplied by a factor."""
+        return Sigmas(
+            self.position_m * factors.position_m, self.rotation_rad * factors.rotation_rad, self.time_s * factors.time_s
+        )
+
 
 NOMINAL = Sigmas(0.005, float(np.radians(0.05)), 0.003)
 """of a calibration that is as good as it should be"""
@@ -146,14 +152,20 @@ class Sensors:
                 out[SIZE * k + rows, np.arange(len(rows))] = 1.0
         return out
 
-    def prior(self, faulty: Iterable[Cause] = (), slight: Cause | None = None) -> Array:
+    def prior(self, faulty: Iterable[Cause] = (), slight: Cause | None = None, better: Sigmas | None = None) -> Array:
         """(K, K) covariance of all unknowns, if some causes are in error, one of them slightly so, and the others as
-        good as they should be."""
+        good as they should be.
+
+        Args:
+            better: factors of the standard deviations of what is as good as it should be.
+        """
         bad = set(faulty)
         out = np.zeros((self.unknowns, self.unknowns))
         for cause in self.causes():
             spread = self.spread(cause)
             sigmas = SLIGHT if cause == slight else FAULTY if cause in bad else cause.nominal
+            if better is not None and sigmas is cause.nominal:
+                sigmas = sigmas.times(better)
             out += spread @ (sigmas.variances(cause.kind, self.enlarged)[:, None] * spread.T)
         return out
 

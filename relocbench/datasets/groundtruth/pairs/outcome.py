@@ -22,6 +22,10 @@ _SYSTEMATIC = np.diag(np.repeat([0.0007**2, np.radians(0.004) ** 2], 3))
 """(6, 6) covariance of errors that do not average out however many points are matched, such as a bias of ranges that
 depends on the surface"""
 
+_END_M, _END_FACTOR = 5.0, 1.5
+"""where trusted registrations reach less far to one side along the query's drive, sigma along the street is so many
+times that of the graph: at the end of the common road, edges have no neighbours that would show their errors"""
+
 
 @dataclass(frozen=True)
 class OutcomeLimits:
@@ -207,6 +211,20 @@ class Outcomes:
         out: Array = self.solution.drives.arc_length_to(np.array(bad, dtype=np.int64)).min(axis=1)
         return out
 
+    @cached_property
+    def _at_end(self) -> Mask:
+        """(Q,) whether trusted registrations reach less far than ``_END_M`` to one side of each node of the query."""
+        drives, limits = self.solution.drives, self.limits
+        count = drives.reference_count
+        way, segment = drives.travelled_m[count:], drives.segment[count:]
+        trusted = np.flatnonzero((self.solution.arc_length_to_trusted[count:] == 0).all(axis=1))
+        out = np.ones(len(way), dtype=np.bool_)
+        for node in range(len(way)):
+            ahead = (way[trusted] - way[node])[segment[trusted] == segment[node]]
+            ahead = ahead[np.abs(ahead) <= limits.both_sides_m]
+            out[node] = not len(ahead) or min(-ahead.min(), ahead.max()) < _END_M
+        return out
+
     def of(self, ref_ns: int, query_ns: int, T_rig_refcam: Array, T_rig_querycam: Array) -> PairOutcome:
         """The outcome of a pair of a query and its nearest keyframe.
 
@@ -249,6 +267,9 @@ class Outcomes:
         ):
             A = adjoint(invert(T))
             out += A @ cov @ A.T
+        if self._at_end[query.node]:
+            along = T_rig_querycam[0, :3]
+            out[:3, :3] += (_END_FACTOR**2 - 1) * float(along @ out[:3, :3] @ along) * np.outer(along, along)
         return out + _SYSTEMATIC
 
     def _motion(self, distance_m: float) -> Array:

@@ -201,7 +201,7 @@ class _DriveRegistration:
         return [self.registered[node] for node in steps]
 
     def _from_given_pose(self, first: Guess) -> Registration | None:
-        work = partial(choose_hypothesis, self.ref, self.query, [first], self.options.hypotheses, self.options.register)
+        work = partial(self._best_of, [first], self.options.shift, self._possible)
         result = self.remember(f"given {first[0]} {first[1]}", work)
         if result.best is None:
             self.say(
@@ -264,7 +264,7 @@ class _DriveRegistration:
         limited = [s for s in starts if self._allowed(s[2], predicted, driven)]
         if not limited:
             return result
-        best = choose_hypothesis(self.ref, self.query, limited, o.hypotheses, o.register).best
+        best = self._best_of(limited, shift, lambda guess: self._allowed(guess[2], predicted, driven)).best
         return self._consistent(best, predicted, driven) if best is not None else result
 
     def _allowed(self, T_ref_query: Array, predicted: Array, driven: float) -> bool:
@@ -320,11 +320,16 @@ class _DriveRegistration:
         return failed
 
     def _choose(self, candidates: list[Guess]) -> SearchResult:
-        o, limit = self.options, self.prior
+        o = self.options
         starts = with_alternatives(self.ref, self.query, candidates, o.shift, 4 * o.hypotheses.most_tried)
-        if limit is not None:
-            starts = [s for s in starts if limit.allows(*s)]
-        return choose_hypothesis(self.ref, self.query, starts, o.hypotheses, o.register)
+        return self._best_of([s for s in starts if self._possible(s)], o.shift, self._possible)
+
+    def _possible(self, guess: Guess) -> bool:
+        return self.prior is None or self.prior.allows(*guess)
+
+    def _best_of(self, guesses: list[Guess], shift: ShiftOptions, possible: Callable[[Guess], bool]) -> SearchResult:
+        o = self.options
+        return choose_hypothesis(self.ref, self.query, guesses, o.hypotheses, o.register, shift, possible)
 
     def _unregistered(self, node: int, reason: str) -> Registration:
         nearest = -1 if self.prior is None else self.prior.nearest(node)

@@ -115,6 +115,27 @@ def compare_patches(this: PreparedSubmap, other: PreparedSubmap, T_other_this: A
     return Compared(found, met, met | other.space.could_see(patches, invert(T_other_this)), votes)
 
 
+def explained_by_one(
+    ref: PreparedSubmap, query: PreparedSubmap, T_one: Array, T_other: Array
+) -> tuple[float, float, float]:
+    """How much structure of both submaps only one of two poses ``T_ref_query`` (4, 4) explains, only the other, and how
+    much there is.
+
+    What both poses explain, such as a facade that repeats itself, and what neither does say nothing of which is right
+    (McNemar, Psychometrika 1947). The sums are of the weights of patches that the other drive met at both poses: beyond
+    the ends of its submap it measured nothing, and that says nothing.
+    """
+    one = other = everything = 0.0
+    sides = (query, ref, T_one, T_other), (ref, query, invert(T_one), invert(T_other))
+    for this, that, T_first, T_second in sides:
+        a, b = compare_patches(this, that, T_first), compare_patches(this, that, T_second)
+        weights = np.where(a.met & b.met, this.space.patches.weights, 0.0)
+        one += float(weights[a.found & ~b.found].sum())
+        other += float(weights[b.found & ~a.found].sum())
+        everything += float(weights.sum())
+    return one, other, everything
+
+
 def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -> tuple[float, float, float]:
     """Overlap, share seen, and violations of this submap's patches by the beams and planes of the other."""
     compared = compare_patches(this, other, T_other_this)
