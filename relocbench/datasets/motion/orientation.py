@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from relocbench.arrays import Array, Indices, Mask, Times
-from relocbench.geometry import invert
+from relocbench.geometry import invert, rotation_angle
 
 QuaternionOrder = Literal["xyzw", "wxyz"]
 
@@ -37,6 +37,8 @@ _MOST = 0.9
 _ALIKE, _OTHER = np.cos(np.radians(10.0)), np.cos(np.radians(45.0))
 _BENT = 0.9
 """length of the mean of the second axis, in that of the vertical one, below which the road bends enough to tell them"""
+_TURN = np.radians(20.0)
+"""from one pose to the next, above which the direction of travel is not judged"""
 _RUN_M = 5.0
 """metres of the way, at least, that a stretch with other axes has"""
 
@@ -119,6 +121,9 @@ def _other_axes(T_world_rig: Array) -> Sequence[tuple[str, int, int, float]]:
         return ()
     forward = np.abs(along @ _usual(along))  # who reverses goes along the same axis
     upright = T_world_rig[rows, :3, :3]
+    # Within a sharp turn the way to the next pose goes along none of the axes, and that to the last one is unknown.
+    turned = np.asarray(rotation_angle(np.swapaxes(upright[:-1], 1, 2) @ upright[1:]))
+    forward[np.append(turned, np.inf) > _TURN] = 1.0
     _, constant, rig_axes = np.linalg.svd(upright.mean(axis=0))
     up = upright @ rig_axes[0]
     # On a straight road any axis is constant.
