@@ -13,6 +13,7 @@ from relocbench.datasets.core.names import read_names
 from relocbench.datasets.motion.judging import Motion, judge
 from relocbench.datasets.motion.orientation import doubts_of_axes
 from relocbench.datasets.motion.worlds import doubt_of_world
+from relocbench.datasets.sensors.times import unit_of_dates
 from relocbench.errors import DatasetError
 from relocbench.files import read_csv
 
@@ -49,7 +50,8 @@ def _has_times(drive: CheckedTraversal) -> bool:
 
 def _check_poses(drive: CheckedTraversal, findings: Findings) -> Motion:
     times, T_world_rig = np.array(list(drive.poses), dtype=np.int64), np.array(list(drive.poses.values()))
-    motion, path = judge(times, T_world_rig), drive.layout.poses
+    # Pairs that were made elsewhere keep their times as they stand, which may be microseconds.
+    motion, path = judge(times * unit_of_dates(drive.poses), T_world_rig), drive.layout.poses
     if motion.hopeless:
         findings.fault(motion.hopeless, path)
         return motion
