@@ -17,7 +17,7 @@ from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along, make_
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import DatasetError
 
-_PLACES = 24
+_PLACES = 12
 """blocks of a drive that are looked at"""
 _FEWEST_PLACES = 4
 """at which a road must be seen"""
