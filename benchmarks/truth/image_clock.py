@@ -45,7 +45,6 @@ from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.geometry import Camera, make_transform, se3_exp, so3_exp
 
-OFFSETS_MS = (-50, -20, -5, 0, 5, 20, 50)
 _START_NS = 1_700_000_000_000_000_000
 _EXTENT_M = 180.0
 _STRIPS = 8
@@ -82,8 +81,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("datasets", nargs="*", metavar="DATASET[@TRAJECTORY]")
     parser.add_argument("--seeds", default="11,12,13")
+    parser.add_argument("--offsets", default="-50,-20,-5,0,5,20,50", help="milliseconds by which clocks are set off")
     parser.add_argument("--scratch", type=Path, help="folder that keeps the rendered drives")
     options = parser.parse_args()
+    offsets = [int(text) for text in options.offsets.split(",")]
     found: dict[str, Any] = {}
     heads = ("drive", "offsets", "mean error, ms", "largest", "stated sigma, median", "NES", "rows at once", "verdicts")
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
@@ -91,7 +92,7 @@ def main() -> None:
         scratch = options.scratch or Path(temporary)
         seeds = [int(seed) for seed in options.seeds.split(",") if seed]
         for kind in KINDS if seeds else ():
-            checks = [one for seed in seeds for one in rendered_checks(kind, seed, scratch)]
+            checks = [one for seed in seeds for one in rendered_checks(kind, seed, scratch, offsets)]
             found[kind.title] = row(kind.title, checks)
     for given in options.datasets:
         folder, _, table = given.partition("@")
@@ -100,7 +101,9 @@ def main() -> None:
             traversal = dataset.traversal(name)
             for camera in traversal.cameras:
                 title = f"{dataset.name} {name} {camera}"
-                found[title] = row(title, list(recorded_checks(traversal, camera, Path(table) if table else None)))
+                found[title] = row(
+                    title, list(recorded_checks(traversal, camera, Path(table) if table else None, offsets))
+                )
     print(json.dumps({"benchmark": "image_clock", **found}))
 
 
@@ -126,14 +129,16 @@ def row(title: str, checks: Sequence[tuple[float, ClockCheck]]) -> dict[str, Any
     return values
 
 
-def recorded_checks(traversal: Traversal, camera: str, table: Path | None) -> Iterator[tuple[float, ClockCheck]]:
+def recorded_checks(
+    traversal: Traversal, camera: str, table: Path | None, offsets: Sequence[int]
+) -> Iterator[tuple[float, ClockCheck]]:
     """What is found of a recording whose clock is set off, less what is found of it as it is."""
     trajectory = own_trajectory(traversal)
     if table is not None:
         poses = read_trajectory(table)
         trajectory = Trajectory(poses.times_ns, poses.transforms, 100_000_000)
     evidence = gather(traversal, camera, trajectory, in_process)
-    for planted in OFFSETS_MS:
+    for planted in offsets:
         moved = shifted(trajectory, planted)
         if isinstance(evidence, str):
             yield planted / 1000, check_clock(traversal, camera, moved, in_process)
@@ -141,7 +146,7 @@ def recorded_checks(traversal: Traversal, camera: str, table: Path | None) -> It
             yield planted / 1000, judge(evidence, moved)
 
 
-def rendered_checks(kind: Kind, seed: int, scratch: Path) -> Iterator[tuple[float, ClockCheck]]:
+def rendered_checks(kind: Kind, seed: int, scratch: Path, offsets: Sequence[int]) -> Iterator[tuple[float, ClockCheck]]:
     """What is found of a rendered drive at each offset of the clock of its poses."""
     traversal, motion, last_s = rendered(kind, seed, scratch)
     rng = np.random.default_rng([seed, 9])
@@ -152,7 +157,7 @@ def rendered_checks(kind: Kind, seed: int, scratch: Path) -> Iterator[tuple[floa
     trajectory = Trajectory(_ns(times), motion(times) @ se3_exp(noise))
     evidence = gather(traversal, "cam0", trajectory, in_process)
     assert not isinstance(evidence, str), evidence
-    for planted in OFFSETS_MS:
+    for planted in offsets:
         yield planted / 1000, judge(evidence, shifted(trajectory, planted))
 
 
