@@ -10,7 +10,7 @@ it must explain nearly all. If it does not, no pose is chosen.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from relocbench.geometry import invert
 _MOST_VARIED = 8
 """guesses that alternatives are made of"""
 _COARSE = IcpOptions(scale_error_sigma=0.0)
+_RIVALS_M = 12.0
+"""how far along the street rivals of a pose are looked for, more than facades repeat in"""
 _SAME_M = 0.5
 """poses after a coarse registration that differ by no more are one"""
 
@@ -201,6 +203,8 @@ def _shifted(
 ) -> list[Registration]:
     """Trusted registrations of a pair of nodes at poses shifted along the street, without the pose itself."""
     pair = start.ref, start.query
+    # Both sides near the pose: of all shifts, those that fit best may be on the side that free space refutes.
+    shift = replace(shift, reach_m=min(shift.reach_m, _RIVALS_M), most=round(2 * _RIVALS_M / shift.apart_m))
     shifts = shifted_poses(ref.at(pair[0]).planes, query.at(pair[1]).planes, start.T_ref_query, shift)
     out = [start]
     for T in shifts:
