@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Bytes
 from relocbench.errors import DatasetError
 
 _LENGTHS = range(12, 65)
@@ -103,7 +102,7 @@ def _distance(data: bytes, row: np.dtype[Any], size: int) -> tuple[float, float]
 
 def _points(data: bytes, row: np.dtype[Any], size: int) -> Array:
     count = min(len(data) // size, _LOOKED_AT)
-    raw: NDArray[np.uint8] = np.frombuffer(data, np.uint8, count * size).reshape(count, size)
+    raw: Bytes = np.frombuffer(data, np.uint8, count * size).reshape(count, size)
     columns = []
     for axis in "xyz":
         at = row.fields[axis][1]  # type: ignore[index]

@@ -10,12 +10,12 @@ import laspy
 import numpy as np
 import pye57
 import pytest
-from numpy.typing import NDArray
 from odd_inputs import odd_input
 from refusals import ErrorData, Notes, noted, refused
 
 from baselines.published_weights import read_weights
 from baselines.weights_file import read_tensors
+from relocbench.arrays import Floats
 from relocbench.datasets.core.images import read_image
 from relocbench.datasets.importers.boreas import recording as boreas
 from relocbench.datasets.importers.clouds.recording import read_clouds
@@ -330,7 +330,7 @@ def test_an_e57_file_holds_what_it_promises(
         read_cloud(path)
 
 
-def scan(columns: int, count: int = 960) -> NDArray[np.float32]:
+def scan(columns: int, count: int = 960) -> Floats:
     """Points of a turn (N, columns): x, y, z, intensity, beam, seconds."""
     angle = np.linspace(0, 2 * np.pi, count)
     far = 9 + 3 * np.sin(3 * angle)
@@ -396,7 +396,7 @@ def test_a_scan_without_returns_has_no_points_and_an_empty_file_is_named(tmp_pat
         lidar.read(0)
 
 
-def write_as(path: Path, points: NDArray[np.float32]) -> None:
+def write_as(path: Path, points: Floats) -> None:
     if path.suffix == ".las":
         made = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
         made.header.scales = np.full(3, 1e-4)

@@ -54,10 +54,10 @@ def test_the_models_of_a_project_are_found_where_colmap_puts_them(tmp_path: Path
     project = tmp_path / "two"
     write_model(project / "sparse" / "0")
     write_model(project / "sparse" / "1", images=IMAGES.split("2 1 0")[0])
-    with refused(ConfigError, "", None, "sparse/0", "2 images", "sparse/1", "1 images", "--model"):
+    with refused(ConfigError, "", None, "sparse/0", "2 images", "sparse/1", "1 images", "--sparse-model"):
         model_folder(project)
     assert model_folder(project, "sparse/1") == project / "sparse" / "1"
-    with refused(ConfigError, "", None, "--model", "sparse/2", "sparse/0"):
+    with refused(ConfigError, "", None, "--sparse-model", "sparse/2", "sparse/0"):
         model_folder(project, "sparse/2")
     (tmp_path / "empty").mkdir()
     with refused(DatasetError, "empty", None, "cameras.bin", "sparse/0"):

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from odd_inputs import odd_input
+from pose_doors import DOORS
 from refusals import Notes, noted, refused
-from test_odd_rows import DOORS
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.checks.validation import validate_dataset

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fuzz.lidar_drives import SEEDS as DRIVES
-from fuzz.recordings import SEEDS as RECORDINGS
 from odd_inputs import odd_input
+from pose_doors import DOORS, Door, times_of
 from refusals import ErrorData, Notes, noted, refused
 from two_laps import laps, tum_lines
 
@@ -20,8 +20,6 @@ from relocbench.datasets.importers.boreas.recording import read_boreas
 from relocbench.datasets.importers.clouds.recording import read_clouds
 from relocbench.datasets.importers.colmap.model import read_model
 from relocbench.datasets.importers.complex_urban.recording import read_complex_urban
-from relocbench.datasets.importers.four_seasons.recording import read_recording
-from relocbench.datasets.importers.generic.dataset import read_folder
 from relocbench.datasets.importers.helipr.recording import read_helipr
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.kitti360.recording import read_kitti360
@@ -30,9 +28,7 @@ from relocbench.datasets.importers.mulran.recording import read_mulran
 from relocbench.datasets.importers.nclt.recording import read_nclt
 from relocbench.datasets.importers.poses import pair_files
 from relocbench.datasets.importers.poses import trajectories as poses_alone
-from relocbench.datasets.importers.robotcar.recording import read_robotcar
 from relocbench.datasets.sensors.pose_files import read_pose_file
-from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import rotation_angle
@@ -41,87 +37,6 @@ POSES = laps(1)
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 LOST = ("", "nan " * 11 + "nan", "# 1 0 0 0 0 1 0 0 0 0 1 0")
 """lines that say that there is no pose of a frame"""
-
-
-def times_of(trajectory: Trajectory | None) -> list[int]:
-    assert trajectory is not None
-    return [int(time) for time in trajectory.times_ns]
-
-
-@dataclass(frozen=True)
-class Door:
-    """A door with a layout of a few frames, and its table of poses."""
-
-    write: Callable[[Path], object]
-    table: str
-    first: int
-    """lines before the first pose"""
-    times: Callable[[Path, Notes], list[int]]
-    """the times of the poses that it reads"""
-
-
-DOORS = {
-    "boreas": Door(
-        DRIVES["boreas"],
-        "boreas-2021-01-26-11-22/applanix/gps_post_process.csv",
-        1,
-        lambda root, notes: times_of(read_boreas(root / "boreas-2021-01-26-11-22", "a", reporter=notes).poses),
-    ),
-    "mulran": Door(
-        DRIVES["mulran"],
-        "DCC01/global_pose.csv",
-        0,
-        lambda root, notes: times_of(read_mulran(root / "DCC01", "a", "poses", reporter=notes).poses),
-    ),
-    "helipr": Door(
-        DRIVES["helipr"],
-        "KAIST05/LiDAR_GT/Ouster_gt.txt",
-        0,
-        lambda root, notes: times_of(read_helipr(root / "KAIST05", "a", ("Ouster",), "poses", notes).poses),
-    ),
-    "nclt": Door(
-        DRIVES["nclt"],
-        "2012-01-08/groundtruth_2012-01-08.csv",
-        1,
-        lambda root, notes: times_of(read_nclt(root / "2012-01-08", "a", "poses", reporter=notes).poses),
-    ),
-    "kitti-360": Door(
-        DRIVES["kitti-360"],
-        "data_poses/2013_05_28_drive_0000_sync/poses.txt",
-        0,
-        lambda root, notes: times_of(read_kitti360(root, "0000", "a", "poses", notes).poses),
-    ),
-    "complex-urban": Door(
-        DRIVES["complex-urban"],
-        "urban28/global_pose.csv",
-        0,
-        lambda root, notes: times_of(read_complex_urban(root / "urban28", "a", (), "poses", notes).poses),
-    ),
-    "clouds": Door(
-        DRIVES["folder-of-clouds"],
-        "summer/poses.txt",
-        0,
-        lambda root, notes: times_of(read_clouds(root / "summer", "a", notes).poses),
-    ),
-    "robotcar": Door(
-        RECORDINGS["robotcar"],
-        "2014-11-18-13-20-12/gps/ins.csv",
-        1,
-        lambda root, notes: times_of(read_robotcar(root / "2014-11-18-13-20-12", reporter=notes).prior),
-    ),
-    "four-seasons": Door(
-        RECORDINGS["four-seasons"],
-        "recording_2020-10-07_14-47-51/GNSSPoses.txt",
-        1,
-        lambda root, notes: list(read_recording(root / "recording_2020-10-07_14-47-51", "a", notes).T_w_cam),
-    ),
-    "generic": Door(
-        RECORDINGS["generic"],
-        "one/poses.txt",
-        1,
-        lambda root, notes: list(read_folder(root / "one", "a", reporter=notes).poses.by_time),
-    ),
-}
 
 
 @pytest.fixture(params=DOORS)

@@ -58,7 +58,7 @@ class Options(PhotoOptions):
 
     PATHS: ClassVar[tuple[str, ...]] = ("images", "depth", "query_list", "query_poses", "pairs")
 
-    model: str = Field(
+    sparse_model: str = Field(
         "", description="the model's folder within the given one, such as sparse/1; default: the only one there"
     )
     images: Path | None = Field(
@@ -90,7 +90,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     _check_options(options)
     project = sources[0]
     check_folder(project, "the folder of a COLMAP model")
-    folder = model_folder(project, options.model)
+    folder = model_folder(project, options.sparse_model)
     if folder != project:
         reporter.note(f"reads the model in {folder.relative_to(project)}")
     model = read_model(folder, reporter)

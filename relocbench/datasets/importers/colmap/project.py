@@ -25,7 +25,7 @@ def model_folder(project: Path, wanted: str = "") -> Path:
     if wanted:
         found = project / wanted
         if not form_of(found):
-            raise ConfigError(f"--model: no model {wanted!r} in {project}{available(wanted, _names(project))}")
+            raise ConfigError(f"--sparse-model: no model {wanted!r} in {project}{available(wanted, _names(project))}")
         return found
     if form_of(project):
         return project
@@ -34,7 +34,7 @@ def model_folder(project: Path, wanted: str = "") -> Path:
         raise DatasetError("holds no model of COLMAP; expected cameras.bin or cameras.txt, or sparse/0", project)
     if len(names) > 1:
         counts = ", ".join(f"{name} ({_count(project / name)} images)" for name in names)
-        raise ConfigError(f"{project} holds {len(names)} models: {counts}; name one by --model")
+        raise ConfigError(f"{project} holds {len(names)} models: {counts}; name one by --sparse-model")
     return project / names[0]
 
 

@@ -87,7 +87,8 @@ def read_bag(
     fixes = fix_times(reading)
     check_clocks(reading.lags_ns, reading.source)
     index = reading.index
-    for silence in silences({t: p.received_ns for t, p in (*index.places.items(), *index.poses.items())}):
+    places = {topic: of.received_ns for topic, of in index.places.items()}
+    for silence in silences(places | {topic: of.received_ns for topic, of in index.poses.items()}):
         reading.note(silence)
     source = ""
     if motion is None:
