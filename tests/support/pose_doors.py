@@ -20,10 +20,11 @@ from relocbench.datasets.importers.kitti360.recording import read_kitti360
 from relocbench.datasets.importers.mulran.recording import read_mulran
 from relocbench.datasets.importers.nclt.recording import read_nclt
 from relocbench.datasets.importers.robotcar.recording import read_robotcar
+from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import Trajectory
 
 
-def times_of(trajectory: Trajectory | None) -> list[int]:
+def times_of(trajectory: Trajectory | PoseTable | None) -> list[int]:
     assert trajectory is not None
     return [int(time) for time in trajectory.times_ns]
 
@@ -99,6 +100,6 @@ DOORS = {
         RECORDINGS["generic"],
         "one/poses.txt",
         1,
-        lambda root, notes: list(read_folder(root / "one", "a", reporter=notes).poses.by_time),
+        lambda root, notes: times_of(read_folder(root / "one", "a", reporter=notes).poses),
     ),
 }
