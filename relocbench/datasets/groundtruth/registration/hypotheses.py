@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relocbench.arrays import Array, Indices
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, run_icp
 from relocbench.datasets.groundtruth.registration.global_registration import SAME_M, distinct, pose_difference
 from relocbench.datasets.groundtruth.registration.submap_pair import (
@@ -70,8 +71,8 @@ class HypothesisOptions:
     margin: float = 0.03
     """the same if nothing can be seen from both, and the plausibility of the rival is lower by less than this"""
     least_m: float = 20.0
-    """least length of road over which a hypothesis holds, or 0.7 of the shorter drive; two drives that meet for less
-    have too little in common"""
+    """least length of road over which a hypothesis holds, or 0.7 of what it could be followed on the shorter drive; two
+    drives that meet for less have too little in common"""
     nearest_m: float = 10.0
     """a hypothesis is followed no further than where the nearest reference node is this far away"""
 
@@ -177,7 +178,11 @@ def choose_hypothesis(
         return SearchResult(None, f"no hypothesis of {len(candidates)} holds over {options.follow_m:.0f} m of road")
     _, along, best = followed[surviving[0][1]]
     covered = float(np.ptp(query.nodes.travelled_m[[one.query for one in along]]))
-    least = min(options.least_m, *(0.7 * float(np.ptp(drive.nodes.travelled_m)) for drive in (ref, query)))
+    reachable = (
+        _reachable_m(ref.nodes, best.ref, options.step_m),
+        _reachable_m(query.nodes, best.query, options.step_m),
+    )
+    least = min(options.least_m, 0.7 * min(reachable))
     if covered < least:
         return SearchResult(None, f"too little in common: {covered:.0f} m of road, at least {least:.0f} m needed")
     rivals = [followed[n][2] for _, n in surviving[1:]]
@@ -286,6 +291,12 @@ def follow(
                 trusted.append(registration)
                 known = registration
     return float(np.mean(scores)) if len(trusted) >= options.share * len(scores) else None, trusted
+
+
+def _reachable_m(nodes: Nodes, start: int, step_m: float) -> float:
+    """Length of road, in whole steps, over which a hypothesis that starts at a node of a drive could be followed."""
+    along = nodes.travelled_m[nodes.segments() == nodes.segments()[start]] - nodes.travelled_m[start]
+    return step_m * float(along.max() // step_m + -along.min() // step_m)
 
 
 def _query_poses(ref: PreparedDrive, registrations: Sequence[Registration]) -> list[Array]:
