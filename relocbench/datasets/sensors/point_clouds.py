@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.sensors.pcd import parse_pcd
-from relocbench.datasets.sensors.ply import parse_ply
-from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
+from relocbench.datasets.sensors.cloud_formats.pcd import parse_pcd
+from relocbench.datasets.sensors.cloud_formats.ply import parse_ply
+from relocbench.datasets.sensors.cloud_formats.point_table import MOST_SCAN_BYTES
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import read_bytes
 

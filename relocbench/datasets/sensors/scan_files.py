@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Mask, Times
+from relocbench.datasets.sensors.cloud_formats.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.plausible_points import check_distances
-from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.record_layout import check_records
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.errors import DatasetError

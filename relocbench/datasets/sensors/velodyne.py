@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from relocbench.arrays import Array, Floats, Image, Mask
+from relocbench.datasets.sensors.cloud_formats.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.plausible_points import check_distances
-from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.scan_files import columns
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes

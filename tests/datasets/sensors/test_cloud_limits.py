@@ -16,7 +16,7 @@ from refusals import ErrorData, refused
 from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.groundtruth.blocks.store import read_block
 from relocbench.datasets.importers.generic.scans import GenericLidar, GenericLidarStream
-from relocbench.datasets.sensors.lzf import decompress
+from relocbench.datasets.sensors.cloud_formats.lzf import decompress
 from relocbench.datasets.sensors.point_clouds import read_point_cloud
 from relocbench.datasets.sensors.velodyne import read_scan
 from relocbench.errors import DatasetError

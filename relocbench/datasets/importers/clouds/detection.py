@@ -13,7 +13,7 @@ from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.importers.generic.scans import USUAL_COLUMNS, GenericLidar
 from relocbench.datasets.sensors.binary_layout import Number, decode_points, detect_layout
 from relocbench.datasets.sensors.cloud_files import read_fields
-from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
+from relocbench.datasets.sensors.cloud_formats.point_table import MOST_SCAN_BYTES
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 

@@ -15,9 +15,9 @@ from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.core.schema import Strict, Transform
 from relocbench.datasets.sensors import cloud_files
 from relocbench.datasets.sensors.binary_layout import detect_layout
+from relocbench.datasets.sensors.cloud_formats.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.plausible_points import check_distances
 from relocbench.datasets.sensors.point_clouds import with_axes
-from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.datasets.sensors.scan_files import columns, in_range
 from relocbench.datasets.sensors.trajectories import timed_files

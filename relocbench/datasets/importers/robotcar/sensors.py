@@ -13,8 +13,8 @@ import numpy as np
 from relocbench.arrays import Array, Floats, Image, Times
 from relocbench.datasets.core.image_header import MOST_PIXELS
 from relocbench.datasets.importers.robotcar.files import US, read_timestamps
+from relocbench.datasets.sensors.cloud_formats.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.image_files import BayerImages, remapped
-from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError

@@ -12,8 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.sensors.lzf import RATIO, decompress
-from relocbench.datasets.sensors.point_table import check_behind, check_count, decode_rows, parse_count, parse_rows
+from relocbench.datasets.sensors.cloud_formats.lzf import RATIO, decompress
+from relocbench.datasets.sensors.cloud_formats.point_table import (
+    check_behind,
+    check_count,
+    decode_rows,
+    parse_count,
+    parse_rows,
+)
 from relocbench.errors import DatasetError, quoted
 
 _TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}

@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.sensors.point_table import points_follow
+from relocbench.datasets.sensors.cloud_formats.point_table import points_follow
 from relocbench.errors import DatasetError
 
 _LEAST_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.sensors.e57_header import check_header
+from relocbench.datasets.sensors.cloud_formats.e57_header import check_header
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import make_transform, project_to_rotation
 

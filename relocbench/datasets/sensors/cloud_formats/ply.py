@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.sensors.point_table import check_behind, check_count, decode_rows, parse_count, parse_rows
+from relocbench.datasets.sensors.cloud_formats.point_table import (
+    check_behind,
+    check_count,
+    decode_rows,
+    parse_count,
+    parse_rows,
+)
 from relocbench.errors import DatasetError
 
 _TYPES = {

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array
-from relocbench.datasets.sensors.coordinate_system import convertible, coordinate_system
-from relocbench.datasets.sensors.las_header import LasHeader, read_header
+from relocbench.datasets.sensors.cloud_formats.coordinate_system import convertible, coordinate_system
+from relocbench.datasets.sensors.cloud_formats.las_header import LasHeader, read_header
 from relocbench.datasets.sensors.plausible_points import check_degrees, without_saturated
 from relocbench.errors import ConfigError, DatasetError
 
