@@ -205,7 +205,7 @@ def test_a_street_of_an_eighth_gives_poses_of_an_eighth_and_accepts_the_same(tmp
         "matcher": "fgr",
         "calibration": "given",
     }
-    lengths = {"keyframe_distance": 2.0, "query_distance": 5.0, "max_distance": 5.0, "max_sigma": 0.03}
+    lengths = {"keyframe_distance": 2.0, "query_distance": 5.0, "max_distance": 5.0, "max_sigma": 0.05}
     street, spoken = _built(recordings, FieldOptions(**how, **lengths), tmp_path / "large")
     assert any("as large as a street" in note for note in spoken.notes), spoken.notes
     assert not (tmp_path / "large" / "groundtruth" / "scale.yaml").exists()
@@ -213,11 +213,11 @@ def test_a_street_of_an_eighth_gives_poses_of_an_eighth_and_accepts_the_same(tmp
     options = FieldOptions(**how, **short, scale=8.0)
     small, spoken = _built([_shrunk(r) for r in recordings], options, tmp_path / "small")
     assert "scale: enlarged 8 times, as given" in spoken.notes
-    assert read_scale(tmp_path / "small" / "groundtruth").max_sigma_m == pytest.approx(0.03 / 8)
+    assert read_scale(tmp_path / "small" / "groundtruth").max_sigma_m == pytest.approx(0.05 / 8)
     pairs = [dataset.pair_sets()[0].all_pairs for dataset in (street, small)]
     assert [p.key for p in pairs[0]] == [p.key for p in pairs[1]]
     assert [p.accepted for p in pairs[0]] == [p.accepted for p in pairs[1]]
-    assert sum(p.accepted for p in pairs[0]) >= 3
+    assert sum(p.accepted for p in pairs[0]) >= 3, [p.reason for p in pairs[0]]
     for large, reduced in zip(*pairs, strict=True):
         assert kind_of(large.reason) == kind_of(reduced.reason)
         if large.accepted:
