@@ -16,8 +16,6 @@ from __future__ import annotations
 
 import os
 
-from relocbench.arrays import Array
-
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # one core; read when numpy is imported
 
@@ -40,6 +38,7 @@ from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.tracker import ONE_START, GnNet
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair

@@ -15,8 +15,6 @@ import os
 import sys
 from pathlib import Path
 
-from relocbench.arrays import Array, Floats, Image
-
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # one core; read when numpy is imported
@@ -35,6 +33,7 @@ from baselines.alignment.direct.solver import align
 from baselines.alignment.shared.depth_map import LevelPoints
 from baselines.alignment.shared.pyramid import camera_intrinsics, image_pyramid, with_gradients
 from baselines.dso import Dso
+from relocbench.arrays import Array, Floats, Image
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.tracking import Reference
 

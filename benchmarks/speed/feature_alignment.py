@@ -17,8 +17,6 @@ import os
 import sys
 from pathlib import Path
 
-from relocbench.arrays import Array, Floats
-
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # one core; read when numpy is imported
@@ -39,6 +37,7 @@ from baselines.alignment.features.solver import align_features, align_features_b
 from baselines.alignment.shared.levenberg import STATISTICS
 from baselines.alignment.shared.pyramid import camera_intrinsics, level_camera, with_gradients
 from baselines.alignment.shared.starts import Start, small_rotations
+from relocbench.arrays import Array, Floats
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.tracking import KeyframePoints
 

@@ -29,8 +29,6 @@ from __future__ import annotations
 
 import os
 
-from relocbench.arrays import Array, Floats
-
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # in each worker; Mitsuba has its own thread pool
 
@@ -48,6 +46,7 @@ from typing import Any
 
 import numpy as np
 
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import previewed
 from relocbench.datasets.synthetic.drives.rig import rig_named

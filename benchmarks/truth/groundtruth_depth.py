@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import os
 
-from relocbench.arrays import Floats, Image, Mask
-
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"
 
@@ -27,6 +25,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from relocbench.arrays import Floats, Image, Mask
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
 from relocbench.datasets.groundtruth.blocks.store import build_blocks
 from relocbench.datasets.groundtruth.depth.depth import DepthImage, DepthOptions, fit_sigma, make_scene, scene_depth

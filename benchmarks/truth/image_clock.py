@@ -30,7 +30,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from relocbench.arrays import Array, Times
-from relocbench.datasets.clock.check import ClockCheck, check_clock, gather, judge, own_trajectory
+from relocbench.datasets.clock.check import ClockCheck, check_clock, judge
+from relocbench.datasets.clock.evidence import gather, own_trajectory
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import write_depth, write_image
 from relocbench.datasets.core.layout import DatasetLayout

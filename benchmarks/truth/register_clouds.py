@@ -26,8 +26,6 @@ from __future__ import annotations
 
 import os
 
-from relocbench.arrays import Array
-
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # so that the order of sums does not depend on the machine
 
@@ -56,6 +54,7 @@ from register_scenes import (
 )
 from register_shapes import SHAPES, shape_pair
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.clouds.register import CloudRegistration, CloudRegistrationOptions, register_clouds
 from relocbench.datasets.groundtruth.registration.global_registration import pose_difference
 from relocbench.errors import RelocbenchError

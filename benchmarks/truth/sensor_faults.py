@@ -17,8 +17,6 @@ from __future__ import annotations
 
 import os
 
-from relocbench.arrays import Array
-
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # in each worker
 
@@ -37,6 +35,7 @@ from ground_truth_drives import EXTENT_M, T_RIG_CAM, Leg, Spoken, Taken, read_le
 from ground_truth_judging import WRONG_DEG, WRONG_M
 from sensor_faults_spinning import record_spinning
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
 from relocbench.datasets.groundtruth.jobs.aligning import align
 from relocbench.datasets.groundtruth.jobs.inputs import driven_m, faults_of, motion_faults
@@ -102,17 +101,6 @@ def repeated(recording: FieldRecording, times: int) -> FieldRecording:
     return replace(recording, lidars=tuple(_Repeating(s, times) for s in recording.lidars))
 
 
-@dataclass(frozen=True, eq=False)
-class _Mounted(DerivedLidar):
-    """A lidar with other extrinsics."""
-
-    T: Array
-
-    @property
-    def T_rig_lidar(self) -> Array:
-        return self.T
-
-
 def mounted(
     recording: FieldRecording, how: Callable[[Array], Array], lidars: tuple[str, ...] | None = None
 ) -> FieldRecording:
@@ -120,7 +108,10 @@ def mounted(
     names = lidars or tuple(s.name for s in recording.lidars)
     return replace(
         recording,
-        lidars=tuple(_Mounted(s, how(s.T_rig_lidar)) if s.name in names else s for s in recording.lidars),
+        lidars=tuple(
+            CorrectedLidar(s, 0, how(s.T_rig_lidar) @ np.linalg.inv(s.T_rig_lidar)) if s.name in names else s
+            for s in recording.lidars
+        ),
     )
 
 

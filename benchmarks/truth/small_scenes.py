@@ -18,8 +18,6 @@ from __future__ import annotations
 
 import os
 
-from relocbench.arrays import Array, Times
-
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # in each worker
 
@@ -39,6 +37,7 @@ from ground_truth_drives import Spoken
 from ground_truth_judging import WRONG_DEG, WRONG_M
 from register_scenes import Boxes, camera_directions, room, sphere_directions
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.jobs.aligning import align
 from relocbench.datasets.groundtruth.jobs.measuring import scale_of_drives

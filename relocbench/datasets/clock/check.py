@@ -3,42 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
-from relocbench.arrays import Array, Indices, Times
+from relocbench.datasets.clock.evidence import Evidence, Work, gather
 from relocbench.datasets.clock.offset import (
-    REACH_S,
     CameraMotion,
     Estimate,
     Residual,
-    difference,
     estimate_by_rotation,
     estimate_by_tracks,
     image_motions,
     residual_at,
 )
-from relocbench.datasets.clock.tracks import Tracks, features_of, homogeneous, match, motion_by_depth
 from relocbench.datasets.core.schema import ClockEntry
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.sensors.recording import Trajectory
 
 Verdict = Literal["one clock", "offset", "contradiction", "cannot tell"]
 
-_WINDOW = 10
-"""images in a row that are compared with each other"""
-_WINDOWS = 12
-_LAGS = (1, 2, 4, 7)
-"""images apart of the pairs in a window"""
-_FEWEST_IMAGES = 5
-_LEAST_SIGNAL_PX = 1.0
-"""pixels by which an offset of 0.1 s must move points, or the motion is too even to tell it"""
-_FAR_M = 5.0
-"""metres to what is seen, where nothing is known of depth"""
 _MOST_SIGMA_S = 0.01
 """of an estimate that tells something"""
 _AGREEMENT = 3.5
@@ -54,25 +41,6 @@ _LONGEST = 200
 """characters of a line in a traversal's description"""
 ROUNDED_S = 0.001
 """offsets are applied in whole milliseconds, so that every processor gives the same poses"""
-
-
-class Work(Protocol):
-    """Does a step for each unit, in order, perhaps in parallel, with a title for the progress bar."""
-
-    def __call__(
-        self, title: str, step: Callable[[_Window], list[Tracks]], units: Sequence[_Window]
-    ) -> list[list[Tracks]]: ...
-
-
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """Images in a row, whose pairs are matched."""
-
-    traversal: Traversal
-    camera: str
-    times_ns: tuple[int, ...]
-    first: int
-    """number of its first image among all that are used"""
 
 
 @dataclass(frozen=True)
@@ -141,20 +109,6 @@ class ClockCheck:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What images of a drive share."""
-
-    camera: str
-    fx: float
-    T_rig_cam: Array
-    times_ns: Times
-    """(F,) of the images"""
-    parts: Indices
-    """(F,) the part of the drive that each image belongs to"""
-    tracks: tuple[Tracks, ...]
-
-
 def check_clock(traversal: Traversal, camera: str, trajectory: Trajectory, work: Work) -> ClockCheck:
     """Estimate the offset between the images of a camera and the poses of a trajectory of the rig.
 
@@ -168,65 +122,10 @@ def check_clock(traversal: Traversal, camera: str, trajectory: Trajectory, work:
     return _unknown(camera, evidence) if isinstance(evidence, str) else judge(evidence, trajectory)
 
 
-def gather(traversal: Traversal, camera: str, trajectory: Trajectory, work: Work) -> Evidence | str:
-    """Match images where the poses say that motion changes most; why that tells nothing, where it does not.
-
-    Raises:
-        DatasetError: an image or a depth image is damaged.
-    """
-    times = np.array(traversal.timestamps(camera), dtype=np.int64)
-    if len(times):
-        times = times[trajectory.covers(times)]
-    if len(times) < _FEWEST_IMAGES or len(trajectory.times_ns) < _FEWEST_IMAGES:
-        return f"{len(times)} images have a pose, at least {_FEWEST_IMAGES} are needed"
-    T_rig_cam, fx = traversal.T_rig_cam(camera), traversal.camera(camera).fx
-    windows = _windows(CameraMotion.of(trajectory, T_rig_cam, times), fx)
-    if not windows:
-        return "the camera moves too evenly, so that no offset would change what it sees"
-    starts = np.cumsum([0, *(len(rows) for rows in windows)])[:-1].tolist()
-    units = [
-        _Window(traversal, camera, tuple(times[rows].tolist()), first)
-        for rows, first in zip(windows, starts, strict=True)
-    ]
-    tracks = tuple(one for of_window in work(f"clock of {traversal.name}", matched, units) for one in of_window)
-    parts = np.repeat(np.arange(len(windows)), [len(rows) for rows in windows])
-    return Evidence(camera, fx, T_rig_cam, times[np.concatenate(windows)], parts, tracks)
-
-
-def matched(window: _Window) -> list[Tracks]:
-    """The tracks between images of a window."""
-    features = [features_of(window.traversal, window.camera, time) for time in window.times_ns]
-    model = window.traversal.camera(window.camera)
-    pairs = [(i, i + lag) for lag in _LAGS for i in range(len(features) - lag)]
-    tracks = [match(window.first + i, features[i], window.first + j, features[j], model) for i, j in pairs]
-    return [one for one in tracks if one is not None]
-
-
-def _windows(motion: CameraMotion, fx: float) -> list[Indices]:
-    """Rows of images in a row: all, or in each of equal parts of the drive those between which motion changes most."""
-    twists, known = motion.twists(0.0)
-    pixels = fx * np.column_stack([twists[:, 3:], twists[:, :3] / _FAR_M])
-    pixels[~known] = 0.0
-    count = len(motion.times_ns)
-    starts = np.arange(0, max(count - _WINDOW, 0) + 1)
-    if count <= _WINDOW * _WINDOWS:
-        starts = np.arange(0, count, _WINDOW)
-    chosen: list[Indices] = []
-    signal: list[float] = []
-    for part in np.array_split(starts, min(_WINDOWS, len(starts))):
-        spread = [float(np.sqrt(np.sum(np.var(pixels[s : s + _WINDOW], axis=0)))) for s in part]
-        best = int(part[int(np.argmax(spread))])
-        if chosen and best < chosen[-1][-1] + 1:
-            best = int(chosen[-1][-1]) + 1
-        rows = np.arange(best, min(best + _WINDOW, count))
-        if len(rows) >= 2:
-            chosen.append(rows)
-            signal.append(max(spread))
-    return chosen if signal and max(signal) * REACH_S >= _LEAST_SIGNAL_PX else []
-
-
 def judge(evidence: Evidence, trajectory: Trajectory) -> ClockCheck:
     """The verdict of all methods on the clock of a trajectory of the rig."""
+    from scipy.stats import t
+
     camera, tracks, fx, parts = evidence.camera, evidence.tracks, evidence.fx, evidence.parts
     motion = CameraMotion.of(trajectory, evidence.T_rig_cam, evidence.times_ns)
     by_tracks = [estimate_by_tracks(method, tracks, motion, fx, parts) for method in ("lines", "points")]
@@ -251,8 +150,6 @@ def judge(evidence: Evidence, trajectory: Trajectory) -> ClockCheck:
         return _unknown(camera, f"the motion tells the offset too vaguely ({_methods(estimates)})", before, estimates)
     clash = [(a, b) for a, b in combinations(estimates, 2) if not _agree(a, b)]
     verdict: Verdict = "contradiction" if clash else "one clock"
-    from scipy.stats import t
-
     limit = float(t.ppf(_SURE, best.freedom)) * sigma
     if not clash and abs(offset) > limit and abs(offset) >= _LEAST_S:
         verdict = "offset"
@@ -301,31 +198,3 @@ def _ms(seconds: float, signed: bool = True) -> str:
 
 def _size(residual: Residual) -> str:
     return f"{residual.deg:.2f} deg" + (f" and {residual.mm:.1f} mm" if np.isfinite(residual.mm) else "")
-
-
-def pair_residual(
-    reference: tuple[Traversal, int], query: tuple[Traversal, int], camera: str, T_query_ref: Array
-) -> Residual | None:
-    """By how much a pose (4, 4) differs from that which the images of a pair and the keyframe's depth give.
-
-    None where they have too little in common.
-
-    Args:
-        reference, query: a drive, and the time of its image.
-
-    Raises:
-        DatasetError: an image or a depth image is damaged.
-    """
-    models = [drive.camera(camera, time) for drive, time in (reference, query)]
-    features = [features_of(drive, camera, time) for drive, time in (reference, query)]
-    tracks = match(0, features[0], 1, features[1], models[1])
-    found = (
-        None if tracks is None else motion_by_depth(tracks, homogeneous(tracks.x), homogeneous(tracks.y), models[1].fx)
-    )
-    return None if found is None else difference([(found, T_query_ref)])
-
-
-def own_trajectory(traversal: Traversal) -> Trajectory:
-    """The poses of a dataset's drive as a trajectory."""
-    times: Times = np.array(list(traversal.poses), dtype=np.int64)
-    return Trajectory(times, np.array(list(traversal.poses.values())).reshape(-1, 4, 4))

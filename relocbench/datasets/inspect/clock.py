@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from relocbench.datasets.clock.check import ClockCheck, check_clock, own_trajectory
+from relocbench.arrays import Array
+from relocbench.datasets.clock.check import ClockCheck, check_clock
+from relocbench.datasets.clock.evidence import own_trajectory
+from relocbench.datasets.clock.offset import Residual, difference
+from relocbench.datasets.clock.tracks import features_of, homogeneous, match, motion_by_depth
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import ClockEntry
+from relocbench.datasets.core.traversal import Traversal
 from relocbench.execution import Run, default_workers, run_units
 from relocbench.progress import Reporter
 
@@ -58,3 +63,25 @@ def check_clocks(dataset: Dataset, reporter: Reporter) -> list[DriveClock]:
         for drive in drives
         for camera in drive.cameras
     ]
+
+
+def pair_residual(
+    reference: tuple[Traversal, int], query: tuple[Traversal, int], camera: str, T_query_ref: Array
+) -> Residual | None:
+    """By how much a pose (4, 4) differs from that which the images of a pair and the keyframe's depth give.
+
+    None where they have too little in common.
+
+    Args:
+        reference, query: a drive, and the time of its image.
+
+    Raises:
+        DatasetError: an image or a depth image is damaged.
+    """
+    models = [drive.camera(camera, time) for drive, time in (reference, query)]
+    features = [features_of(drive, camera, time) for drive, time in (reference, query)]
+    tracks = match(0, features[0], 1, features[1], models[1])
+    found = (
+        None if tracks is None else motion_by_depth(tracks, homogeneous(tracks.x), homogeneous(tracks.y), models[1].fx)
+    )
+    return None if found is None else difference([(found, T_query_ref)])

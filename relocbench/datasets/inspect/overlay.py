@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Floats, Image, Mask
-from relocbench.datasets.clock.check import pair_residual
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_grey, as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.inspect.agreement import ImageAgreement, measure_agreement
+from relocbench.datasets.inspect.clock import pair_residual
 from relocbench.datasets.inspect.drawing import (
     RED,
     WHITE,

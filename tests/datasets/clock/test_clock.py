@@ -10,7 +10,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from relocbench.arrays import Array, Times
-from relocbench.datasets.clock.check import Evidence, gather, judge
+from relocbench.datasets.clock.check import judge
+from relocbench.datasets.clock.evidence import Evidence, gather
 from relocbench.datasets.clock.tracks import Tracks
 from relocbench.datasets.core.images import write_image
 from relocbench.datasets.core.layout import DatasetLayout

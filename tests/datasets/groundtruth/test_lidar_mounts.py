@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,30 +15,25 @@ from robotcar_street import Built, record_robotcar_street
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
 from relocbench.datasets.groundtruth.blocks.store import build_blocks, write_block
+from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
 from relocbench.datasets.groundtruth.jobs.mounting import mounting_faults, road_height
 from relocbench.datasets.groundtruth.registration.mounts import MOUNTS, Mount, RemountedStore
 from relocbench.datasets.groundtruth.registration.rig_mounts import contradicting_mount
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.importers.robotcar.recording import read_robotcar
-from relocbench.datasets.sensors.derived_lidar import DerivedLidar
-from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.datasets.sensors.recording import FieldRecording, LidarStream
 from relocbench.geometry import make_transform, so3_exp
 
 STREET = Street(length_m=10.0, sigma=0.01)
 
 
-@dataclass(frozen=True, eq=False)
-class _Mounted(DerivedLidar):
-    T: Array
-
-    @property
-    def T_rig_lidar(self) -> Array:
-        return self.T
+def remounted(lidar: LidarStream, how: Callable[[Array], Array]) -> CorrectedLidar:
+    return CorrectedLidar(lidar, 0, how(lidar.T_rig_lidar) @ np.linalg.inv(lidar.T_rig_lidar))
 
 
 def mounted(recording: FieldRecording, how: Callable[[Array], Array], *numbers: int) -> FieldRecording:
     """The recording with other extrinsics of some of its lidars."""
-    lidars = [_Mounted(s, how(s.T_rig_lidar)) if k in numbers else s for k, s in enumerate(recording.lidars)]
+    lidars = [remounted(s, how) if k in numbers else s for k, s in enumerate(recording.lidars)]
     return replace(recording, lidars=tuple(lidars))
 
 
@@ -92,6 +87,6 @@ def test_lidars_of_one_drive_that_contradict_each_other_are_named(robotcar_built
     wrong = RemountedStore(right.blocks, {1: np.asarray(other.T_rig_lidar)}, MOUNTS[0].of)
     for node in range(len(right.nodes)):
         write_block(tmp_path / f"{node:06d}.npz", wrong.get(node))
-    lidars = one, _Mounted(other, MOUNTS[0].of(other.T_rig_lidar))
+    lidars = one, remounted(other, MOUNTS[0].of)
     spoilt = Drive(replace(recording, lidars=lidars), right.nodes, tmp_path)
     assert_names(contradicting_mount(spoilt), "", None, recording.name, "180 deg")

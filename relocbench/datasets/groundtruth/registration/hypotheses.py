@@ -36,7 +36,7 @@ _MOST_VARIED = 8
 _COARSE = IcpOptions(scale_error_sigma=0.0)
 _RIVALS_M = 12.0
 """how far along the street rivals of a pose are looked for, more than facades repeat in"""
-_SAME_M = 0.5
+_SETTLED_APART_M = 0.5
 """poses after a coarse registration that differ by no more are one"""
 
 
@@ -122,7 +122,7 @@ def promising_guesses(
     shift = ShiftOptions()
     settled = [settle(ref, query, guess, shift) for guess in guesses[: options.coarsely_tried]]
     settled.sort(key=lambda one: -one.fit)
-    settled = [settled[row] for row in distinct(_in_reference(ref, [one.guess for one in settled]), _SAME_M)]
+    settled = [settled[row] for row in distinct(_in_reference(ref, [one.guess for one in settled]), _SETTLED_APART_M)]
     best = settled[0].fit if settled else 0.0
     most = options.most_tried if best >= options.poor_fit else options.few_tried
     return [one.guess for one in settled if one.fit >= options.least_share * best][:most]
