@@ -121,6 +121,20 @@ def test_even_motion_tells_no_offset() -> None:
     assert found.correction_s == 0.0
 
 
+def test_positions_of_another_clock_than_rotations_contradict_the_images() -> None:
+    hand = by_hand(8)
+
+    def motion(seconds: Array) -> Array:
+        return make_transform(hand(seconds)[..., :3, :3], 4 * hand(seconds)[..., :3, 3])
+
+    def parted(seconds: Array) -> Array:
+        return make_transform(motion(seconds)[..., :3, :3], motion(seconds + 0.05)[..., :3, 3])
+
+    found = judge(evidence(motion, 0.0, 8), capture(parted, 0.0, 8))
+    assert found.verdict == "contradiction"
+    assert found.correction_s == 0.0
+
+
 def test_what_no_clock_explains_is_measured() -> None:
     motion = by_hand(5)
     seen = evidence(motion, 0.0, 5)
