@@ -45,8 +45,12 @@ _LAYOUT_OPTIONS = {
 """options of recordings that only some layouts have"""
 _DATASET_OPTIONS = (
     "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
-    "cameras", "size", "distance", "reference", "extras", "elsewhere", "elsewhere_distance", "salt_file",
+    "min_distance", "min_angle", "cameras", "size", "distance", "reference", "extras", "elsewhere",
+    "elsewhere_distance", "salt_file",
 )  # fmt: skip
+
+_LATER_OPTIONS = ("imaging", "min_distance", "min_angle")
+"""options that earlier versions did not have, and whose defaults change nothing"""
 
 
 class Options(RuleOptions):
@@ -89,6 +93,13 @@ class Options(RuleOptions):
         2.0, ge=0, le=45, description="greatest angle in degrees between rig and direction of travel"
     )
     distance: float = Field(1.6, gt=0, le=100, description="mean distance of pairs in metres (default pair rule)")
+    min_distance: float = Field(
+        0.0,
+        ge=0,
+        description="nearest pair in metres (default pair rule); above 0, distances are spread evenly from there to "
+        "--max-distance",
+    )
+    min_angle: float = Field(0.0, ge=0, lt=180, description="narrowest pair in degrees (default pair rule)")
     max_distance: float = Field(10.0, gt=0, description="farthest pair in metres (default and nearest rule)")
     max_angle: float = Field(30.0, gt=0, le=180, description="widest pair in degrees (default and nearest rule)")
     pair_rule: Literal["step", "nearest"] | None = Field(
@@ -146,12 +157,23 @@ class Options(RuleOptions):
             raise ValueError("imaging 'varied' changes the cameras, but in a sweep a single factor differs")
         return self
 
+    @model_validator(mode="after")
+    def _bounds_leave_room(self) -> Self:
+        for what, unit in (("distance", "m"), ("angle", "degrees")):
+            low, high = getattr(self, f"min_{what}"), getattr(self, f"max_{what}")
+            if low and self.pair_rule is not None:
+                raise ValueError(f"min_{what} applies to the default pair rule only, not to {self.pair_rule}")
+            if low >= high:
+                raise ValueError(f"min_{what} is {low:g} {unit}, expected less than max_{what}, {high:g} {unit}")
+        return self
+
     def recorded(self) -> dict[str, Any]:
-        """The options without the salt's file, and without ``imaging`` where cameras are ideal: as earlier versions."""
+        """The options without the salt's file, and without later ones at their defaults: as earlier versions."""
         values = super().recorded()
         del values["salt_file"]
-        if self.imaging == "ideal":
-            del values["imaging"]
+        for name in _LATER_OPTIONS:
+            if getattr(self, name) == type(self).model_fields[name].default:
+                del values[name]
         return values
 
     @property
@@ -172,6 +194,8 @@ def _refuse_what_has_no_effect(values: dict[str, Any]) -> None:
         found = [name for name in _only_some() if name in values and name not in _LAYOUT_OPTIONS[layout]]
         having = [other for other, names in _LAYOUT_OPTIONS.items() if found and found[0] in names]
         why = f"applies to --recording {' and '.join(having)} only"
+    if not found and values.get("min_distance") and "distance" in values:
+        found, why = ["distance"], "has no effect with --min-distance, which spreads distances evenly"
     if found:
         raise PydanticCustomError("no_effect", f"--{found[0].replace('_', '-')} {why}")
 
@@ -195,7 +219,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.importers.assembly import configuration
     from relocbench.datasets.synthetic.drives.drive import DriveStyle
     from relocbench.datasets.synthetic.drives.rig import rig_named
-    from relocbench.datasets.synthetic.jobs.pair_sets import write_pair_sets
+    from relocbench.datasets.synthetic.jobs.pair_sets import plan_pair_sets, write_pair_sets
     from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread
     from relocbench.datasets.synthetic.jobs.plan import drive_cameras, make_plans
     from relocbench.datasets.synthetic.jobs.rendering import render_all
@@ -231,12 +255,16 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         reporter=reporter,
         cameras=own,
     )
+    job = Build(writer, options, reporter, run)
+    spread = DistanceSpread(
+        options.distance, options.max_distance, options.max_angle, options.min_distance, options.min_angle
+    )
+    # A rule that no pair meets is refused before anything is written.
+    pair_sets = plan_pair_sets(job, asked(plans, options), cameras, spread)
     for plan in plans:
         writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
-    job = Build(writer, options, reporter, run)
     render_all(job, plans, cameras, options.extras)
-    spread = DistanceSpread(options.distance, options.max_distance, options.max_angle)
-    return writer.finish(write_pair_sets(job, asked(plans, options), cameras, spread))
+    return writer.finish(write_pair_sets(job, pair_sets))
 
 
 def record(

@@ -16,7 +16,7 @@ from relocbench.datasets.pairs.different_places import with_different_places
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.writing import is_finished, write_measured
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
-from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
+from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
@@ -31,6 +31,7 @@ class PairSetUnit:
     """One pair set to write."""
 
     layout: DatasetLayout
+    split: str
     name: str
     pairs: tuple[Pair, ...]
     """sorted by their keys"""
@@ -44,30 +45,32 @@ class PairSetUnit:
         return f"pair set {self.name}"
 
 
-def write_pair_sets(
+def plan_pair_sets(
     job: Build[RuleOptions],
     asked: Sequence[tuple[TraversalPlan, TraversalPlan]],
     cameras: Cameras,
     spread: DistanceSpread,
-) -> Mapping[str, Sequence[str]]:
-    """Write the pair sets of (reference, query) traversals for every camera, with correspondences.
-
-    Sets that an earlier run of the same build has finished are kept.
-
-    Returns:
-        split -> names of its pair sets.
+) -> list[PairSetUnit]:
+    """The pair sets of (reference, query) traversals for every camera.
 
     Raises:
         DatasetError: a pair set would be empty, or the road is too short for pairs of different places.
     """
+    return [_unit(job, reference, query, camera, cameras, spread) for reference, query in asked for camera in cameras]
+
+
+def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> Mapping[str, Sequence[str]]:
+    """Write pair sets with correspondences. Those that an earlier run of the same build has finished are kept.
+
+    Returns:
+        split -> names of its pair sets.
+    """
     splits: dict[str, list[str]] = {}
     units = []
-    for reference, query in asked:
-        for camera in cameras:
-            unit = _unit(job, reference, query, camera, cameras, spread)
-            splits.setdefault(reference.split, []).append(unit.name)
-            if not is_finished(unit.layout, unit.name, unit.pairs, with_correspondences=unit.count > 0):
-                units.append(unit)
+    for unit in planned:
+        splits.setdefault(unit.split, []).append(unit.name)
+        if not is_finished(unit.layout, unit.name, unit.pairs, with_correspondences=unit.count > 0):
+            units.append(unit)
     run = job.run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else job.run.single_process()
     with job.reporter.stage("pairs and their correspondences", len(units)) as advance:
         for _ in run_units(write_set, units, run):
@@ -104,11 +107,8 @@ def _unit(
             sigma_rotation_deg=0.0,
         )
     if not pairs:
-        raise DatasetError(
-            f"{name}: no keyframe is within --max-distance {spread.max_m:g} m and --max-angle "
-            f"{spread.max_angle_deg:g} deg of any query",
-            layout.root,
-        )
+        nearest = nearest_miss(*frames, spread, same_traversal=same)
+        raise DatasetError(f"{name}: no keyframe of any query is {spread}; {nearest}", layout.root)
     if len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
         job.reporter.note(
             f"{name}: {len(query.times) - len(pairs) + options.elsewhere} of {len(query.times)} queries are in no pair"
@@ -117,6 +117,7 @@ def _unit(
     keyframes, asking = {p.ref_timestamp_ns for p in ordered}, {p.query_timestamp_ns for p in ordered}
     return PairSetUnit(
         layout,
+        reference.split,
         name,
         ordered,
         _views(reference, *frames[0].T_world_cam, camera=cameras[camera][0], wanted=keyframes),
