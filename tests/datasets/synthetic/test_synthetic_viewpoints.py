@@ -76,7 +76,7 @@ def test_mistakes_are_named(tmp_path: Path, options: tuple[str, ...], names: tup
 
 def test_a_rule_that_no_pair_meets_is_refused_before_anything_is_rendered(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    told = relocbench(*SMOKE, "--min-distance", "8", "--out", out)
+    told = relocbench(*SMOKE, "--min-distance", "8", "--quiet", "--out", out)
     assert told.status == 2
     assert_names(told.complaint, out, None, "test-Neutral-0__test-Neutral-0__front", "--min-distance", "2.41 m")
     assert [path.name for path in out.iterdir()] == ["build.yaml"]
