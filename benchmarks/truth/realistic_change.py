@@ -237,12 +237,14 @@ def variant(text: str) -> Variant:
 
 def planned(given: argparse.Namespace, names: list[str], variants: list[Variant]) -> list[TraversalPlan]:
     """Two drives in each condition; variants have the poses of the condition that they vary."""
+    width, height = map(int, given.size.split("x"))
     every = [*names, *(v.name for v in variants)]
     conditions = conditions_of(every, {v.name: v.factors for v in variants}, None, 2)
     style = DriveStyle(given.speed, given.lateral, given.heading)
     plans = make_plans(
-        (given.split,), conditions, 2, given.steps, style, seed=given.seed, extent_m=_EXTENT_M, reporter=Silent()
-    )
+        (given.split,), conditions, 2, given.steps, style, seed=given.seed, extent_m=_EXTENT_M, reporter=Silent(),
+        rig=rig_named(CAMERA), size=(width, height),
+    )  # fmt: skip
     found = {plan.name: plan for plan in plans}
     for v in variants:
         if v.base not in names:
@@ -255,14 +257,12 @@ def planned(given: argparse.Namespace, names: list[str], variants: list[Variant]
 
 def town(given: argparse.Namespace, names: list[str], plans: list[TraversalPlan], out: Path) -> tuple[Dataset, Sets]:
     """Render the drives, and make the pair sets for trackers; ``names`` are the conditions."""
-    width, height = map(int, given.size.split("x"))
-    cameras = rig_named(CAMERA).cameras(width, height)
     settings = {k: v if isinstance(v, int | float) else str(v) for k, v in vars(given).items()}
     writer = DatasetWriter(out, "realistic-change", {"kind": "realistic-change", **settings})
     for plan in plans:
-        writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
-    render_all(Build(writer, RuleOptions(seed=given.seed), Silent(), Run(default_workers())), plans, cameras, ())
-    frames = {plan.name: plan.frames(CAMERA, cameras) for plan in plans}
+        writer.traversal(plan.file(), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
+    render_all(Build(writer, RuleOptions(seed=given.seed), Silent(), Run(default_workers())), plans, ())
+    frames = {plan.name: plan.frames(CAMERA) for plan in plans}
     first, second = ([drive_name(given.split, name, number) for name in names] for number in (0, 1))
     asked = [*zip(first, first, strict=True), *zip(first, second, strict=True)]
     asked += [(first[0], name) for name in second[1:]]

@@ -116,13 +116,13 @@ def test_the_camera_of_a_drive_depends_on_the_seed_and_not_on_what_else_is_built
 def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tmp_path: Path) -> None:
     """The unit of work as another process unpickles it, for the last frame only."""
     conditions = conditions_of(("Neutral",), {}, None, 2)
-    cameras = rig_named("front").cameras(48, 48)
     own = drive_cameras(("test",), conditions, 2, seed=0, varied=True)
     plan = make_plans(
-        ("test",), conditions, 2, 2, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent(), cameras=own
+        ("test",), conditions, 2, 2, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent(),
+        rig=rig_named("front"), size=(48, 48), imaging=own,
     )[1]  # fmt: skip
     layout = type(varied.layout)(tmp_path / "alone")
-    step = missing_steps(plan, cameras, layout, 0, ())[-1]
+    step = missing_steps(plan, layout, 0, ())[-1]
     factors = plan.condition.factors
     render_unit(pickle.loads(pickle.dumps(RenderUnit(plan.place, factors, factors, (step,)))))
     (image,) = (tmp_path / "alone").rglob("images/front/*.png")

@@ -243,7 +243,6 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     if varied:
         record["imaging"] = {name: imaging.model_dump(mode="json") for name, imaging in own.items()}
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, options.licence)
-    cameras = rig_named(options.cameras).cameras(*options.width_height)
     plans = make_plans(
         splits,
         conditions,
@@ -253,17 +252,19 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         seed=options.seed,
         extent_m=options.extent,
         reporter=reporter,
-        cameras=own,
+        rig=rig_named(options.cameras),
+        size=options.width_height,
+        imaging=own,
     )
     job = Build(writer, options, reporter, run)
     spread = DistanceSpread(
         options.distance, options.max_distance, options.max_angle, options.min_distance, options.min_angle
     )
     # A rule that no pair meets is refused before anything is written.
-    pair_sets = plan_pair_sets(job, asked(plans, options), cameras, spread)
+    pair_sets = plan_pair_sets(job, asked(plans, options), spread)
     for plan in plans:
-        writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
-    render_all(job, plans, cameras, options.extras)
+        writer.traversal(plan.file(), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
+    render_all(job, plans, options.extras)
     return writer.finish(write_pair_sets(job, pair_sets))
 
 

@@ -17,10 +17,9 @@ from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.writing import is_finished, write_measured
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
-from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
+from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
-from relocbench.geometry import Camera
 
 _WORTH_WORKERS = 600
 """pairs; fewer are finished before other processes have made their districts"""
@@ -48,7 +47,6 @@ class PairSetUnit:
 def plan_pair_sets(
     job: Build[RuleOptions],
     asked: Sequence[tuple[TraversalPlan, TraversalPlan]],
-    cameras: Cameras,
     spread: DistanceSpread,
 ) -> list[PairSetUnit]:
     """The pair sets of (reference, query) traversals for every camera.
@@ -56,7 +54,7 @@ def plan_pair_sets(
     Raises:
         DatasetError: a pair set would be empty, or the road is too short for pairs of different places.
     """
-    return [_unit(job, reference, query, camera, cameras, spread) for reference, query in asked for camera in cameras]
+    return [_unit(job, *each, camera, spread) for each in asked for camera in each[0].cameras]
 
 
 def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> Mapping[str, Sequence[str]]:
@@ -83,12 +81,11 @@ def _unit(
     reference: TraversalPlan,
     query: TraversalPlan,
     camera: str,
-    cameras: Cameras,
     spread: DistanceSpread,
 ) -> PairSetUnit:
     options, layout = job.options, job.writer.layout
     name = pair_set_name(reference.name, query.name, camera)
-    frames = reference.frames(camera, cameras), query.frames(camera, cameras)
+    frames = reference.frames(camera), query.frames(camera)
     same = reference is query
     if options.pair_rule is None:
         # All cameras of a rig use the same seed, so that their pairs are of the same moments wherever possible.
@@ -120,16 +117,16 @@ def _unit(
         reference.split,
         name,
         ordered,
-        _views(reference, *frames[0].T_world_cam, camera=cameras[camera][0], wanted=keyframes),
-        _views(query, *frames[1].T_world_cam, camera=cameras[camera][0], wanted=asking),
+        _views(reference, camera, *frames[0].T_world_cam, wanted=keyframes),
+        _views(query, camera, *frames[1].T_world_cam, wanted=asking),
         options.correspondences,
         options.seed,
     )
 
 
-def _views(plan: TraversalPlan, *T_world_cam: np.ndarray, camera: Camera, wanted: set[int]) -> dict[int, View]:
+def _views(plan: TraversalPlan, camera: str, *T_world_cam: np.ndarray, wanted: set[int]) -> dict[int, View]:
     return {
-        timestamp: View(plan.place, plan.condition.factors, camera, pose, cars)
+        timestamp: View(plan.place, plan.condition.factors, plan.cameras[camera][0], pose, cars)
         for timestamp, pose, cars in zip(plan.times, T_world_cam, plan.moving, strict=True)
         if timestamp in wanted
     }

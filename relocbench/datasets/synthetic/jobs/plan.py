@@ -15,6 +15,7 @@ from relocbench.datasets.synthetic.conditions.condition import NamedCondition
 from relocbench.datasets.synthetic.conditions.imaging import Imaging, draw_imaging
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
+from relocbench.datasets.synthetic.drives.rig import RIGS, Rig
 from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -43,6 +44,7 @@ class TraversalPlan:
     condition: NamedCondition
     reference: NamedCondition
     """condition of the split's reference traversal"""
+    cameras: Cameras
     drive: Drive
     moving: tuple[tuple[MovingCar, ...], ...]
     """the moving cars at each step"""
@@ -55,9 +57,9 @@ class TraversalPlan:
         start = (self.number + 1) * _FIRST_NS
         return tuple(start + i * STEP_NS for i in range(len(self.drive.along)))
 
-    def file(self, cameras: Cameras) -> TraversalFile:
+    def file(self) -> TraversalFile:
         """The content of ``traversal.yaml``."""
-        entries = {name: CameraEntry.of(c, T_rig_cam, _DEPTH_SIGMA) for name, (c, T_rig_cam) in cameras.items()}
+        entries = {name: CameraEntry.of(c, T_rig_cam, _DEPTH_SIGMA) for name, (c, T_rig_cam) in self.cameras.items()}
         return TraversalFile(
             name=self.name,
             condition=self.condition.label,
@@ -67,9 +69,9 @@ class TraversalPlan:
             source=f"rendered, seed {self.place.named_seed}",
         )
 
-    def frames(self, camera: str, cameras: Cameras) -> PosedFrames:
+    def frames(self, camera: str) -> PosedFrames:
         """All frames of a camera, each of which has depth."""
-        return PosedFrames(self.times, self.drive.T_world_rig @ cameras[camera][1], frozenset(self.times))
+        return PosedFrames(self.times, self.drive.T_world_rig @ self.cameras[camera][1], frozenset(self.times))
 
 
 def traversal_name(split: str, condition: str, number: int) -> str:
@@ -107,17 +109,20 @@ def make_plans(
     seed: int,
     extent_m: float,
     reporter: Reporter,
-    cameras: Mapping[str, Imaging] | None = None,
+    rig: Rig = RIGS["front"],
+    size: tuple[int, int] = (320, 240),
+    imaging: Mapping[str, Imaging] | None = None,
 ) -> list[TraversalPlan]:
     """Plan all traversals, ordered by split, condition and number. Those of a split follow the same route.
 
     A traversal does not depend on which other splits are built with it.
 
     Args:
-        cameras: those of traversals that have one of their own, by name.
+        size: (width, height) of images in pixels.
+        imaging: of traversals that have a camera of their own, by name.
     """
     plans = []
-    cameras = cameras or {}
+    imaging = imaging or {}
     scene = {name: c.model_copy(update={"factors": c.factors.scene}) for name, c in conditions.items()}
     first = next(iter(scene.values()))
     with reporter.stage("laying out districts", len(splits)) as advance:
@@ -130,8 +135,9 @@ def make_plans(
                     own = traversal_name(split, name, number)
                     rng = np.random.default_rng([seed, 5, SPLITS.index(split), k, number])
                     driven = drive(route, steps, style, rng)
+                    cameras = rig.cameras(*size)
                     cars = tuple(map(tuple, moving_cars(route, driven, condition.factors.traffic, LANE_M, rng)))
-                    plan = (own, identity, split, place, condition, first, driven, cars, cameras.get(own))
+                    plan = (own, identity, split, place, condition, first, cameras, driven, cars, imaging.get(own))
                     plans.append(TraversalPlan(*plan))
             advance(1)
     return plans

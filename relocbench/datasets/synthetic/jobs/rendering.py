@@ -21,7 +21,7 @@ from relocbench.datasets.synthetic.drives.drive import RATE_HZ
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import estimates, scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent
-from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
+from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Frame
 from relocbench.execution import chunks
@@ -74,9 +74,9 @@ class RenderUnit:
         return f"{self.images} images from {first} on"
 
 
-def render_all(job: Build[RuleOptions], plans: Sequence[TraversalPlan], cameras: Cameras, kinds: Sequence[str]) -> None:
+def render_all(job: Build[RuleOptions], plans: Sequence[TraversalPlan], kinds: Sequence[str]) -> None:
     """Render what is missing; a long job is first timed on a few frames of each condition."""
-    steps = [(plan, missing_steps(plan, cameras, job.writer.layout, job.options.seed, kinds)) for plan in plans]
+    steps = [(plan, missing_steps(plan, job.writer.layout, job.options.seed, kinds)) for plan in plans]
     units = [_unit(plan, part) for plan, missing in steps for part in chunks(missing, _STEPS_A_UNIT)]
     total = sum(unit.images for unit in units)
     run = job.run if total >= _WORTH_WORKERS else job.run.single_process()
@@ -88,16 +88,14 @@ def render_all(job: Build[RuleOptions], plans: Sequence[TraversalPlan], cameras:
         estimates.carried_out(render_unit, units, advance, run)
 
 
-def missing_steps(
-    plan: TraversalPlan, cameras: Cameras, layout: DatasetLayout, seed: int, kinds: Sequence[str]
-) -> list[StepWork]:
+def missing_steps(plan: TraversalPlan, layout: DatasetLayout, seed: int, kinds: Sequence[str]) -> list[StepWork]:
     """The steps of a traversal with missing or truncated files."""
     target = layout.traversal(plan.name)
-    twists = {name: camera_twists(plan.drive.T_world_rig @ T, 1 / RATE_HZ) for name, (_, T) in cameras.items()}
+    twists = {name: camera_twists(plan.drive.T_world_rig @ T, 1 / RATE_HZ) for name, (_, T) in plan.cameras.items()}
     found = []
     for i, (timestamp, T_world_rig) in enumerate(zip(plan.times, plan.drive.T_world_rig, strict=True)):
         frames = []
-        for c, (name, (camera, T_rig_cam)) in enumerate(cameras.items()):
+        for c, (name, (camera, T_rig_cam)) in enumerate(plan.cameras.items()):
             files = {"image": target.image(name, timestamp), "depth": target.depth(name, timestamp)}
             files |= {k: extra_path(layout.root, plan.name, k, name, timestamp) for k in kinds}
             missing = {kind: path for kind, path in files.items() if not images.is_whole(path)}
