@@ -80,6 +80,7 @@ class StraightRoad:
     """A route along x."""
 
     length: float = 200.0
+    other_lane_m: float = 3.2
 
     def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
         pose = np.eye(4)

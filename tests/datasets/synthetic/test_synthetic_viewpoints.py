@@ -9,9 +9,16 @@ import pytest
 from command_line import relocbench
 from refusals import assert_names
 
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.rendered.dataset import Options, asked
 from relocbench.datasets.pairs.posed_frames import PosedFrames
+from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.datasets.synthetic.drives.drive import DriveStyle
+from relocbench.datasets.synthetic.drives.routes import RouteName
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
-from relocbench.geometry import make_transform, so3_exp
+from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
+from relocbench.geometry import invert, make_transform, so3_exp
+from relocbench.progress import Silent
 
 SMOKE = ("build-dataset", "synthetic", "--preset", "smoke")
 
@@ -57,6 +64,74 @@ def test_what_came_nearest_is_told(spread: DistanceSpread, told: str) -> None:
     assert nearest_miss(*frames, spread, same_traversal=False).endswith(told)
 
 
+def planned(*routes: RouteName, traversals: int = 1) -> dict[str, TraversalPlan]:
+    conditions = conditions_of(("Neutral", "Rain"), {}, None, 2)
+    found = make_plans(
+        ("test",), conditions, traversals, 8, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent(), routes=routes
+    )
+    return {plan.name: plan for plan in found}
+
+
+def test_each_condition_is_driven_on_each_route_and_the_first_drive_is_the_map() -> None:
+    plans = planned("common", "return", "other-lane")
+    assert list(plans) == [
+        "test-Neutral-0", "test-Neutral-return-0", "test-Neutral-other-lane-0",
+        "test-Rain-0", "test-Rain-return-0", "test-Rain-other-lane-0",
+    ]  # fmt: skip
+    assert len({plan.times[0] for plan in plans.values()}) == 6
+    options = Options.model_validate({"preset": "smoke", "route": ("return", "common")})
+    first = list(planned("return", "common").values())
+    assert {reference.name for reference, _ in asked(first, options)} == {"test-Neutral-return-0"}
+    assert len(asked(first, options)) == 4
+
+
+def test_a_drive_does_not_depend_on_the_other_routes() -> None:
+    alone, two, three = planned("common"), planned("return", "common"), planned("common", "other-lane", "return")
+    for plans in (two, three):
+        for name, plan in alone.items():
+            np.testing.assert_array_equal(plan.drive.T_world_rig, plans[name].drive.T_world_rig)
+    for name in ("test-Neutral-return-0", "test-Rain-return-0"):
+        np.testing.assert_array_equal(two[name].drive.T_world_rig, three[name].drive.T_world_rig)
+
+
+def test_drives_on_other_routes_are_in_the_other_lane() -> None:
+    plans = planned("common", "return", "other-lane")
+    common = plans["test-Neutral-0"].drive.T_world_rig
+    for name, way in (("test-Rain-other-lane-0", 1), ("test-Rain-return-0", -1)):
+        for T_world_rig in plans[name].drive.T_world_rig:
+            T_common_rig = (
+                invert(common[np.linalg.norm(common[:, :3, 3] - T_world_rig[:3, 3], axis=1).argmin()]) @ T_world_rig
+            )
+            assert T_common_rig[0, 0] * way > 0.98
+            if abs(T_common_rig[0, 3]) < 1.0:
+                assert 3.2 - 2 * 0.6 - 0.2 < T_common_rig[1, 3] < 3.2 + 2 * 0.6 + 0.2
+
+
+def test_drives_of_one_name_are_refused(tmp_path: Path) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text("conditions: [Rain, Rain-return]\nfactors: {Rain-return: {}}\nroute: [common, return]\n")
+    told = relocbench(*SMOKE, "--quiet", "--config", config, "--out", tmp_path / "out")
+    assert told.status == 2
+    assert_names(told.complaint, "", None, "test-Rain-return-0")
+
+
+def test_the_way_back_is_refused_where_no_camera_looks_there(tmp_path: Path) -> None:
+    told = relocbench(*SMOKE, "--quiet", "--steps", "20", "--route", "common,return", "--out", tmp_path / "out")
+    assert told.status == 2
+    assert_names(told.complaint, "", None, "test-Neutral-0__test-Neutral-return-0__front", "--max-angle", "172 deg")
+
+
+@pytest.mark.thorough
+def test_a_dataset_of_routes_is_sound_and_the_same_by_any_number_of_workers(tmp_path: Path) -> None:
+    words = (*SMOKE, "--quiet", "--steps", "12", "--size", "48", "--route", "common,other-lane")
+    for workers in (1, 2):
+        assert relocbench(*words, "--workers", workers, "--out", tmp_path / f"{workers}").status == 0
+    assert relocbench("validate", tmp_path / "1", "--quiet").status == 0
+    one, two = (Dataset(tmp_path / name) for name in "12")
+    assert one.fingerprint == two.fingerprint
+    assert one.file.made_by["options"]["route"] == ["common", "other-lane"]
+
+
 @pytest.mark.parametrize(
     ("options", "names"),
     [
@@ -65,13 +140,15 @@ def test_what_came_nearest_is_told(spread: DistanceSpread, told: str) -> None:
         (("--min-distance", "4", "--distance", "5"), ("--distance", "--min-distance")),
         (("--min-distance", "4", "--pair-rule", "nearest"), ("min_distance", "nearest")),
         (("--min-angle", "4", "--recording", "kitti"), ("--min-angle", "--recording")),
+        (("--route", "common,common"), ("--route", "common,common")),
+        (("--route", "detour"), ("detour", "--steps")),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, options: tuple[str, ...], names: tuple[str, ...]) -> None:
-    told = relocbench(*SMOKE, *options, "--out", tmp_path / "out")
+    told = relocbench(*SMOKE, *options, "--quiet", "--out", tmp_path / "out")
     assert told.status == 2
     assert_names(told.complaint, "", None, *names)
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "out" / "traversals").exists()
 
 
 def test_a_rule_that_no_pair_meets_is_refused_before_anything_is_rendered(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
 """Kind ``synthetic``: drives through procedural towns in any weather. Nothing is downloaded; the truth is exact.
 
-Every split has its own district, a piece of town. In each district the same route is driven ``traversals`` times in
-every condition. The first traversal of the first condition is the map, whose keyframes are paired with the frames of
-the others. With ``recording``, drives are instead written as a car would record them, in the layout of a real data set.
+Every split has its own district, a piece of town. In each district the same routes are driven ``traversals`` times in
+every condition. The first traversal of the first condition and route is the map, whose keyframes are paired with the
+frames of the others. With ``recording``, drives are instead written as a car would record them, in the layout of a real
+data set.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 _RECORDING_FRAMES = 160
 """default of ``steps`` for recordings, unless a preset sets it"""
-_RECORDING_OPTIONS = ("route", "recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
+_RECORDING_OPTIONS = ("recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
 _SPINNING_OPTIONS = ("rings", "azimuths")
 _LAYOUT_OPTIONS = {
     "robotcar": (),
@@ -49,7 +50,7 @@ _DATASET_OPTIONS = (
     "elsewhere_distance", "salt_file",
 )  # fmt: skip
 
-_LATER_OPTIONS = ("imaging", "min_distance", "min_angle")
+_LATER_OPTIONS = ("imaging", "route", "min_distance", "min_angle")
 """options that earlier versions did not have, and whose defaults change nothing"""
 
 
@@ -124,11 +125,12 @@ class Options(RuleOptions):
         description="record drives (camera, lidar, odometry, GNSS) in this layout instead of making a dataset: one per "
         "split, condition, route and traversal",
     )
-    route: tuple[Literal["common", "detour", "crossing", "return", "periodic"], ...] = Field(
+    route: tuple[Literal["common", "detour", "crossing", "return", "periodic", "other-lane"], ...] = Field(
         ("common",),
-        description="recording: the routes to drive: the common one; a detour from it through other streets; one that "
-        "takes one of its crossings in another direction; its return in the other lane; one along the street with "
-        "repeating facades",
+        description="the routes to drive in each condition: the common one; a detour from it through other streets; "
+        "one that takes one of its crossings in another direction; its return in the other lane; one along the street "
+        "with repeating facades; the common one in the lane on the left, as a car that overtakes. The first of a "
+        "dataset is the map's",
     )
     recording_cameras: tuple[str, ...] = Field(
         (),
@@ -212,7 +214,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         sources: must be empty.
 
     Raises:
-        ConfigError: sources are given, a condition or sweep is unknown, or the salt cannot be used.
+        ConfigError: sources are given, a condition or sweep is unknown, a district has no such route, or the salt
+            cannot be used.
+        DatasetError: ``out`` holds something else, or a pair set would be empty.
     """
     from relocbench.datasets.core.build import Build
     from relocbench.datasets.core.writer import DatasetWriter
@@ -237,9 +241,10 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     options = salted(options, options.split, record, out, reporter)
+    _check_routes(options)
     splits = SPLITS if options.split == "all" else (options.split,)
     varied = options.imaging == "varied"
-    own = drive_cameras(splits, conditions, options.traversals, seed=options.seed, varied=varied)
+    own = drive_cameras(splits, conditions, options.traversals, seed=options.seed, varied=varied, routes=options.route)
     if varied:
         record["imaging"] = {name: imaging.model_dump(mode="json") for name, imaging in own.items()}
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, options.licence)
@@ -255,6 +260,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         rig=rig_named(options.cameras),
         size=options.width_height,
         imaging=own,
+        routes=options.route,
     )
     job = Build(writer, options, reporter, run)
     spread = DistanceSpread(
@@ -288,8 +294,7 @@ def record(
     _no_sources(sources)
     conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
     refuse_imaging(conditions, "recordings")
-    if len(set(options.route)) != len(options.route) or not options.route:
-        raise ConfigError(f"--route takes one or more different routes, got {','.join(options.route) or 'none'}")
+    _check_routes(options)
     cameras = None if not options.recording_cameras else tuple(c for c in options.recording_cameras if c != "none")
     if cameras is not None and len(set(cameras)) != len(cameras):
         raise ConfigError(f"--recording-cameras names a camera twice: {','.join(cameras)}")
@@ -326,6 +331,11 @@ def record(
 def _no_sources(sources: list[Path]) -> None:
     if sources:
         raise ConfigError(f"synthetic is rendered and takes no recordings, got {sources[0]}")
+
+
+def _check_routes(options: Options) -> None:
+    if len(set(options.route)) != len(options.route) or not options.route:
+        raise ConfigError(f"--route takes one or more different routes, got {','.join(options.route) or 'none'}")
 
 
 def asked(plans: list[TraversalPlan], options: Options) -> list[tuple[TraversalPlan, TraversalPlan]]:

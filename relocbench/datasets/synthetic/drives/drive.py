@@ -40,6 +40,11 @@ class Route(Protocol):
         """Length in metres."""
         ...
 
+    @property
+    def other_lane_m(self) -> float:
+        """Metres from the line to the middle of the other lane, positive to the left."""
+        ...
+
     def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
         """``T_world_vehicle`` (4, 4) at ``s`` metres along the route."""
         ...

@@ -1,8 +1,9 @@
-"""Further routes of a district, for recordings that are to be registered against each other.
+"""The routes of a district.
 
-``common`` is the route that all traversals of a dataset follow. ``detour`` leaves it for other streets and comes back;
-``crossing`` passes one of its crossings in another direction; ``return`` drives it from its end to its beginning, in
-the other lane; ``periodic`` runs along the street with repeating facades. All of this happens within the driven part
+``common`` is the route that all traversals of a dataset follow by default. ``other-lane`` drives along it in the lane
+on the left, as a car does that overtakes; ``return`` drives it from its end to its beginning, in that lane; ``detour``
+leaves it for other streets and comes back; ``crossing`` passes one of its crossings in another direction; ``periodic``
+runs along the street with repeating facades. All of this happens within the driven part
 of the path, which begins and ends ``MARGIN_M`` from its ends.
 """
 
@@ -11,7 +12,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -21,7 +22,8 @@ from relocbench.datasets.synthetic.town.network import RUN_IN_M, Path, StreetNet
 from relocbench.datasets.synthetic.town.polylines import arc_lengths, turns_of
 from relocbench.errors import ConfigError
 
-RouteName = Literal["common", "detour", "crossing", "return", "periodic"]
+RouteName = Literal["common", "detour", "crossing", "return", "periodic", "other-lane"]
+ROUTES: tuple[RouteName, ...] = get_args(RouteName)
 _INSIDE_M = 15.0
 """least length driven before leaving the common route or passing the crossing, and after coming back"""
 _SHARPEST = np.radians(125)
@@ -42,6 +44,8 @@ def route(network: StreetNetwork, periodic: int, name: RouteName, length_m: floa
     """
     if name == "common":
         return network.drive(length_m, seed)
+    if name == "other-lane":
+        return network.path(network.walk(length_m, seed), RUN_IN_M, length_m, left_lane=True)
     common = network.walk(length_m + _LONGEST_DETOUR_M, seed)
     if name == "detour":
         return network.path(_detour(network, common, length_m), RUN_IN_M, length_m)

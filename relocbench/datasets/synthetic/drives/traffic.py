@@ -23,11 +23,12 @@ def moving_cars(
     """The moving cars at every step of a drive.
 
     Cars ahead and behind keep their distance to ours, apart from a slow variation. Oncoming cars use the other lane at
-    a common constant speed; one that leaves the route at its start reappears at its end.
+    a common constant speed; one that leaves the route at its start reappears at its end. If we are in the lane of
+    oncoming cars, there are none, and those in the lane on our right go our way at half that speed.
 
     Args:
         per_100_m: cars per 100 m of each lane.
-        lane_m: distance between the middles of our lane and of the oncoming lane, which is on the left.
+        lane_m: metres from the middle of our lane to that of the other, positive to the left.
     """
     count = round(per_100_m * route.length / 100)
     time = np.arange(len(drive.along)) / RATE_HZ
@@ -42,7 +43,11 @@ def moving_cars(
     for k in range(count):
         same_lane = drive.along + gaps[k] + 0.1 * min(section, 20.0) * waves[:, k]
         oncoming = (starts[k] - speed * time) % route.length
+        overtaken = (starts[k] + speed / 2 * time) % route.length
         for i in range(len(time)):
+            if lane_m < 0:
+                cars[i].append((route.pose(float(overtaken[i]), lane_m), looks[0][k]))
+                continue
             # Cars in our lane have the route's pose; oncoming ones are turned round in the other lane.
             if abs(same_lane[i] - drive.along[i]) >= _NEAREST_M and 0 <= same_lane[i] <= route.length:
                 cars[i].append((route.pose(float(same_lane[i])), looks[0][k]))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -16,10 +18,11 @@ from relocbench.datasets.synthetic.conditions.imaging import Imaging, draw_imagi
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.rig import RIGS, Rig
+from relocbench.datasets.synthetic.drives.routes import ROUTES, RouteName, route
 from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
-from relocbench.datasets.synthetic.town.network import LANE_M
+from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
@@ -38,7 +41,7 @@ class TraversalPlan:
 
     name: str
     number: int
-    """number in the order of (split, condition, traversal), on which seeds depend"""
+    """number in the order of (split, condition, route, traversal), on which seeds depend"""
     split: str
     place: DistrictSpec
     condition: NamedCondition
@@ -74,29 +77,41 @@ class TraversalPlan:
         return PosedFrames(self.times, self.drive.T_world_rig @ self.cameras[camera][1], frozenset(self.times))
 
 
-def traversal_name(split: str, condition: str, number: int) -> str:
-    """The name of a traversal."""
-    return f"{split}-{condition}-{number}"
+def traversal_name(split: str, condition: str, route: RouteName, number: int) -> str:
+    """The name of a traversal, which names its route unless it is the common one."""
+    return "-".join([split, condition, *([] if route == "common" else [route]), str(number)])
 
 
 def drive_cameras(
-    splits: Sequence[str], conditions: Mapping[str, NamedCondition], traversals: int, *, seed: int, varied: bool
+    splits: Sequence[str],
+    conditions: Mapping[str, NamedCondition],
+    traversals: int,
+    *,
+    seed: int,
+    varied: bool,
+    routes: Sequence[RouteName] = ("common",),
 ) -> dict[str, Imaging]:
     """The cameras of traversals that have one of their own, by name: their condition's or, if ``varied``, a drawn one.
 
-    The camera of a traversal does not depend on which other splits are built with it.
+    The camera of a traversal does not depend on which other splits and routes are built with it.
     """
     found = {}
     for split in splits:
         for k, (name, condition) in enumerate(conditions.items()):
-            for number in range(traversals):
+            for way, number in product(routes, range(traversals)):
                 imaging = condition.factors.imaging
                 if imaging is None and varied:
-                    rng = np.random.default_rng([seed, 9, SPLITS.index(split), k, number])
+                    rng = np.random.default_rng([seed, 9, *_drawn_by(split, k, way, number)])
                     imaging = draw_imaging(rng, dark=condition.factors.dark)
                 if imaging is not None:
-                    found[traversal_name(split, name, number)] = imaging
+                    found[traversal_name(split, name, way, number)] = imaging
     return found
+
+
+def _drawn_by(split: str, condition: int, route: RouteName, number: int) -> list[int]:
+    """What the random choices of a traversal depend on beside the seed."""
+    on_other_route = [] if route == "common" else [ROUTES.index(route)]
+    return [SPLITS.index(split), condition, number, *on_other_route]
 
 
 def make_plans(
@@ -112,14 +127,18 @@ def make_plans(
     rig: Rig = RIGS["front"],
     size: tuple[int, int] = (320, 240),
     imaging: Mapping[str, Imaging] | None = None,
+    routes: Sequence[RouteName] = ("common",),
 ) -> list[TraversalPlan]:
-    """Plan all traversals, ordered by split, condition and number. Those of a split follow the same route.
+    """Plan all traversals, ordered by split, condition, route and number.
 
     A traversal does not depend on which other splits are built with it.
 
     Args:
         size: (width, height) of images in pixels.
         imaging: of traversals that have a camera of their own, by name.
+
+    Raises:
+        ConfigError: a district has no such route of this length, or two traversals would have the same name.
     """
     plans = []
     imaging = imaging or {}
@@ -128,16 +147,22 @@ def make_plans(
     with reporter.stage("laying out districts", len(splits)) as advance:
         for split in splits:
             place = DistrictSpec(seed, split, extent_m)
-            route = scenes.district(place).network.drive(route_length(steps, style), seed)
+            town, needed = scenes.district(place), route_length(steps, style)
+            paths = {name: route(town.network, town.periodic.street, name, needed, seed) for name in routes}
             for k, (name, condition) in enumerate(scene.items()):
-                for number in range(traversals):
-                    identity = (SPLITS.index(split) * len(conditions) + k) * traversals + number
-                    own = traversal_name(split, name, number)
-                    rng = np.random.default_rng([seed, 5, SPLITS.index(split), k, number])
-                    driven = drive(route, steps, style, rng)
+                for r, number in product(range(len(routes)), range(traversals)):
+                    path = paths[routes[r]]
+                    identity = ((SPLITS.index(split) * len(conditions) + k) * len(routes) + r) * traversals + number
+                    own = traversal_name(split, name, routes[r], number)
+                    rng = np.random.default_rng([seed, 5, *_drawn_by(split, k, routes[r], number)])
+                    driven = drive(path, steps, style, rng)
                     cameras = rig.cameras(*size)
-                    cars = tuple(map(tuple, moving_cars(route, driven, condition.factors.traffic, LANE_M, rng)))
+                    others = moving_cars(path, driven, condition.factors.traffic, path.other_lane_m, rng)
+                    cars = tuple(map(tuple, others))
                     plan = (own, identity, split, place, condition, first, cameras, driven, cars, imaging.get(own))
                     plans.append(TraversalPlan(*plan))
             advance(1)
+    for name, times in Counter(plan.name for plan in plans).items():
+        if times > 1:
+            raise ConfigError(f"two traversals would be called '{name}'; give the condition another name")
     return plans

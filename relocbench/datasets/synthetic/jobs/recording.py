@@ -37,7 +37,6 @@ from relocbench.datasets.synthetic.layouts import boreas as boreas_layout
 from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
 from relocbench.datasets.synthetic.layouts.kitti import KittiLayout
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory, car_tracks
-from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.execution import Run
 from relocbench.files import dump_yaml, read_bytes, remove_parts, write_table, write_text
@@ -221,7 +220,7 @@ def _drive(
     steps = int(np.ceil((last + LEAD_NS - first) / STEP_NS)) + 1
     rng = np.random.default_rng([*seed, 1])
     driven = drive(path, steps, style, rng)
-    others = moving_cars(path, driven, factors.traffic, LANE_M, rng)
+    others = moving_cars(path, driven, factors.traffic, path.other_lane_m, rng)
     step_times = first + STEP_NS * np.arange(steps, dtype=np.int64)
     return _smooth(step_times, driven.T_world_rig), car_tracks(step_times, others)
 

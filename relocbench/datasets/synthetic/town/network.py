@@ -49,6 +49,13 @@ class Path:
     """metres between samples"""
     streets: tuple[tuple[float, float, int], ...]
     """(from, to, street id) in metres along the path; sections end in the middle of crossings"""
+    left_lane: bool = False
+    """whether it lies in the left-hand lane, against that lane's traffic"""
+
+    @property
+    def other_lane_m(self) -> float:
+        """Metres from the path to the middle of the other lane, positive to the left."""
+        return -LANE_M if self.left_lane else LANE_M
 
     @property
     def length(self) -> float:
@@ -137,17 +144,22 @@ class StreetNetwork:
         """The nodes that :meth:`drive` passes, and some more at the end; a longer walk extends a shorter one."""
         return self._route(1.25 * length_m + 60.0, np.random.default_rng(seed))
 
-    def path(self, chain: Sequence[int], start_m: float, length_m: float) -> Path:
-        """A path of ``length_m`` in the middle of the right-hand lane along a chain of nodes, from ``start_m`` on.
+    def path(self, chain: Sequence[int], start_m: float, length_m: float, *, left_lane: bool = False) -> Path:
+        """A path of ``length_m`` in the middle of a lane along a chain of nodes, from ``start_m`` on.
 
-        Raises ConfigError if the nodes do not reach that far.
+        Args:
+            left_lane: in the left-hand lane, which is that of the way back, instead of in the right-hand one.
+
+        Raises:
+            ConfigError: the nodes do not reach that far.
         """
         nodes = self.nodes[list(chain)]
-        lane = offset_line(nodes, [-LANE_M / 2] * (len(chain) - 1))
+        side = 1 if left_lane else -1
+        lane = offset_line(nodes, [side * LANE_M / 2] * (len(chain) - 1))
         turns = turns_of(nodes)
-        line = rounded(lane, [self._lane_radius(n, t) for n, t in zip(chain[1:-1], turns, strict=True)])
+        line = rounded(lane, [self._lane_radius(n, -side * t) for n, t in zip(chain[1:-1], turns, strict=True)])
         points, heading = _smooth(line, start_m, length_m)
-        return Path(points, heading, _STEP_M, self._streets_along(chain, lane, points))
+        return Path(points, heading, _STEP_M, self._streets_along(chain, lane, points), left_lane)
 
     def _route(self, length_m: float, rng: np.random.Generator) -> list[int]:
         """Nodes of a walk that takes the least driven edge at every crossing, without turning back or sharp turns."""
@@ -166,7 +178,7 @@ class StreetNetwork:
         return chain
 
     def _lane_radius(self, node: int, turn: float) -> float:
-        """The radius of the lane's middle; in a right turn (negative) the lane is inside of the centre line."""
+        """The radius of the right lane's middle; in a right turn (negative) it is inside of the centre line."""
         if self.degree(node) == 2:
             out: float = self.bend_radius(node, turn) + np.sign(turn) * LANE_M / 2
             return out
