@@ -12,6 +12,7 @@ from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.names import read_names
 from relocbench.datasets.motion.judging import Motion, judge
 from relocbench.datasets.motion.orientation import doubts_of_axes
+from relocbench.datasets.motion.words import jump_words, outlier_words
 from relocbench.datasets.motion.worlds import doubt_of_world
 from relocbench.datasets.sensors.times import unit_of_dates
 from relocbench.errors import DatasetError
@@ -57,13 +58,11 @@ def _check_poses(drive: CheckedTraversal, findings: Findings) -> Motion:
         return motion
     if motion.outliers or motion.jumps:
         line_of = {row[0]: line for line, row in read_csv(path, "poses", DatasetError) if row}
+        lines = [line_of.get(str(time)) for time in times.tolist()]
         for one in motion.outliers:
-            what = "this pose is" if one.first == one.last else f"{one.last - one.first + 1} poses are"
-            message = f"{what} {one.metres:.4g} m and {one.degrees:.0f} deg off the way of those before and after"
-            findings.fault(message, path, line_of.get(str(times[one.first])))
+            findings.fault(outlier_words(one, lambda row: f"line {lines[row]}"), path, lines[one.first])
         for jump in motion.jumps:
-            message = f"the poses jump by {jump.metres:.3g} m and {jump.degrees:.1f} deg here"
-            findings.note(message, path, line_of.get(str(times[jump.index])))
+            findings.note(jump_words(jump), path, lines[jump.index])
     for doubt in doubts_of_axes(times[motion.kept], T_world_rig[motion.kept]):
         findings.note(doubt, path)
     return motion
@@ -84,5 +83,5 @@ def _check_steps(
     for (ref, query), row in read_pair_table(table, Findings()).items():
         first, last = min(ref, query), max(ref, query)
         if row.group.startswith("step_") and bool(((after > first) & (after <= last)).any()):
-            message = f"the pair steps over a jump or a hole of the poses, {(last - first) / 1e9:.3g} s apart"
+            message = f"the pair lies across a jump or a hole of the poses, in {(last - first) / 1e9:.3g} s"
             findings.note(message, table, row.line)

@@ -103,11 +103,11 @@ def steps_left_out(frames: PosedFrames, options: PairingOptions) -> str:
     seconds = np.diff(np.array(frames.timestamps, dtype=np.int64)) / 1e9
     worst = int(apart[np.argmax(seconds[apart])])
     metres = float(np.linalg.norm(frames.T_world_cam[worst + 1, :3, 3] - frames.T_world_cam[worst, :3, 3]))
-    places = "one hole or jump of the poses" if len(apart) == 1 else f"{len(apart)} holes or jumps of the poses"
+    places = "the hole or jump" if len(apart) == 1 else f"any of the {len(apart)} holes and jumps"
     return (
-        f"no pair steps over {places}: {seconds[worst]:.3g} s and {metres:.3g} m from "
-        f"{frames.timestamps[worst]} to {frames.timestamps[worst + 1]} ns, where most steps take "
-        f"{np.median(seconds):.3g} s"
+        f"--pair-rule step pairs no frames across {places} of the poses{', the longest' * (len(apart) > 1)} of "
+        f"{seconds[worst]:.3g} s and {metres:.3g} m from {frames.timestamps[worst]} to {frames.timestamps[worst + 1]} "
+        f"ns, where most steps take {np.median(seconds):.3g} s"
     )
 
 

@@ -5,20 +5,21 @@ Every door whose poses are those of a drive passes here; unordered photographs h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from relocbench.datasets.motion.judging import Motion, judge
 from relocbench.datasets.motion.orientation import doubts_of_axes
-from relocbench.datasets.motion.outliers import Outlier
+from relocbench.datasets.motion.words import hole_words, jump_words, outlier_words
 from relocbench.datasets.sensors.pose_tables import PoseTable, short_name
 from relocbench.errors import DatasetError
 from relocbench.progress import Reporter, Silent
 
 _NAMED = 3
-"""outliers that are named one by one"""
+"""outliers, jumps and holes that are named one by one"""
 
 
 def plausible(
@@ -33,7 +34,7 @@ def plausible(
 
     Args:
         jumps: tell of jumps, and break the drive there; others judge them.
-        holes: break the drive at holes.
+        holes: tell of holes, and break the drive there.
         axes: tell of doubtful rotations.
 
     Raises:
@@ -59,31 +60,17 @@ def plausible(
     return out
 
 
-def _messages(table: PoseTable, motion: Motion) -> Sequence[str]:
-    """What is implausible, a line each."""
-    lines = [_outlier(table, one) for one in motion.outliers[:_NAMED]]
-    if more := motion.outliers[_NAMED:]:
-        count = sum(one.last - one.first + 1 for one in more)
-        lines.append(f"{short_name(table.path)}: {count} more poses, in {len(more)} places, are as far off; left out")
-    if motion.jumps:
-        worst = max(motion.jumps, key=lambda jump: jump.metres)
-        steps = f"{len(motion.jumps)} of its {motion.count - 1} steps, most" if len(motion.jumps) > 1 else "one step,"
-        seconds = (table.times_ns[worst.index] - table.times_ns[worst.index - 1]) / 1e9
-        lines.append(
-            f"{_place(table, worst.index)}: the poses jump in {steps} by {distance(worst.metres)} and "
-            f"{worst.degrees:.1f} deg within {seconds:.3g} s here; nothing is interpolated there"
-        )
-    return lines
-
-
-def _outlier(table: PoseTable, one: Outlier) -> str:
-    count = one.last - one.first + 1
-    poses = "this pose is" if count == 1 else f"{count} poses, to {_row(table, one.last)}, are"
-    ends = [_row(table, row) for row in (one.before, one.after) if row is not None]
-    way = f"the way between those of {' and '.join(ends)}" if len(ends) == 2 else f"the way from that of {ends[0]}"
-    angle = f" and {one.degrees:.0f} deg" if one.degrees >= 1 else ""
-    left_out = "it is left out" if count == 1 else "they are left out"
-    return f"{_place(table, one.first)}: {poses} {distance(one.metres)}{angle} off {way}; {left_out}"
+def _messages(table: PoseTable, motion: Motion) -> Iterator[str]:
+    """What is implausible, a line each: of each kind the first outliers, and the largest jumps and holes."""
+    row = partial(_row, table)
+    outliers = [(one.first, f"{outlier_words(one, row)}; left out") for one in motion.outliers]
+    jumps = [(one.index, jump_words(one)) for one in sorted(motion.jumps, key=lambda jump: -jump.metres)]
+    holes = [(one.index, hole_words(one)) for one in sorted(motion.holes, key=lambda hole: -hole.seconds)]
+    for kind, found in (("outliers", outliers), ("jumps", jumps), ("holes", holes)):
+        for at, words in found[:_NAMED]:
+            yield f"{_place(table, at)}: {words}{'' if kind == 'outliers' else '; nothing is interpolated there'}"
+        if more := found[_NAMED:]:
+            yield f"{short_name(table.path)}: {len(more)} more {kind} of the poses, the first at {row(min(more)[0])}"
 
 
 def _place(table: PoseTable, row: int) -> str:
@@ -93,8 +80,3 @@ def _place(table: PoseTable, row: int) -> str:
 
 def _row(table: PoseTable, row: int) -> str:
     return f"line {table.lines[row]}" if len(table.lines) else f"{table.times_ns[row]} ns"
-
-
-def distance(metres: float) -> str:
-    """Metres, or kilometres, with three digits."""
-    return f"{metres / 1000:,.0f} km" if metres >= 10_000 else f"{metres:.3g} m"

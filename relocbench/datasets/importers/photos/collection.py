@@ -21,8 +21,8 @@ from relocbench.datasets.importers.assembly import import_image, note_depth_scal
 from relocbench.datasets.importers.photos.options import PhotoOptions
 from relocbench.datasets.importers.photos.points import Observations, SparseModel, keyframe_points
 from relocbench.datasets.motion.collections import far_from_all
+from relocbench.datasets.motion.words import distance
 from relocbench.datasets.pairs.depth_scale import DepthFrame
-from relocbench.datasets.sensors.plausible_poses import distance
 from relocbench.errors import quoted
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
