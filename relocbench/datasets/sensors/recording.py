@@ -19,6 +19,8 @@ from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.sensors.pose_spline import PoseSpline
 from relocbench.geometry import Camera, interpolate_trajectory
 
+MAX_GAP_NS = 1_000_000_000
+"""longest gap between poses that is interpolated over, unless the user says another one"""
 _FINER = 5
 """parts of the time between two poses of a smooth trajectory that are straight enough"""
 _FEWEST_OF_SPLINE = 4
@@ -32,7 +34,7 @@ class Trajectory:
     """(N,) strictly increasing"""
     T_odom_rig: Array
     """(N, 4, 4)"""
-    max_gap_ns: int = 1_000_000_000
+    max_gap_ns: int = MAX_GAP_NS
     """longest gap between poses to interpolate over"""
     breaks: tuple[int, ...] = ()
     """indices of poses whose motion from the previous pose was not measured but guessed; nothing is interpolated

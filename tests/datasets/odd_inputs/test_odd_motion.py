@@ -15,7 +15,10 @@ from relocbench.arrays import Array, Times
 from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core.build_options import DatasetOptions
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.odometry.jumps import interrupted
 from relocbench.datasets.importers import importer
+from relocbench.datasets.importers.lidar_drives.drives import rig_trajectory
 from relocbench.datasets.motion.collections import far_from_all
 from relocbench.datasets.motion.holes import find_holes
 from relocbench.datasets.motion.judging import judge
@@ -23,6 +26,7 @@ from relocbench.datasets.motion.orientation import doubts_of_axes
 from relocbench.datasets.motion.worlds import doubt_of_world
 from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import PoseTable
+from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import invert, make_transform, so3_exp
@@ -64,21 +68,16 @@ def test_outlier_poses_are_left_out_by_line_and_the_way_between_is_unknown(
     assert len(notes.notes) == 1
 
 
-@pytest.mark.parametrize(
-    ("name", "column"),
-    [
-        ("boreas", 1),
-        ("mulran", 4),
-        ("helipr", 1),
-        ("nclt", 1),
-        ("complex-urban", 4),
-        ("clouds", 1),
-        ("robotcar", 5),
-        ("four-seasons", 1),
-    ],
-)
-def test_every_door_names_an_outlier_with_its_line(name: str, column: int, tmp_path: Path) -> None:
-    door, notes = DOORS[name], Notes()
+COLUMNS = {
+    "boreas": 1, "mulran": 4, "helipr": 1, "nclt": 1, "complex-urban": 4, "clouds": 1, "robotcar": 5, "four-seasons": 1
+}  # fmt: skip
+"""door -> a column of positions"""
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+@pytest.mark.parametrize("fault", ["outlier", "hole"])
+def test_every_door_names_an_outlier_and_a_hole_with_its_line(name: str, fault: str, tmp_path: Path) -> None:
+    door, notes, column = DOORS[name], Notes(), COLUMNS[name]
     door.write(tmp_path)
     table = tmp_path / door.table
     lines = table.read_text().splitlines()
@@ -90,11 +89,13 @@ def test_every_door_names_an_outlier_with_its_line(name: str, column: int, tmp_p
     fields = lines[door.first].split(between)
     rows = []
     for k in range(12):
-        x = Decimal(fields[column]) + (k if k != 6 else 10**9)
+        x = Decimal(fields[column]) + (k if k != 6 or fault == "hole" else 10**9)
+        if fault == "hole" and k >= 6:
+            x, k = x + 50, k + 30
         rows.append(between.join([str(first + k * (second - first)), *fields[1:column], str(x), *fields[column + 1 :]]))
     table.write_text("\n".join([*head, *rows]) + "\n")
-    assert len(door.times(tmp_path, notes)) == 11
-    assert noted(notes.notes, f"{table.name}:{len(head) + 7}")
+    assert len(door.times(tmp_path, notes)) == (11 if fault == "outlier" else 12)
+    assert noted(notes.notes, f"{table.name}:{len(head) + 7}", *(["51 m"] if fault == "hole" else []))
 
 
 def test_a_shift_of_gnss_is_told_and_both_sides_stay() -> None:
@@ -105,6 +106,24 @@ def test_a_shift_of_gnss_is_told_and_both_sides_stay() -> None:
     assert len(found.times_ns) == COUNT
     assert found.breaks == (150,)
     assert noted(notes.notes, "poses.txt:151", "2.81 m")
+
+
+def test_a_hole_is_bridged_only_up_to_a_gap_that_the_user_says() -> None:
+    times, T = drive()
+    rows = np.delete(np.arange(COUNT), np.arange(100, 109))
+    table = PoseTable(Path("poses.txt"), times[rows], T[rows])
+    inside, notes = times[[90, 104]], Notes()
+    assert rig_trajectory(table, notes).covers(inside).tolist() == [True, False]
+    assert noted(notes.notes, times[109], "1 s", "10 m")
+    assert rig_trajectory(table, notes, max_gap_ns=10**9).covers(inside).all()
+
+
+def test_odometry_that_is_computed_from_scans_is_interrupted_at_its_holes(tmp_path: Path) -> None:
+    times, T = drive()
+    rows, notes = np.delete(np.arange(COUNT), np.arange(100, 109)), Notes()
+    recording = FieldRecording("a", tmp_path, Condition(), Trajectory(times[rows], T[rows]), (), odometry_lidar="top")
+    assert interrupted(recording, notes).odometry.breaks == (100,)
+    assert noted(notes.notes, times[109], "1 s")
 
 
 def test_poses_of_a_system_that_lost_track_are_left_out_however_many_they_are() -> None:

@@ -200,7 +200,7 @@ def of_kitti(root: Path, notes: Notes | None = None) -> dict[int, float]:
     """Image -> metres ahead, of what the door ``kitti`` takes of a recording with half a metre between frames."""
     sequence = KittiSequence(root, "00")
     frames = sequence.image_frames("image_0")
-    times, poses = sequence.times_and_poses(10.0, max(frames) + 1, notes or Notes())
+    times, poses, _ = sequence.times_and_poses(10.0, max(frames) + 1, notes or Notes())
     for frame in poses.keys() & times.keys():
         assert times[frame] == frame * 100_000_000
     return {frame: float(poses[frame][2, 3]) for frame in frames if frame in poses and frame in times}

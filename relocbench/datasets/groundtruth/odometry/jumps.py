@@ -1,4 +1,4 @@
-"""Odometry is interrupted at its jumps, and both sides are registered on their own.
+"""Odometry is interrupted at its jumps and at holes, and both sides are registered on their own.
 
 Errors of odometry are modelled as a random walk, which a jump is not: the registrations on both sides of it would
 contradict each other, and neither could be trusted.
@@ -10,7 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from relocbench.datasets.motion.holes import find_holes
 from relocbench.datasets.motion.jumps import Jump, find_jumps
+from relocbench.datasets.motion.words import hole_words
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.progress import Reporter
 
@@ -22,6 +24,17 @@ _LARGE = 5.0
 """large jumps exceed the limit so many times"""
 
 
+def _interrupted_at_holes(recording: FieldRecording, reporter: Reporter) -> FieldRecording:
+    """The recording, its odometry from scans interrupted where there are none; importers judge poses that they read."""
+    odometry = recording.odometry
+    holes = [hole for hole in find_holes(odometry.times_ns, odometry.T_odom_rig) if hole.index not in odometry.breaks]
+    for hole in holes:
+        where = f"{recording.name}, {odometry.times_ns[hole.index]} ns"
+        reporter.note(f"{where}: {hole_words(hole)}; nothing is interpolated there")
+    breaks = tuple(sorted({*odometry.breaks, *(hole.index for hole in holes)}))
+    return replace(recording, odometry=replace(odometry, breaks=breaks)) if holes else recording
+
+
 def jumps_of(odometry: Trajectory) -> tuple[Jump, ...]:
     """The jumps of odometry, in order. Steps across gaps and breaks are none."""
     measured = np.diff(odometry.times_ns) <= odometry.max_gap_ns
@@ -30,7 +43,8 @@ def jumps_of(odometry: Trajectory) -> tuple[Jump, ...]:
 
 
 def interrupted(recording: FieldRecording, reporter: Reporter) -> FieldRecording:
-    """The recording, its odometry interrupted at its jumps, which are told; itself where there are none or too many."""
+    """The recording, its odometry interrupted at holes and jumps, which are told, unless there are too many jumps."""
+    recording = _interrupted_at_holes(recording, reporter) if recording.odometry_lidar else recording
     odometry = recording.odometry
     jumps = jumps_of(odometry)
     if not jumps:

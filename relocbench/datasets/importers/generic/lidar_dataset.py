@@ -25,7 +25,12 @@ class Options(FieldOptions, LinkingOptions):
     odometry: Literal["auto", "poses", "lidar"] = Field(
         "auto", description="motion between scans: from poses.txt, or by registering the scans of a spinning lidar"
     )
-    max_pose_gap: float = Field(1.0, gt=0, description="longest gap in seconds between two poses to interpolate over")
+    max_pose_gap: float = Field(
+        1.0,
+        gt=0,
+        description="longest gap in seconds between two poses to interpolate over; unless it is given, shorter gaps "
+        "that are holes in a drive are not interpolated over either",
+    )
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -46,7 +51,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
             source,
             name=title,
             odometry=options.odometry,
-            max_gap_s=options.max_pose_gap,
+            max_gap_s=options.given("max_pose_gap"),
             reporter=reporter,
             from_lidar=later,
         )

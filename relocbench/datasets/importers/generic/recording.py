@@ -16,7 +16,7 @@ from relocbench.datasets.importers.generic.dataset import (
 from relocbench.datasets.importers.generic.scans import LIDAR_FILE, T_NEW_RIG, read_lidar_file, read_lidars
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.sensors.pose_tables import read_trajectory
-from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
+from relocbench.datasets.sensors.recording import MAX_GAP_NS, FieldRecording, Trajectory
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert
@@ -32,7 +32,7 @@ def read_generic(
     *,
     name: str | None = None,
     odometry: OdometrySource = "auto",
-    max_gap_s: float = 1.0,
+    max_gap_s: float | None = None,
     reporter: Reporter | None = None,
     from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
@@ -42,7 +42,7 @@ def read_generic(
         name: name of the recording; default: that of the folder.
         odometry: ``poses`` reads ``poses.txt``, ``lidar`` registers the scans of the first spinning lidar, ``auto``
             uses ``poses.txt`` if it exists.
-        max_gap_s: longest gap between two poses to interpolate over.
+        max_gap_s: longest gap between two poses to interpolate over, hole or not; None: one second, and no hole.
         from_lidar: computes odometry from scans.
 
     Raises:
@@ -53,7 +53,7 @@ def read_generic(
     title = name or traversal_names([folder])[0]
     header = read_lidar_file(folder)
     T_new_rig = T_NEW_RIG[header.rig_axes]
-    described, max_gap_ns = (folder / CAMERA_FILE).exists(), round(max_gap_s * 1e9)
+    described, max_gap_ns = (folder / CAMERA_FILE).exists(), round(max_gap_s * 1e9) if max_gap_s else None
     files = read_folder(folder, title, need_poses=False) if described else None
     by_poses = odometry == "poses" or (odometry == "auto" and (folder / POSE_FILE).exists())
     lidars = read_lidars(folder, T_new_rig, report)
@@ -72,10 +72,10 @@ def read_generic(
         cameras=files.streams(T_new_rig) if files else {},
         prior=_trajectory(prior, T_new_rig, max_gap_ns, report) if prior.exists() else None,
         location=files.location if files else "",
-        max_gap_ns=max_gap_ns,
+        max_gap_ns=max_gap_ns or MAX_GAP_NS,
     )
     return drive.recording(from_lidar, report)
 
 
-def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int, reporter: Reporter) -> Trajectory:
+def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int | None, reporter: Reporter) -> Trajectory:
     return rig_trajectory(read_trajectory(path, reporter=reporter), reporter, invert(T_new_rig), max_gap_ns)

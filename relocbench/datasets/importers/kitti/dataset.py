@@ -156,7 +156,7 @@ def _read(sequence: KittiSequence, options: Options, needs_depth: bool, reporter
     found = sequence.image_frames(options.camera)
     if not found:
         raise DatasetError("holds no images (000000.png, ...)", sequence.folder / options.camera)
-    times, poses = sequence.times_and_poses(options.rate_hz, max(found) + 1, reporter)
+    times, poses, _ = sequence.times_and_poses(options.rate_hz, max(found) + 1, reporter)
     frames = {i: path for i, path in found.items() if i in poses and i in times}
     if len(frames) < len(found):
         first = next(path.name for i, path in found.items() if i not in frames)

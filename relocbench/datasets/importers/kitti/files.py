@@ -141,8 +141,8 @@ class KittiSequence:
 
     def times_and_poses(
         self, rate_hz: float, frames: int, reporter: Reporter
-    ) -> tuple[dict[int, int], dict[int, Array]]:
-        """Nanoseconds and ``T_world_cam0`` (4, 4) by frame, of those that have one.
+    ) -> tuple[dict[int, int], dict[int, Array], tuple[int, ...]]:
+        """Nanoseconds and ``T_world_cam0`` (4, 4) by frame, of those that have one, and the poses after a break.
 
         Raises:
             DatasetError: with file and line: as :meth:`times` and :meth:`poses`, or the files have different numbers of
@@ -164,4 +164,4 @@ class KittiSequence:
             reporter,
         )
         posed = set(table.times_ns.tolist())
-        return times, {number: poses[number] for number in numbers if times[number] in posed}
+        return times, {number: poses[number] for number in numbers if times[number] in posed}, table.breaks

@@ -113,9 +113,10 @@ def read_kitti(
         raise DatasetError("holds no lidar scan; expected velodyne/NNNNNN.bin", files.folder)
     found = _image_files(files, cameras)
     frames = 1 + max(max(numbers) for numbers in (scans, *found.values()))
-    poses: dict[int, Array] | None = None
+    track: Trajectory | None = None
     if odometry == "poses":
-        times, poses = files.times_and_poses(rate_hz, frames, report)
+        times, *posed = files.times_and_poses(rate_hz, frames, report)
+        track = _motion(files, *posed, times)
     else:
         _, times = files.times(rate_hz, frames, report)
     missing = 1 + max(scans) - min(scans) - len(scans)
@@ -135,7 +136,7 @@ def read_kitti(
         folder=files.folder,
         condition=Condition(),
         lidars=(lidar,),
-        poses=None if poses is None else _motion(files, poses, times),
+        poses=track,
         poses_from=f"poses/{sequence}.txt",
         cameras=streams,
     )
@@ -166,13 +167,14 @@ def _at(frames: Iterable[int], times: dict[int, int]) -> Times:
     return np.array([times[frame] for frame in frames], dtype=np.int64)
 
 
-def _motion(files: KittiSequence, poses: dict[int, Array], times: dict[int, int]) -> Trajectory:
+def _motion(
+    files: KittiSequence, poses: dict[int, Array], breaks: tuple[int, ...], times: dict[int, int]
+) -> Trajectory:
     """The motion of the lidar by ``poses/NN.txt``, whose poses are those of camera 0."""
-    frames = [frame for frame in poses if frame in times]
-    if len(frames) < 2:
-        raise DatasetError(f"holds {len(frames)} poses; odometry needs at least 2", files.poses_file)
-    T_world_cam0 = np.array([poses[frame] for frame in frames])
-    return Trajectory(_at(frames, times), T_world_cam0 @ files.calibration.T_cam0_lidar())
+    if len(poses) < 2:
+        raise DatasetError(f"holds {len(poses)} poses; odometry needs at least 2", files.poses_file)
+    T_world_cam0 = np.array(list(poses.values()))
+    return Trajectory(_at(poses, times), T_world_cam0 @ files.calibration.T_cam0_lidar(), breaks=breaks)
 
 
 def _camera(files: KittiSequence, name: str, numbers: dict[int, Path], times: dict[int, int]) -> CameraStream:

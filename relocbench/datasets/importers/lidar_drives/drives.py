@@ -13,7 +13,7 @@ from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar
 from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import PoseTable
-from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
+from relocbench.datasets.sensors.recording import MAX_GAP_NS, CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.errors import ConfigError, DatasetError, available
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
@@ -39,7 +39,7 @@ class DriveFiles:
     """``T_map_rig`` in metres, in a map that drives may share; its coordinates may be large"""
     prior_sigma_m: float = 10.0
     location: str = ""
-    max_gap_ns: int = 1_000_000_000
+    max_gap_ns: int = MAX_GAP_NS
     """longest gap to interpolate over between poses that are computed from a lidar"""
 
     def with_times_only(self) -> FieldRecording:
@@ -115,22 +115,26 @@ def rig_trajectory(
     table: PoseTable,
     reporter: Reporter | None,
     T_body_rig: Array | None = None,
-    max_gap_ns: int = 1_000_000_000,
+    max_gap_ns: int | None = None,
 ) -> Trajectory:
     """Poses of the rig from those of another body on it; default: the body is the rig.
 
-    Outliers are left out; other jumps are interrupted when the drives are registered, and holes are bridged up to
-    ``max_gap_ns``, since a vehicle's way does not bend much in it.
+    Outliers are left out, and nothing is interpolated over holes; other jumps are interrupted when the drives are
+    registered.
+
+    Args:
+        max_gap_ns: longest gap between two poses to interpolate over, whether or not it is a hole of this drive;
+            None: one second, and no hole.
 
     Raises:
         DatasetError: there are fewer than two poses, or they cannot be those of one drive.
     """
-    table = plausible(table, reporter, jumps=False, holes=False)
+    table = plausible(table, reporter, jumps=False, holes=max_gap_ns is None)
     if len(table.times_ns) < 2:
         raise DatasetError(f"holds {len(table.times_ns)} poses; a trajectory has at least 2", table.path)
     T_map_body = table.transforms
     T_map_rig = T_map_body if T_body_rig is None else T_map_body @ T_body_rig
-    return Trajectory(table.times_ns, T_map_rig, max_gap_ns, table.breaks)
+    return Trajectory(table.times_ns, T_map_rig, max_gap_ns or MAX_GAP_NS, table.breaks)
 
 
 def chosen_of(wanted: Sequence[str] | None, known: Sequence[str], default: Sequence[str], what: str) -> list[str]:

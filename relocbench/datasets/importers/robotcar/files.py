@@ -109,6 +109,8 @@ class InertialTrack:
     """UTM zone"""
     left_out: int
     """number of solutions that the receiver itself did not mark as good"""
+    breaks: tuple[int, ...] = ()
+    """solutions before which nobody knows the way"""
 
 
 def read_inertial(path: Path, reporter: Reporter | None = None) -> InertialTrack:
@@ -130,10 +132,10 @@ def read_inertial(path: Path, reporter: Reporter | None = None) -> InertialTrack
         zone = row[5]
         rows.append(Row(line, row[0], [*row[2:5], *row[6:]]))
     numbers = PoseNumbers(_INS_NUMBERS, transform_from_xyzrpy)
-    table = plausible(pose_table(rows, numbers, path, reporter, own_ns=US), reporter, jumps=False, holes=False)
+    table = plausible(pose_table(rows, numbers, path, reporter, own_ns=US), reporter, jumps=False)
     if not len(table.times_ns):
         raise DatasetError(f"holds no good solution (ins_status {' or '.join(_GOOD_STATUS)})", path)
-    return InertialTrack(table.times_ns, table.transforms, zone, left_out)
+    return InertialTrack(table.times_ns, table.transforms, zone, left_out, table.breaks)
 
 
 def read_extrinsics(path: Path) -> Array:

@@ -142,7 +142,8 @@ def read_robotcar(
         steps = files.read_visual_odometry(folder / "vo" / "vo.csv", report)
         motion = visual_trajectory(steps, prior)
         if motion.breaks:
-            report.note(f"{title}: visual odometry has {len(motion.breaks)} interruptions")
+            first = motion.times_ns[motion.breaks[0]]
+            report.note(f"{title}: visual odometry has {len(motion.breaks)} interruptions, the first before {first} ns")
     if found_origin is not None and origin is None:
         report.note(f"{title}: GNSS positions are relative to {found_origin}")
     return FieldRecording(

@@ -88,4 +88,4 @@ def map_trajectory(track: InertialTrack, origin: MapOrigin, T_rig_ins: Array) ->
     # The large offsets are subtracted first, so that no digits are lost.
     T_ned_ins[:, 0, 3] -= origin.northing_m
     T_ned_ins[:, 1, 3] -= origin.easting_m
-    return Trajectory(track.times_ns, _T_ENU_NED @ T_ned_ins @ invert(T_rig_ins), _INS_GAP_NS)
+    return Trajectory(track.times_ns, _T_ENU_NED @ T_ned_ins @ invert(T_rig_ins), _INS_GAP_NS, track.breaks)

@@ -59,7 +59,12 @@ class Options(FieldOptions):
     stamps: Literal["header", "receive"] = Field(
         "header", description="times by the headers of messages, or by when they were received"
     )
-    max_pose_gap: float = Field(1.0, gt=0, description="longest gap in seconds between two poses to interpolate over")
+    max_pose_gap: float = Field(
+        1.0,
+        gt=0,
+        description="longest gap in seconds between two poses to interpolate over; unless it is given, shorter gaps "
+        "that are holes in a drive are not interpolated over either",
+    )
 
     @field_validator("point_time")
     @classmethod
@@ -123,5 +128,5 @@ def settings_of(options: Options) -> BagSettings:
         max_range_m=options.max_range,
         sigma_m=options.lidar_sigma,
         stamps=options.stamps,
-        max_gap_ns=round(options.max_pose_gap * 1e9),
+        max_gap_ns=None if options.given("max_pose_gap") is None else round(options.max_pose_gap * 1e9),
     )

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from relocbench.arrays import Array, Times
+from relocbench.datasets.importers.lidar_drives.drives import rig_trajectory
 from relocbench.datasets.importers.rosbag.index import Fixes
 from relocbench.datasets.sensors.geodesy import ECCENTRICITY2, R_enu_ecef, ecef_from_geodetic, prime_vertical_radius
-from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_files import path_lengths
 from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import Trajectory
@@ -88,13 +88,14 @@ def odometry(
     times_ns: Times,
     values: Array,
     T_body_rig: Array,
-    max_gap_ns: int,
+    max_gap_ns: int | None,
     bag: Path,
     reporter: Reporter | None = None,
 ) -> Trajectory:
     """The trajectory of the rig in the frame of its first pose, from poses (N, 7) of a frame fixed to it.
 
     Args:
+        max_gap_ns: as of :func:`rig_trajectory`.
         bag: for messages.
         reporter: is told of outliers, which are left out.
 
@@ -102,10 +103,8 @@ def odometry(
         DatasetError: the poses cannot be those of one drive.
     """
     kept = in_order(times_ns)
-    table = PoseTable(bag, times_ns[kept], poses(values[kept]) @ T_body_rig)
-    table = plausible(table, reporter, jumps=False, holes=False)
-    T_odom_rig = np.asarray(invert(table.transforms[0]) @ table.transforms)
-    return Trajectory(table.times_ns, T_odom_rig, max_gap_ns, table.breaks)
+    motion = rig_trajectory(PoseTable(bag, times_ns[kept], poses(values[kept])), reporter, T_body_rig, max_gap_ns)
+    return replace(motion, T_odom_rig=np.asarray(invert(motion.T_odom_rig[0]) @ motion.T_odom_rig))
 
 
 def poses(values: Array) -> Array:
@@ -117,7 +116,7 @@ def poses(values: Array) -> Array:
     return np.asarray(transform_from_tq(values[:, :3], q))
 
 
-def map_of_fixes(times_ns: Times, enu: Array, motion: Trajectory, antenna: Array) -> Trajectory | None:
+def map_of_fixes(fixes: PoseTable, motion: Trajectory, antenna: Array) -> Trajectory | None:
     """``T_map_rig`` at the times of fixes that the odometry covers; None if none can be placed.
 
     GNSS tells positions, odometry tells how the rig is turned relative to its own frame. The angle between this frame
@@ -125,14 +124,14 @@ def map_of_fixes(times_ns: Times, enu: Array, motion: Trajectory, antenna: Array
     of the odometry and holds also where the rig stands or reverses.
 
     Args:
-        times_ns: (N,) strictly increasing.
-        enu: (N, 3) positions of the antenna.
+        fixes: positions of the antenna, without rotations.
         antenna: (3,) position of the antenna on the rig.
     """
+    times_ns = fixes.times_ns
     kept = motion.covers(times_ns)
     if kept.sum() < 2:
         return None
-    times, p_map = times_ns[kept], enu[kept]
+    times, p_map = times_ns[kept], fixes.transforms[kept, :3, 3]
     T_odom_rig = motion.at(times)
     p_odom = (T_odom_rig @ np.append(antenna, 1.0))[:, :3]
     travelled = path_lengths(p_odom[:, :2])
@@ -152,4 +151,6 @@ def map_of_fixes(times_ns: Times, enu: Array, motion: Trajectory, antenna: Array
     R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = cosine, -sine, sine, cosine, 1.0
     R_map_rig = R @ T_odom_rig[known, :3, :3]
     position = p_map[known] - R_map_rig @ antenna
-    return Trajectory(times[known], make_transform(R_map_rig, position), _GNSS_GAP_NS)
+    breaks = np.unique(np.searchsorted(times[known], times_ns[list(fixes.breaks)]))
+    inside = tuple(breaks[(breaks > 0) & (breaks < len(known))].tolist())
+    return Trajectory(times[known], make_transform(R_map_rig, position), _GNSS_GAP_NS, inside)

@@ -43,7 +43,8 @@ class BagSettings:
     max_range_m: float = 100.0
     sigma_m: float = 0.03
     stamps: Stamps = "header"
-    max_gap_ns: int = 1_000_000_000
+    max_gap_ns: int | None = None
+    """longest gap between two poses to interpolate over, hole or not; None: one second, and no hole"""
 
 
 @dataclass(frozen=True, eq=False)

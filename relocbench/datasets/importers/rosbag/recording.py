@@ -20,7 +20,7 @@ from relocbench.datasets.importers.rosbag.stamps import check_clocks, silences
 from relocbench.datasets.importers.rosbag.streams import BagCamera, read_picture
 from relocbench.datasets.importers.rosbag.survey import Survey, survey
 from relocbench.datasets.importers.rosbag.tracks import fix_times, odometry, prior
-from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
+from relocbench.datasets.sensors.recording import MAX_GAP_NS, CameraStream, FieldRecording
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import make_transform
 from relocbench.progress import Reporter, Silent
@@ -97,7 +97,7 @@ def read_bag(
             message = "has neither odometry nor a spinning lidar to compute it from; name a topic by --odometry"
             raise DatasetError(message, reading.source)
         reading.note(f"odometry is computed from the scans of {spinning.messages.topic}")
-        motion, source = from_lidar(spinning, report, max_gap_ns=settings.max_gap_ns), spinning.name
+        motion, source = from_lidar(spinning, report, max_gap_ns=settings.max_gap_ns or MAX_GAP_NS), spinning.name
     prior_of, sigma, start = prior(reading, origin, fixes)
     motion = with_prior(motion, prior_of)
     recording = FieldRecording(

@@ -115,7 +115,7 @@ def prior(
         T_map_rig = motion.poses(found.values[kept]) @ _T_body_rig(
             reading, found, reading.settings.extrinsics.T_rig_gnss
         )
-        table = plausible(PoseTable(reading.source, at, T_map_rig), reading.reporter, jumps=False, holes=False)
+        table = plausible(PoseTable(reading.source, at, T_map_rig), reading.reporter, jumps=False)
         known = Trajectory(table.times_ns, table.transforms, breaks=table.breaks) if len(at) else None
         return (lambda _: known), _PRIOR_SIGMA_M, origin
     fixes = reading.index.fixes[chosen]
@@ -131,13 +131,13 @@ def prior(
     positions = make_transform(np.eye(3), motion.east_north_up(fixes.values[kept, :3], start))
     try:
         table = PoseTable(reading.source, at, positions)
-        placed = plausible(table, reading.reporter, jumps=False, holes=False, axes=False)
+        placed = plausible(table, reading.reporter, jumps=False, axes=False)
     except DatasetError as bad:
         reading.note(f"{chosen} {bad.expected}; drives are registered without GNSS")
         return _without, _PRIOR_SIGMA_M, origin
 
     def fitted(measured: Trajectory) -> Trajectory | None:
-        found = motion.map_of_fixes(placed.times_ns, placed.transforms[:, :3, 3], measured, antenna)
+        found = motion.map_of_fixes(placed, measured, antenna)
         if found is None:
             reading.note(f"{chosen}: the drive is too short to tell its heading; it is registered without GNSS")
         return found
