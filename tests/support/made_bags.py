@@ -197,6 +197,7 @@ class Bag:
         *,
         messages_indexed: bool = True,
         statistics: bool = True,
+        again_after: int = 0,
     ) -> Path:
         """Write an MCAP file by the package mcap.
 
@@ -204,6 +205,7 @@ class Bag:
             others: topics with messages of other encodings: name of the schema, encoding, content.
             messages_indexed: else chunks alone are, of which there are several.
             statistics: write how many messages each topic has.
+            again_after: write all messages once more, received so many nanoseconds later.
         """
         from mcap.writer import IndexType, Writer
 
@@ -214,7 +216,9 @@ class Bag:
             writer = Writer(stream, chunk_size=size, index_types=index, use_statistics=statistics)
             writer.start(profile=profile, library="")
             channels: dict[str, int] = {}
-            for time, topic, message in sorted(self.rows, key=lambda row: row[0]):
+            rows = sorted(self.rows, key=lambda row: row[0])
+            rows += [(time + again_after, *rest) for time, *rest in rows] if again_after else []
+            for time, topic, message in rows:
                 kind = message.__msgtype__
                 if topic not in channels:
                     name = kind.replace("/msg/", "/") if self.ros1 else kind

@@ -97,7 +97,7 @@ def _why_hopeless(times_ns: Times, T: Array) -> str:
     least = np.maximum(_SCATTER[0] * seconds**2, np.clip(_SCATTER[1] * seconds**2, *_SCATTER_M))
     if float(np.mean(off > least)) > 0.5:
         return (
-            f"goes to and fro by {float(np.median(off)):.3g} m in most of its {len(seconds)} steps: are rows in a "
-            "wrong order, or joined to times of others?"
+            f"goes to and fro by {float(np.median(off)):.3g} m in most of its {len(seconds)} steps: are poses in "
+            "a wrong order, joined to times of others, or of several drives that are mixed?"
         )
     return ""

@@ -22,7 +22,7 @@ from relocbench.geometry import invert, se3_log
 
 _BESIDE = 2
 """steps before and after a step that tell what the vehicle did"""
-_LEAST = (0.1, np.radians(0.5))
+LEAST = (0.1, np.radians(0.5))
 """smallest jump, metres and radians"""
 _SHAKEN = (15.0, 8.0)
 """m/s^2 and rad/s^2 that vehicles do not exceed on bumps"""
@@ -121,7 +121,7 @@ class _Deviations:
         usual = np.nanmedian(np.where(near[:, :, None], velocity[around], np.nan), axis=0)
         deviation = np.where(judged[:, None], velocity - usual, 0.0) * seconds[:, None]
         sizes = sizes_of(deviation)
-        limit = np.maximum(_reached(seconds, apart, near), np.array(_LEAST))
+        limit = np.maximum(_reached(seconds, apart, near), np.array(LEAST))
         limit = np.maximum(limit, _NOISE * _noise(sizes))
         limit = np.maximum(limit, _JITTER_S * sizes_of(usual))
         excess = sizes / limit
@@ -134,7 +134,7 @@ def reach(seconds: Array) -> Array:
     """(N, 2) metres and radians by which steps of so many seconds (N,) may differ from the velocity at both ends."""
     squared = np.asarray(seconds)[:, None] ** 2
     driven = np.maximum(np.array(_SWAY), np.array(_DRIVEN) * squared)
-    return np.asarray(np.maximum(np.array(_LEAST), np.minimum(np.array(_SHAKEN) * squared, driven)))
+    return np.asarray(np.maximum(np.array(LEAST), np.minimum(np.array(_SHAKEN) * squared, driven)))
 
 
 def _reached(seconds: Array, apart: Array, near: Mask) -> Array:

@@ -168,19 +168,45 @@ def test_a_chunk_of_unknown_compression_is_named(tmp_path: Path) -> None:
         read(unclosed(whole, 0, False))
 
 
-def test_a_recording_that_was_looped_is_refused_at_its_second_run(tmp_path: Path) -> None:
-    first = drive()
+@pytest.mark.parametrize("storage", ["rosbag1", "rosbag2", "mcap"])
+def test_a_recording_that_was_looped_is_refused_at_its_second_run(tmp_path: Path, storage: str) -> None:
+    first = drive(storage == "rosbag1")
     for shift, looped in ((SECOND // 2, True), (-4 * SECOND, False)):
-        bag = drive()
+        bag = drive(storage == "rosbag1")
         rows = sorted(first.rows, key=lambda row: row[0])
         again = [(time + shift - SECOND, topic, message) for time, topic, message in rows]
         bag.rows = [*rows, *again]
-        path = bag.write(tmp_path / f"{looped}.bag", in_order=False)
+        path = bag.write(tmp_path / f"{looped}{'.bag' * (storage == 'rosbag1')}", storage, in_order=False)
         if looped:
             with refused(DatasetError, path.name, None, START - SECOND // 2):
                 read(path)
         else:
             assert open_bag(path, Wanted()).survey.topics["/points"].count == 2 * SCANS
+
+
+def test_an_mcap_file_of_ros_1_that_was_looped_is_refused(tmp_path: Path) -> None:
+    path = drive().write_mcap(tmp_path / "drive.mcap", "ros1", again_after=-SECOND // 2)
+    with refused(DatasetError, path.name, None, START - SECOND // 2):
+        read(path)
+
+
+@pytest.mark.parametrize("ros1", [True, False])
+@pytest.mark.parametrize("fault", ["stamps", "poses", "beside", "frames"])
+def test_two_runs_or_publishers_that_are_mixed_in_one_topic_are_refused(tmp_path: Path, ros1: bool, fault: str) -> None:
+    """Of another day, at the same times, some milliseconds beside them, or of another lidar."""
+    bag = drive(ros1)
+    for k in range(2 * SCANS):
+        time = START + k * SECOND // 20
+        if fault == "frames":
+            bag.cloud("/points", time + SECOND // 90, np.zeros(3, [(a, "<f4") for a in "xyz"]), frame="rear")
+            continue
+        stamp = time + {"stamps": 5000 * SECOND, "poses": 0, "beside": SECOND // 50}[fault]
+        bag.odometry("/odom", stamp, (-0.2 * k, 80, 0, 0, 0, 0, 1))
+        bag.rows[-1] = (time + SECOND // 50, *bag.rows[-1][1:])
+    path = bag.write(tmp_path / ("drive.bag" if ros1 else "drive"), "rosbag1" if ros1 else "mcap")
+    told = {"stamps": ("/odom", "5000 s"), "poses": ("/odom", "80.5 m", START), "beside": (), "frames": ("rear",)}
+    with refused(DatasetError, path.name, None, *told[fault]):
+        read(path)
 
 
 def test_a_topic_that_falls_silent_is_noted(tmp_path: Path) -> None:

@@ -118,6 +118,7 @@ class Part:
             self._open_ros1()
         else:
             self._reader.open()
+        check_order(self._reader, self.path)
         search_unindexed_chunks(self._reader)
         for connection in self._reader.connections:
             name = connection.topic
@@ -139,7 +140,6 @@ class Part:
             self.remark = open_without_index(self._reader)
         else:
             self._reader.open()
-        check_order(self._reader, self.path)
 
     @property
     def _is_ros1_file(self) -> bool:

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 without an index, and topics whose messages go back in time within a file.
+"""Bags of ROS 1 without an index, and topics of all bags whose messages go back in time within a file.
 
 The recorder of ROS 1 writes the index when it is stopped. A bag whose recorder was killed has none, and the header of
 its last chunk still says that it is empty (http://wiki.ros.org/Bags/Format/2.0). Its messages are found by going
@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from relocbench.arrays import Times
 from relocbench.errors import DatasetError, quoted
 
 _LARGEST_HEADER = 1 << 20
@@ -155,16 +156,56 @@ def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, Any, int]]:
 
 
 def check_order(reader: Any, path: Path) -> None:
-    """Raise DatasetError if a topic holds several runs, which their times alone would mix: of a bag of ROS 1."""
-    for connection in reader.connections:
-        found = sorted(reader.indexes[connection.id], key=lambda entry: (entry.chunk_pos, entry.offset))
-        times = np.array([entry.time for entry in found], dtype=np.int64)
+    """Raise DatasetError if a topic holds several runs, which their times alone would mix."""
+    for topic, times in _written(reader):
         for at in np.flatnonzero(np.diff(times) < -_BACK_NS) + 1:
             # Parts that were put together in another order do not overlap, and their times tell the right one.
             if times[at:].max() >= times[:at].min():
                 raise DatasetError(
-                    f"{connection.topic}: message {at + 1} in the file was received at {times[at]} ns, "
+                    f"{topic}: message {at + 1} in the file was received at {times[at]} ns, "
                     f"{(times[at - 1] - times[at]) / 1e9:.1f} s before the one that was written before it: the bag "
-                    "holds a recording that was looped, or several runs; cut it there (`rosbag filter`)",
+                    "holds a recording that was looped, or several runs; cut it there",
                     path,
                 )
+
+
+def _written(reader: Any) -> Iterator[tuple[str, Times]]:
+    """The topic of each writer, and times of receipt (N,) of its messages in the order of the file.
+
+    Those of MCAP files without an index of messages are left out.
+    """
+    if hasattr(reader, "indexes"):  # of ROS 1
+        for connection in reader.connections:
+            found = sorted(reader.indexes[connection.id], key=lambda entry: (entry.chunk_pos, entry.offset))
+            yield connection.topic, np.array([entry.time for entry in found], dtype=np.int64)
+        return
+    storage = getattr(reader, "storage", reader)
+    for store in getattr(storage, "storages", [storage]):
+        if (database := getattr(store, "dbconn", None)) is not None:
+            topics = {connection.id: connection.topic for connection in store.connections}
+            rows = np.array(
+                database.execute("SELECT topic_id, timestamp FROM messages ORDER BY id").fetchall(), dtype=np.int64
+            ).reshape(-1, 2)
+        elif chunks := getattr(store, "chunks", ()):
+            topics = {number: channel.topic for number, channel in store.channels.items()}
+            rows = np.concatenate([_indexed(store.bio, chunk) for chunk in sorted(chunks, key=_place_of)])
+        else:
+            continue
+        for number in np.unique(rows[:, 0]).tolist():
+            yield topics.get(number, str(number)), rows[rows[:, 0] == number, 1]
+
+
+def _place_of(chunk: Any) -> int:
+    return int(chunk.chunk_start_offset)
+
+
+def _indexed(stream: BinaryIO, chunk: Any) -> Times:
+    """(N, 2) channel and time of the messages of a chunk of MCAP in their order (specification, Message Index)."""
+    found = []
+    for number, place in chunk.message_index_offsets.items():
+        stream.seek(place + 1 + 8 + 2)
+        (size,) = struct.unpack("<I", stream.read(4))
+        entries = np.frombuffer(stream.read(size), dtype="<u8").reshape(-1, 2).astype(np.int64)
+        found.append(np.column_stack([entries[:, 1], np.full(len(entries), number), entries[:, 0]]))
+    rows = np.concatenate(found) if found else np.zeros((0, 3), dtype=np.int64)
+    return rows[np.argsort(rows[:, 0], kind="stable"), 1:]

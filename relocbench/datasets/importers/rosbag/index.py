@@ -163,9 +163,15 @@ def _take(rows: _Rows, kind: str, part: Part, topic: str, raw: bytes, place: tup
     received_ns = place[0]
     if kind in (*kinds.LIDARS, *kinds.CAMERAS):
         try:
-            stamp, _ = header_of(raw, part.is_ros1(topic))
+            stamp, frame = header_of(raw, part.is_ros1(topic))
         except ValueError as bad:
             raise part.fault(topic, received_ns, str(bad)) from None
+        if rows.times and rows.names[0] != frame:
+            message = (
+                f"is of the frame {frame!r}, and those before are of {rows.names[0]!r}: of two publishers or runs?"
+            )
+            raise part.fault(topic, received_ns, message)
+        rows.names = (frame, "")
         rows.times.append((stamp, *place))
         return
     message = part.decode(topic, raw, received_ns)

@@ -50,8 +50,10 @@ class McapFile:
         """Raises ConfigError if mcap is not installed."""
         self.path = path
         self.connections: list[Channel] = []
+        self.chunks: list[Any] = []
+        self.channels: dict[int, Any] = {}
         self.start_time = self.end_time = 0
-        self._stream: BinaryIO | None = None
+        self.bio: BinaryIO | None = None
         self._reader: Any = None
         try:
             import mcap.reader  # noqa: F401  it is needed when the file is opened
@@ -67,11 +69,12 @@ class McapFile:
         """
         from mcap.reader import SeekingReader
 
-        self._stream = self.path.open("rb")
-        self._reader = SeekingReader(self._stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
+        self.bio = self.path.open("rb")
+        self._reader = SeekingReader(self.bio, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
         summary = self._reader.get_summary()
         if summary is None or summary.statistics is None:
             raise DatasetError("has no summary of its content; `mcap recover` writes one", self.path)
+        self.chunks, self.channels = summary.chunk_indexes, summary.channels
         counts = summary.statistics.channel_message_counts
         for number, channel in summary.channels.items():
             schema = summary.schemas.get(channel.schema_id)
@@ -84,8 +87,8 @@ class McapFile:
 
     def close(self) -> None:
         """Close the file."""
-        if self._stream is not None:
-            self._stream.close()
+        if self.bio is not None:
+            self.bio.close()
 
     def messages(
         self, connections: Sequence[Channel], start: int | None = None

@@ -15,7 +15,7 @@ from relocbench.datasets.importers.rosbag.index import Index, read_index
 from relocbench.datasets.importers.rosbag.packets import PacketReading
 from relocbench.datasets.importers.rosbag.point_times import PointTimes
 from relocbench.datasets.importers.rosbag.roles import Roles, Wanted
-from relocbench.datasets.importers.rosbag.stamps import Stamps, times_of
+from relocbench.datasets.importers.rosbag.stamps import Stamps, check_one_run, times_of
 from relocbench.datasets.importers.rosbag.streams import Messages
 from relocbench.datasets.importers.rosbag.survey import Survey
 from relocbench.errors import DatasetError, available
@@ -82,6 +82,8 @@ class Reading:
     def times(self, topic: str, stamps: Times, received: Times) -> tuple[Times, Times]:
         """Times (M,) of the messages of a topic, strictly increasing, and the indices (M,) of these messages."""
         what = f"{self.name}: {topic}"
+        if self.settings.stamps == "header":
+            check_one_run(stamps, received, topic, self.source)
         times, kept, by_header = times_of(stamps, received, what, self.settings.stamps, self.reporter)
         if by_header and len(kept):
             self.lags_ns[topic] = float(np.median(received[kept] - stamps[kept]))

@@ -8,8 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from relocbench.arrays import Times
+from relocbench.arrays import Array, Times
 from relocbench.datasets.importers.rosbag.motion import in_order
+from relocbench.datasets.motion.jumps import LEAST
+from relocbench.datasets.motion.words import distance
 from relocbench.errors import DatasetError
 from relocbench.progress import Reporter
 
@@ -50,6 +52,44 @@ def times_of(
     if len(kept) < count:
         reporter.note(f"{what}: {count - len(kept)} of {count} messages are left out: time zero or that of another one")
     return times[kept], kept, by_header
+
+
+def check_one_run(stamps_ns: Times, received_ns: Times, what: str, source: Path) -> None:
+    """Check that the stamps of a topic do not jump between those of several runs, or of several publishers.
+
+    Raises:
+        DatasetError: more than one in a hundred, and more than two, jump back by more than a second, and as many
+            forth: a recording that is looped goes back, and not forth.
+    """
+    known = stamps_ns != 0
+    steps, received = np.diff(stamps_ns[known]), received_ns[known]
+    back, forth = steps < -_ONE_CLOCK_NS, steps - np.diff(received) > _ONE_CLOCK_NS
+    if min(back.sum(), forth.sum()) > max(_FEW_BACKWARDS, _MOST_BACKWARDS * len(stamps_ns)):
+        raise DatasetError(
+            f"{what}: {back.sum()} of {len(stamps_ns)} stamps jump back by up to {-steps.min() / 1e9:.4g} s and forth "
+            f"again, the first in the message received at {received[1:][back][0]} ns: several runs or publishers are "
+            "mixed in it; keep one of them, or take the times of receipt by --stamps receive",
+            source,
+        )
+
+
+def check_one_pose_a_time(stamps_ns: Times, values: Array, what: str, source: Path) -> None:
+    """Check that the poses (N, 7) of a topic, or positions (N, 3), are not those of several runs or publishers.
+
+    Raises:
+        DatasetError: at more than one in a hundred of the times, and more than two, there are two that are far apart.
+    """
+    order = np.argsort(stamps_ns, kind="stable")
+    again = (np.diff(stamps_ns[order]) == 0) & (stamps_ns[order][1:] != 0)
+    apart = np.where(again, np.linalg.norm(np.diff(values[order, :3], axis=0), axis=1), 0.0)
+    far = apart > LEAST[0]
+    if far.sum() > max(_FEW_BACKWARDS, _MOST_BACKWARDS * len(stamps_ns)):
+        raise DatasetError(
+            f"{what}: {far.sum()} of {len(stamps_ns)} poses are up to {distance(float(apart.max()))} from another one "
+            f"at the same time, the first at {stamps_ns[order][1:][far][0]} ns: several runs or publishers are mixed "
+            "in it; keep one of them",
+            source,
+        )
 
 
 def silences(received_ns: Mapping[str, Times]) -> list[str]:

@@ -12,6 +12,7 @@ from relocbench.datasets.importers.rosbag import motion
 from relocbench.datasets.importers.rosbag.index import Poses
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin
 from relocbench.datasets.importers.rosbag.reading import Reading
+from relocbench.datasets.importers.rosbag.stamps import check_one_pose_a_time
 from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import Trajectory
@@ -49,7 +50,8 @@ def odometry(reading: Reading) -> Trajectory | None:
 
 
 def tell_left_out(reading: Reading, what: str, poses: Poses) -> None:
-    """Note the messages without a pose."""
+    """Note the messages without a pose, and check that there is one at a time."""
+    check_one_pose_a_time(poses.times_ns, poses.values, what, reading.source)
     if poses.left_out:
         count = poses.left_out + len(poses.times_ns)
         reading.note(f"{what}: {poses.left_out} of {count} messages have no pose (NaN)")
