@@ -160,7 +160,7 @@ def test_a_house_encloses_about_its_walls_times_its_ground_with_faces_outward(st
 
 @pytest.mark.thorough
 def test_a_district_has_the_promised_size_and_everything_a_street_has(district: District) -> None:
-    whole = compose(district, Factors())
+    whole = compose(district, Factors(months=24.0))
     assert 200_000 < len(district.static) + len(district.foliage) < 1_000_000
     assert set(Material) == set(whole.material.tolist())
     assert set(Semantic) - {Semantic.SKY, Semantic.NONE, Semantic.MOVING_CAR} == set(whole.semantic.tolist())
@@ -170,8 +170,9 @@ def test_a_district_has_the_promised_size_and_everything_a_street_has(district: 
     assert np.isfinite(whole.uv).all()
 
 
-def test_every_object_has_one_number_and_one_class(district: District) -> None:
-    whole = compose(district, Factors())
+@pytest.mark.parametrize("months", [0.0, 24.0])
+def test_every_object_has_one_number_and_one_class(district: District, months: float) -> None:
+    whole = compose(district, Factors(months=months))
     pairs = np.unique(np.stack([whole.instance, whole.semantic]), axis=1)
     objects = pairs[0, pairs[0] > 0]
     assert len(objects) == len(np.unique(objects))

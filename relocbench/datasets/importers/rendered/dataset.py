@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from relocbench.datasets.core.build_options import ImageSize, ImportOptions, RuleOptions, width_height
 from relocbench.datasets.core.salt import SALT_FILE, salted
-from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.conditions.condition import Factors, NamedCondition
 from relocbench.datasets.synthetic.conditions.presets import (
     PRESETS,
     SPLITS,
@@ -50,7 +50,7 @@ _DATASET_OPTIONS = (
     "elsewhere_distance", "salt_file",
 )  # fmt: skip
 
-_LATER_OPTIONS = ("imaging", "route", "min_distance", "min_angle")
+_LATER_OPTIONS = ("imaging", "months", "route", "min_distance", "min_angle")
 """options that earlier versions did not have, and whose defaults change nothing"""
 
 
@@ -70,6 +70,13 @@ class Options(RuleOptions):
     sweep_steps: int = Field(5, ge=2, le=100, description="number of conditions in a sweep")
     traffic: float | None = Field(
         None, ge=0, le=10, description="moving cars per 100 m of lane, in all conditions; default: each condition's own"
+    )
+    months: float | None = Field(
+        None,
+        gt=0,
+        le=24,
+        description="age of the street in months in all conditions but the first: other paint, shop fronts and parked "
+        "cars, scaffolds, roadworks, trimmed and felled trees; default: each condition's own",
     )
     imaging: Literal["ideal", "varied"] = Field(
         "ideal",
@@ -157,6 +164,8 @@ class Options(RuleOptions):
     def _one_thing_varies(self) -> Self:
         if self.imaging == "varied" and self.sweep is not None:
             raise ValueError("imaging 'varied' changes the cameras, but in a sweep a single factor differs")
+        if self.months is not None and self.sweep is not None:
+            raise ValueError("months changes all conditions but the first, but in a sweep a single factor differs")
         return self
 
     @model_validator(mode="after")
@@ -207,6 +216,12 @@ def _only_some() -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for names in _LAYOUT_OPTIONS.values() for name in names))
 
 
+def _conditions(options: Options) -> dict[str, NamedCondition]:
+    """The conditions to drive in. Raises ConfigError as :func:`conditions_of` does."""
+    swept = options.sweep, options.sweep_steps
+    return conditions_of(options.conditions, options.factors, *swept, options.traffic, options.months)
+
+
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
     """Render a dataset.
 
@@ -233,7 +248,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     _no_sources(sources)
     if options.recording is not None:
         raise ConfigError(f"--recording {options.recording} makes recordings, not a dataset")
-    conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
+    conditions = _conditions(options)
     record = configuration("synthetic", [], options)
     # Extra images can be added to a finished dataset later, because no score depends on them.
     for name in ("extras", "recording", *_RECORDING_OPTIONS):
@@ -292,7 +307,7 @@ def record(
     from relocbench.datasets.synthetic.jobs.recording_set import check_folder, plan_drives, record_all
 
     _no_sources(sources)
-    conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
+    conditions = _conditions(options)
     refuse_imaging(conditions, "recordings")
     _check_routes(options)
     cameras = None if not options.recording_cameras else tuple(c for c in options.recording_cameras if c != "none")
@@ -310,7 +325,7 @@ def record(
         motion_distorted=options.motion_distorted,
     )
     each.target(out)
-    unused = {*_DATASET_OPTIONS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic"}
+    unused = {*_DATASET_OPTIONS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic", "months"}
     unused |= set(_only_some()) - set(_LAYOUT_OPTIONS[options.recording])
     settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
     settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}

@@ -14,6 +14,8 @@ from relocbench.errors import ConfigError, available
 _OF_THE_IDEAL_CAMERA = ("gamma", "vignetting", "read_noise", "shot_noise")
 """factors that ``imaging`` has in its own way"""
 _OF_THE_CAMERA = "imaging."
+_ADDED: dict[str, object] = {"imaging": None, "months": 0.0}
+"""factors that earlier versions did not have, with the values that change nothing"""
 
 
 class Factors(Strict):
@@ -47,6 +49,8 @@ class Factors(Strict):
     """share of the parking bays that are occupied"""
     parked_seed: int = Field(0, ge=0)
     """chooses which cars are parked where"""
+    months: float = Field(0.0, ge=0, le=24)
+    """time by which the street has aged since it was built, as :mod:`relocbench.datasets.synthetic.town.ageing` says"""
     traffic: float = Field(0.0, ge=0)
     """moving cars per 100 m of lane"""
     exposure_ev: float = 0.0
@@ -84,11 +88,12 @@ class Factors(Strict):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_no_imaging(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """The factors as they were before there was ``imaging``, if there is none."""
+    def _as_earlier_versions(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The factors as they were before there were ``imaging`` and ``months``, where these have no effect."""
         values: dict[str, Any] = plain(self)
-        if self.imaging is None:
-            values.pop("imaging", None)
+        for name, without in _ADDED.items():
+            if getattr(self, name) == without:
+                values.pop(name, None)
         return values
 
 
@@ -152,6 +157,7 @@ SWEEPS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
     "fog": ({"fog_density": 0.0}, {"fog_density": 0.05}),
     "rain": ({"rain_mm_h": 0.0}, {"rain_mm_h": 20.0}),
     "exposure": ({"exposure_ev": -2.0}, {"exposure_ev": 2.0}),
+    "months": ({"months": 0.0}, {"months": 24.0}),
     "parked-cars": ({"parked_share": 0.0}, {"parked_share": 1.0}),
     "exposure-time": ({"imaging.exposure_ms": 0.0}, {"imaging.exposure_ms": 40.0}),
     "defocus": ({"imaging.defocus_px": 0.0}, {"imaging.defocus_px": 4.0}),

@@ -53,6 +53,7 @@ def conditions_of(
     swept: str | None,
     sweep_steps: int,
     traffic: float | None = None,
+    months: float | None = None,
 ) -> dict[str, NamedCondition]:
     """The conditions of a build by name; the first is the reference's.
 
@@ -61,9 +62,10 @@ def conditions_of(
         factors: the user's own conditions.
         swept: a sweep that replaces ``names``; its steps are called ``SWEEP-0``, ``SWEEP-1``, ...
         traffic: moving cars per 100 m of lane in all conditions, or None to keep each condition's own.
+        months: time since the reference's condition in all others, or None to keep each condition's own.
 
     Raises:
-        ConfigError: a name is unknown or occurs twice.
+        ConfigError: a name is unknown or occurs twice, or ``months`` are given but there is a single condition.
     """
     for name in factors:
         if name in CONDITIONS:
@@ -74,12 +76,19 @@ def conditions_of(
         if len(set(names)) != len(names) or not names:
             raise ConfigError(f"conditions takes one or more different names, got {', '.join(names) or 'none'}")
         found = {n: _labelled(n, factors[n]) if n in factors else condition_named(n) for n in names}
-    if traffic is None:
+    if traffic is not None:
+        found = {name: _with(condition, traffic=traffic) for name, condition in found.items()}
+    if months is None:
         return found
-    return {
-        name: c.model_copy(update={"factors": c.factors.model_copy(update={"traffic": traffic})})
-        for name, c in found.items()
-    }
+    first, *others = found
+    if not others:
+        raise ConfigError(f"--months changes all conditions but the first, and there is no other than {first}")
+    return {first: found[first], **{name: _with(found[name], months=months) for name in others}}
+
+
+def _with(condition: NamedCondition, **values: float) -> NamedCondition:
+    """The condition with other values for some factors."""
+    return condition.model_copy(update={"factors": condition.factors.model_copy(update=values)})
 
 
 def refuse_imaging(conditions: Mapping[str, NamedCondition], what: str) -> None:

@@ -128,7 +128,9 @@ def render_unit(unit: RenderUnit) -> Spent:
 
 
 def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) -> None:
-    write_mask(path, scenes.changed_since(unit.place, unit.reference, frame, work.camera, work.T_world_cam))
+    write_mask(
+        path, scenes.changed_since(unit.place, unit.reference, unit.factors, frame, work.camera, work.T_world_cam)
+    )
 
 
 _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {

@@ -77,10 +77,15 @@ def pixel_rays(camera: Camera, T_world_cam: Array, pixels: Array) -> tuple[Array
     return np.broadcast_to(T_world_cam[:3, 3], directions.shape).copy(), directions, lengths
 
 
-def changed_since(place: DistrictSpec, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array) -> Mask:
-    """Mask (H, W) of pixels that show another object than the reference condition does.
+def changed_since(
+    place: DistrictSpec, reference: Factors, factors: Factors, frame: Frame, camera: Camera, T_world_cam: Array
+) -> Mask:
+    """Mask (H, W) of pixels that show another object than the reference condition does, or one that was repainted.
 
-    Season, parked cars and moving cars change objects; light, wetness and snow do not.
+    Season, months, parked cars and moving cars change objects; light, wetness and snow do not.
+
+    Args:
+        factors: the condition of the frame.
     """
     v, u = np.mgrid[: camera.height, : camera.width]
     origins, directions, lengths = pixel_rays(
@@ -91,4 +96,9 @@ def changed_since(place: DistrictSpec, reference: Factors, frame: Frame, camera:
     before = np.where(hit, hits.range / lengths, 0.0).reshape(frame.depth.shape)
     objects = np.where(hit, hits.instance, 0).reshape(frame.depth.shape)
     moved = np.abs(before - frame.depth) > 0.01 + 1e-3 * before
-    return np.asarray(moved | ((objects != frame.instance) & (before > 0)))
+    changed = moved | ((objects != frame.instance) & (before > 0))
+    if factors.months != reference.months:
+        now = static_scene(place, factors).hits(origins, directions)
+        other = (hits.material != now.material) | (hits.variant != now.variant)
+        changed |= (other & (hits.instance == now.instance)).reshape(changed.shape)
+    return np.asarray(changed)

@@ -44,6 +44,8 @@ class RayHits:
     """(N,) :class:`Material`; 0 without a hit"""
     instance: NDArray[np.uint32]
     """(N,) object; 0 without a hit"""
+    variant: NDArray[np.uint32]
+    """(N,) seed of the surface's look; 0 without a hit"""
     normal: Array
     """(N, 3) unit normal of the surface; 0 without a hit"""
 
@@ -55,12 +57,13 @@ class LidarScene(Scene):
         super().__init__(mesh)
         self._material = mesh.material
         self._instance = mesh.instance
+        self._variant = mesh.variant
 
     def hits(self, origins: Array, directions: Array) -> RayHits:
         """The first surface that each ray hits, from origins (N, 3) in metres along directions (N, 3)."""
         count = len(origins)
         if len(self._material) == 0 or count == 0:
-            none = np.zeros(count, np.uint8), np.zeros(count, np.uint32), np.zeros((count, 3))
+            none = np.zeros(count, np.uint8), *np.zeros((2, count), np.uint32), np.zeros((count, 3))
             return RayHits(np.full(count, np.inf), *none)
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
         found = self._cast(rays)
@@ -71,6 +74,7 @@ class LidarScene(Scene):
             distance,
             np.where(met, self._material[triangle], 0).astype(np.uint8),
             np.where(met, self._instance[triangle], 0).astype(np.uint32),
+            np.where(met, self._variant[triangle], 0).astype(np.uint32),
             np.where(met[:, None], found["primitive_normals"].numpy(), 0.0).astype(np.float64),
         )
 

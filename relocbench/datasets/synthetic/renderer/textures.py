@@ -26,6 +26,8 @@ LAYER = (4 * SIZE * SIZE - 1) // 3
 """number of texels in all levels of a layer"""
 MACRO = len(Material)
 """the layer of low-frequency noise with uniform distribution, for stains, puddles and snow drifts"""
+_DRAWN_AS = {MACRO: 28}
+"""numbers of layers in the order in which they were added, where it is another: what is drawn for each stays"""
 MACRO_TILE_M = 29.0
 UNIT_BRIGHTNESS = 128.0
 _POSITIVE = 2.0**40
@@ -112,10 +114,11 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
     fine, coarse = _noise(rng, 64, 3), _noise(rng, 6, 5, 0.6)
     none = np.zeros((SIZE, SIZE), dtype=np.float32)
     match material:
-        case Material.ASPHALT:
+        case Material.ASPHALT | Material.FRESH_ASPHALT:
             y, x = np.mgrid[:SIZE, :SIZE] / SIZE
             wander = 0.12 * np.sin(2 * np.pi * x) + 0.02 * _noise(rng, 12, 3)
             crack = np.clip(1 - np.abs(y - 0.5 - wander) / 0.004, 0, 1) * (_noise(rng, 3, 1) > 0.6)
+            crack = crack if material == Material.ASPHALT else none
             # Stones of one to three centimetres in bitumen, some of them light, with dark gaps in between.
             stones, grit = _noise(rng, 128, 1), _noise(rng, 256, 1)
             light = np.clip(grit - 1.3, 0, 1)
@@ -146,7 +149,7 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
         case Material.STONE:
             joints, tone = _bricks(rng, 4, 8, 0.9)
             return joints * 0.8, 1 + 0.09 * tone + 0.05 * fine + 0.04 * coarse, 2.8, Laying(4, 8, 0.5)
-        case Material.PLASTER:
+        case Material.PLASTER | Material.PAINTED_WALL:
             streaks = _noise(rng, 24, 2, stretch=12)
             return np.clip(0.15 * coarse + 0.12 * streaks, 0, 1), 1 + 0.05 * coarse + 0.03 * fine, 3.7, _NOISE
         case Material.CONCRETE:
@@ -171,7 +174,13 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
         case Material.SHOP_SIGN | Material.TRAFFIC_SIGN:
             marks = (_noise(rng, 16, 1) > 0.35) & (np.abs(np.mgrid[:SIZE, :SIZE][0] / SIZE - 0.5) < 0.3)
             return marks.astype(np.float32), 1 + 0.02 * fine, 1.3, _ALIKE
-        case Material.METAL | Material.RUBBER | Material.PLASTIC | Material.ROOF_FLAT:
+        case Material.SHEET:
+            folds = _noise(rng, 8, 3, stretch=8)
+            return np.clip(0.2 * folds, 0, 1), 1 + 0.1 * folds + 0.03 * fine, 2.6, _NOISE
+        case (
+            Material.METAL | Material.RUBBER | Material.PLASTIC | Material.ROOF_FLAT
+            | Material.SIGNAL_RED | Material.SIGNAL_WHITE | Material.CONTAINER
+        ):  # fmt: skip
             return np.clip(0.25 * coarse - 0.1, 0, 1), 1 + 0.05 * coarse + 0.03 * fine, 2.1, _ALIKE
         case _:
             return none, np.ones_like(none), 2.0, _ALIKE
@@ -182,7 +191,7 @@ def bake(seed: int) -> Patterns:
     """Make the patterns of all materials; the same seed gives the same bytes."""
     layers, tiles, layings = [], [], []
     for layer in range(MACRO + 1):
-        rng = np.random.default_rng([seed, 21, layer])
+        rng = np.random.default_rng([seed, 21, _DRAWN_AS.get(layer, layer)])
         if layer == MACRO:
             slow = _noise(rng, 5, 6, 0.55)
             rank = np.argsort(np.argsort(slow.ravel(), kind="stable"), kind="stable")

@@ -45,6 +45,14 @@ class Material(IntEnum):
     LAMP = 26
     """the luminous part of a street lamp or headlight"""
     PLASTIC = 27
+    PAINTED_WALL = 28
+    """a wall that was painted after the town was built, in colours that plaster does not have"""
+    FRESH_ASPHALT = 29
+    SIGNAL_RED = 30
+    SIGNAL_WHITE = 31
+    CONTAINER = 32
+    SHEET = 33
+    """cloth on a scaffold"""
 
 
 class Semantic(IntEnum):
@@ -63,6 +71,8 @@ class Semantic(IntEnum):
     FURNITURE = 10
     PARKED_CAR = 11
     MOVING_CAR = 12
+    WORKS = 13
+    """scaffolds, roadworks and containers"""
     SKY = 255
 
 

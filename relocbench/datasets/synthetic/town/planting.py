@@ -9,8 +9,9 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town import furniture
+from relocbench.datasets.synthetic.town.ageing import Rows, no_rows
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
-from relocbench.datasets.synthetic.town.network import StreetNetwork
+from relocbench.datasets.synthetic.town.network import LANE_M, StreetNetwork
 from relocbench.datasets.synthetic.town.polylines import edge_frame, inside, offset_loop
 from relocbench.datasets.synthetic.town.rows import PERIOD_M, Plot
 from relocbench.datasets.synthetic.town.shapes import Shape, instances, poses, quads, single
@@ -30,6 +31,10 @@ class Planting:
     trees: list[tuple[float, float, float, float, int, bool]] = field(default_factory=list)
     """x, y, yaw, scale, kind, coarse"""
     things: dict[Semantic, list[tuple[Shape, Array, int]]] = field(default_factory=dict)
+    bins: Rows = field(default_factory=no_rows)
+    """those of households, once finished"""
+    near: list[Rows] = field(default_factory=list)
+    """trees that are not coarse, by kind, once finished"""
 
     def add(self, shape: Shape, place: Array, facing: Array, semantic: Semantic, variant: int | None = None) -> Array:
         """Add an object at (2,) on the pavement that faces a direction (2,); returns its transform (4, 4)."""
@@ -56,6 +61,11 @@ class Planting:
         self.static.append(instances(core, transform, name, look, Semantic.HEDGE))
         self.foliage.append(instances(leaves, transform, name, look, Semantic.HEDGE))
 
+    def places(self) -> Array:
+        """(N, 2) ground points of the objects and trees that are collected."""
+        things = [T[:2, 3] for entries in self.things.values() for _, T, _ in entries]
+        return np.array([*things, *(tree[:2] for tree in self.trees)]).reshape(-1, 2)
+
     def finish(self) -> tuple[list[Mesh], list[Mesh]]:
         """The meshes of all collected objects: static ones and foliage."""
         for semantic, entries in self.things.items():
@@ -65,12 +75,16 @@ class Planting:
             for group in by_shape.values():
                 numbers = np.array([next(self.names) for _ in group])
                 transforms, looks = np.stack([t for _, t, _ in group]), np.array([v for _, _, v in group])
+                if group[0][0] is furniture.wheeled_bin():
+                    self.bins = Rows(numbers, transforms, np.zeros_like(numbers))
                 self.static.append(instances(group[0][0], transforms, numbers, looks, semantic))
         for kind, coarse in sorted({(t[4], t[5]) for t in self.trees}):
             rows = np.array([t[:4] for t in self.trees if (t[4], t[5]) == (kind, coarse)])
             transforms = poses(rows[:, 0], rows[:, 1], KERB_M, rows[:, 2], rows[:, 3])
             numbers = np.array([next(self.names) for _ in rows])
             looks = self.rng.integers(1, 2**31, len(rows))
+            if not coarse:
+                self.near.append(Rows(numbers, transforms, np.full(len(numbers), kind)))
             wood, leaves = tree_shapes(kind, coarse)
             self.static.append(instances(wood, transforms, numbers, looks, Semantic.TREE))
             self.foliage.append(instances(leaves, transforms, numbers, looks, Semantic.TREE))
@@ -119,6 +133,23 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
             taken.append(s + 2.2 * bool(near))
         _scatter(planting, network, block, i, taken)
         _signs(planting, network, block, i)
+
+
+def free_places(network: StreetNetwork, block: Block, taken: Array) -> list[Array]:
+    """Transforms (4, 4) of places on the pavement, 1.5 m from kerbs without a parking lane, away from ``taken`` (N, 2).
+
+    x is along the kerb, z up from the pavement.
+    """
+    found = []
+    for i in range(len(block.face)):
+        if network.kerb[block.edge(i)] > LANE_M + 0.1 or block.sides[i].style in ("periodic", "square"):
+            continue
+        origin, d, inward, start, end = _kerb_section(network, block, i)
+        for s in np.arange(start + 3.0, end - 3.0, 7.0):
+            place = origin + s * d + 1.5 * inward
+            if (np.linalg.norm(taken - place, axis=1) > 2.7).all():
+                found.append(poses(place[0], place[1], KERB_M, np.arctan2(d[1], d[0]))[0])
+    return found
 
 
 def _tree_pit(place: Array, d: Array) -> Mesh:

@@ -8,26 +8,33 @@ from itertools import count
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
+from relocbench.datasets.synthetic.town.ageing import Inventory, together
 from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
-from relocbench.datasets.synthetic.town.network import StreetNetwork, make_network
+from relocbench.datasets.synthetic.town.network import LANE_M, StreetNetwork, make_network
 from relocbench.datasets.synthetic.town.planting import (
     Planting,
+    free_places,
     line_streets,
     plant_gardens,
     plant_outskirts,
     plant_square,
 )
-from relocbench.datasets.synthetic.town.rows import PeriodicFront, build, plots_of
+from relocbench.datasets.synthetic.town.polylines import edge_frame
+from relocbench.datasets.synthetic.town.rows import PeriodicFront, Plot, build, plots_of
 from relocbench.datasets.synthetic.town.shapes import poses
 from relocbench.datasets.synthetic.town.streets import Block, bays_of, ground, make_blocks, periodic_street
 from relocbench.errors import ConfigError, available
 
 SMALLEST_M = 180.0
 _SEEDS_OF_CARS = 2**20
+_PARKED_ANEW = 4096
+"""added to ``parked_seed`` for the cars that come over months"""
+_RELAID_FROM_M, _RELAID_EVERY_M = 16.0, 9.0
+"""distance of new patches of asphalt from crossings and bends, and from each other"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +63,8 @@ class District:
     """(L, 3) positions of lamp heads"""
     network: StreetNetwork
     periodic: Periodic
+    inventory: Inventory
+    """what changes over months"""
     first_car: int
     """smallest instance number of a car"""
 
@@ -80,26 +89,40 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
     meshes = [ground(network, blocks)]
     planting = Planting(streams[3], names)
     fronts: list[PeriodicFront] = []
+    houses: list[tuple[int, Plot]] = []
     for block in blocks:
         plots, rows = plots_of(block, streams[2])
         fronts += rows
-        meshes += build(plots, names)
+        built = build(plots, names)
+        meshes += built
+        houses += [(int(mesh.instance[0]), plot) for mesh, plot in zip(built, plots, strict=True)]
         line_streets(planting, network, block, fronts[0].start if fronts else None)
         plant_gardens(planting, block, plots)
         if block.kind == "square":
             plant_square(planting, block)
         elif block.kind == "outside":
             plant_outskirts(planting, block)
+    pavements = [place for block in blocks for place in free_places(network, block, planting.places())]
     static, foliage = planting.finish()
+    bays = _bays(network, blocks)
     return District(
         seed,
         split,
         merge([*meshes, *static]),
         merge(foliage),
-        _bays(network, blocks),
+        bays,
         np.array(planting.lamps).reshape(-1, 3),
         network,
         Periodic(repeated, tuple(fronts)),
+        Inventory(
+            (seed, SPLITS.index(split)),
+            tuple(houses),
+            together(planting.near),
+            planting.bins,
+            bays,
+            np.array(pavements).reshape(-1, 4, 4),
+            _lane_places(network),
+        ),
         next(names),
     )
 
@@ -112,20 +135,31 @@ def _bays(network: StreetNetwork, blocks: Sequence[Block]) -> Array:
     return poses(place[:, 0], place[:, 1], 0.0, np.arctan2(direction[:, 1], direction[:, 0]))
 
 
+def _lane_places(network: StreetNetwork) -> Array:
+    """Poses (N, 4, 4) in the middle of lanes, x along the lane, away from crossings and bends."""
+    found = []
+    for u, v in sorted(network.street):
+        d, inward, length = edge_frame(network.nodes[u], network.nodes[v])
+        for s in np.arange(_RELAID_FROM_M, length - _RELAID_FROM_M, _RELAID_EVERY_M):
+            place = network.nodes[u] + s * d + LANE_M / 2 * inward
+            found.append(poses(place[0], place[1], 0.0, np.arctan2(d[1], d[0])))
+    return np.concatenate([np.zeros((0, 4, 4)), *found])
+
+
 def compose(district: District, factors: Factors, moving: Sequence[tuple[Array, int]] = ()) -> Mesh:
     """The mesh of a district under the factors: static objects first, then leaves, parked and moving cars.
 
+    With ``factors.months``, what came over the months stands between leaves and cars.
     Leaves are present if their rank is below ``factors.foliage``. ``moving`` holds (T_world_car, variant) of each
     moving car. Instance numbers of parked cars depend on the bay and on ``parked_seed``, so that a different car in the
     same bay is a different object; those of moving cars start at 2**31.
     """
-    parts = [district.static]
     shown = district.foliage.rank < factors.foliage
-    if shown.any():
-        parts.append(district.foliage.select(shown))
-    parked = _parked(district, factors)
-    if parked is not None:
-        parts.append(parked)
+    parts = [district.static, *([district.foliage.select(shown)] if shown.any() else [])]
+    if factors.months > 0:
+        aged = [district.inventory.aged(part, factors.months) for part in parts]
+        parts = [*aged, *district.inventory.came(factors.months)]
+    parts += _parked(district, factors)
     if moving:
         transforms = np.stack([np.asarray(t, dtype=float) for t, _ in moving])
         variants = np.array([v for _, v in moving])
@@ -133,16 +167,30 @@ def compose(district: District, factors: Factors, moving: Sequence[tuple[Array, 
     return merge(parts)
 
 
-def _parked(district: District, factors: Factors) -> Mesh | None:
-    """Parked cars in the first ``parked_share`` of the bays in a random order, each slightly askew; None if none."""
+def _parked(district: District, factors: Factors) -> list[Mesh]:
+    """The parked cars; over months other cars than the first come to bays, and works take some of them."""
+    everywhere = np.ones(len(district.bays), dtype=bool)
+    if factors.months == 0:
+        return _cars_of(district, factors.parked_seed, factors.parked_share, everywhere)
+    free = ~district.inventory.out_of_use(factors.months)
+    anew = district.inventory.parked_anew(factors.months)
+    return [
+        *_cars_of(district, factors.parked_seed, factors.parked_share, free & ~anew),
+        *_cars_of(district, factors.parked_seed + _PARKED_ANEW, factors.parked_share, free & anew),
+    ]
+
+
+def _cars_of(district: District, parked_seed: int, share: float, allowed: Mask) -> list[Mesh]:
+    """Parked cars in the first ``share`` of the bays in a random order, each slightly askew, where ``allowed`` (B,)."""
     bays = len(district.bays)
-    rng = np.random.default_rng([district.seed, SPLITS.index(district.split), 5, factors.parked_seed])
+    rng = np.random.default_rng([district.seed, SPLITS.index(district.split), 5, parked_seed])
     variant = rng.integers(1, 2**31, bays)
     shift = rng.uniform([-0.35, -0.1], [0.35, 0.1], (bays, 2))
     yaw = rng.normal(0, 0.015, bays).clip(-0.04, 0.04) + np.pi * (rng.random(bays) < 0.08)
-    taken = np.sort(rng.permutation(bays)[: round(factors.parked_share * bays)])
+    taken = np.sort(rng.permutation(bays)[: round(share * bays)])
+    taken = taken[allowed[taken]]
     if len(taken) == 0:
-        return None
+        return []
     askew = poses(shift[:, 0], shift[:, 1], 0.0, yaw)
-    name = district.first_car + taken + bays * (factors.parked_seed % _SEEDS_OF_CARS)
-    return cars((district.bays @ askew)[taken], variant[taken], name, Semantic.PARKED_CAR)
+    name = district.first_car + taken + bays * (parked_seed % _SEEDS_OF_CARS)
+    return [cars((district.bays @ askew)[taken], variant[taken], name, Semantic.PARKED_CAR)]

@@ -38,6 +38,12 @@ _HABITS = (
 TREE_TYPES = len(_HABITS)
 
 
+def crown(kind: int) -> tuple[float, float, float]:
+    """Height of the lowest branches, of the top, and radius of the crown of one of TREE_TYPES, in metres."""
+    habit = _HABITS[kind]
+    return habit.trunk, habit.height, habit.spread
+
+
 @cache
 def tree_shapes(kind: int, coarse: bool = False) -> tuple[Shape, Shape]:
     """Wood and leaves of one of TREE_TYPES; z up, origin at the base of the trunk.
