@@ -241,7 +241,7 @@ def _words(value: Any) -> str:
 
 
 def _metavar(annotation: Any) -> str:
-    arguments = [a for a in typing.get_args(annotation) if a is not type(None)]
+    arguments = [a for a in typing.get_args(annotation) if a is not type(None) and typing.get_origin(a) is not dict]
     if typing.get_origin(annotation) is Annotated:
         return _metavar(arguments[0])
     if typing.get_origin(annotation) is tuple:

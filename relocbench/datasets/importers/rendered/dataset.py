@@ -24,6 +24,7 @@ from relocbench.datasets.synthetic.conditions.presets import (
     conditions_of,
     refuse_imaging,
 )
+from relocbench.datasets.synthetic.conditions.views import Views
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.progress import Reporter
@@ -47,10 +48,10 @@ _LAYOUT_OPTIONS = {
 _DATASET_OPTIONS = (
     "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
     "min_distance", "min_angle", "cameras", "size", "distance", "reference", "extras", "elsewhere",
-    "elsewhere_distance", "salt_file",
+    "elsewhere_distance", "salt_file", "views",
 )  # fmt: skip
 
-_LATER_OPTIONS = ("imaging", "months", "route", "min_distance", "min_angle")
+_LATER_OPTIONS = ("imaging", "months", "route", "views", "min_distance", "min_angle")
 """options that earlier versions did not have, and whose defaults change nothing"""
 
 
@@ -82,6 +83,12 @@ class Options(RuleOptions):
         "ideal",
         description="'varied': each traversal has a camera of its own, drawn from the seed: response, white balance, "
         "noise, blur, glare, dirt on the lens, sharpening, compression; 'ideal': all have the same clean camera",
+    )
+    views: Views = Field(
+        "same",
+        description="'varied': each traversal but the reference has a rig of its own, drawn from the seed: focal "
+        "length, size of images, height, pitch, yaw, distortion of the lens; 'same': all have the same rig; views of "
+        "conditions by hand, name -> view: YAML only",
     )
     cameras: Literal["front", "stereo", "wide-stereo", "six"] = Field("front", description="the rig")
     size: ImageSize = Field("320x240", description="pixels, WIDTHxHEIGHT, or one number for both")
@@ -166,6 +173,8 @@ class Options(RuleOptions):
             raise ValueError("imaging 'varied' changes the cameras, but in a sweep a single factor differs")
         if self.months is not None and self.sweep is not None:
             raise ValueError("months changes all conditions but the first, but in a sweep a single factor differs")
+        if self.views != "same" and self.sweep is not None:
+            raise ValueError("views other than 'same' change the cameras, but in a sweep a single factor differs")
         return self
 
     @model_validator(mode="after")
@@ -240,7 +249,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.synthetic.drives.rig import rig_named
     from relocbench.datasets.synthetic.jobs.pair_sets import plan_pair_sets, write_pair_sets
     from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread
-    from relocbench.datasets.synthetic.jobs.plan import drive_cameras, make_plans
+    from relocbench.datasets.synthetic.jobs.plan import drive_cameras, drive_views, make_plans
     from relocbench.datasets.synthetic.jobs.rendering import render_all
     from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 
@@ -262,6 +271,17 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     own = drive_cameras(splits, conditions, options.traversals, seed=options.seed, varied=varied, routes=options.route)
     if varied:
         record["imaging"] = {name: imaging.model_dump(mode="json") for name, imaging in own.items()}
+    views = drive_views(
+        splits,
+        conditions,
+        options.traversals,
+        options.views,
+        seed=options.seed,
+        size=options.width_height,
+        routes=options.route,
+    )
+    if views:
+        record["views"] = {name: view.model_dump(mode="json", exclude_none=True) for name, view in views.items()}
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, options.licence)
     plans = make_plans(
         splits,
@@ -276,6 +296,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         size=options.width_height,
         imaging=own,
         routes=options.route,
+        views=views,
     )
     job = Build(writer, options, reporter, run)
     spread = DistanceSpread(

@@ -89,6 +89,11 @@ class Range:
         return float(self.low + (self.high - self.low) * at)
 
 
+def rounded(drawn: float) -> float:
+    """A drawn value as files tell it."""
+    return float(f"{drawn:.{_DIGITS}g}")
+
+
 RANGES: dict[str, Range] = {
     "exposure_ms": Range(0.5, 12.0, logarithmic=True),
     "defocus_px": Range(0.3, 1.5, share=0.6),
@@ -134,5 +139,5 @@ def draw_imaging(rng: np.random.Generator, *, dark: bool) -> Imaging:
     for name, by_day in RANGES.items():
         drawn = (DARK_RANGES.get(name, by_day) if dark else by_day).draw(rng)
         if drawn is not None:
-            values[name] = round(drawn) if name == "jpeg_quality" else float(f"{drawn:.{_DIGITS}g}")
+            values[name] = round(drawn) if name == "jpeg_quality" else rounded(drawn)
     return Imaging.model_validate(values)

@@ -12,11 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.synthetic.conditions.views import CameraView, image_size
 from relocbench.errors import ConfigError, available
 from relocbench.geometry import Camera, make_transform, so3_exp
 
 _R_VEHICLE_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """rotation of a camera that looks straight ahead"""
+
+
+def _turn(yaw_deg: float, down_deg: float) -> Array:
+    """The rotation (3, 3) in vehicle axes first down and then to the left."""
+    return np.asarray(so3_exp([0.0, 0.0, np.radians(yaw_deg)]) @ so3_exp([0.0, np.radians(down_deg), 0.0]))
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,7 @@ class Mount:
     @property
     def T_rig_cam(self) -> Array:
         """Pose (4, 4), turned first down and then to the left."""
-        yaw, down = np.radians(self.yaw_deg), np.radians(self.down_deg)
-        rotation = so3_exp([0.0, 0.0, yaw]) @ so3_exp([0.0, down, 0.0]) @ _R_VEHICLE_CAMERA
+        rotation = _turn(self.yaw_deg, self.down_deg) @ _R_VEHICLE_CAMERA
         return make_transform(rotation, [self.forward_m, self.left_m, self.up_m])
 
 
@@ -47,14 +52,27 @@ class Rig:
     field_of_view_deg: float
     """horizontal"""
 
-    def camera(self, width: int, height: int) -> Camera:
-        """The pinhole camera on each mount of the rig."""
-        focal = 0.5 * width / np.tan(np.radians(self.field_of_view_deg) / 2)
+    def camera(self, width: int, height: int, zoom: float = 1.0) -> Camera:
+        """The pinhole camera on each mount of the rig; ``zoom`` is a factor of its focal length."""
+        focal = 0.5 * zoom * width / np.tan(np.radians(self.field_of_view_deg) / 2)
         return Camera("pinhole", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
-    def cameras(self, width: int, height: int) -> dict[str, tuple[Camera, Array]]:
-        """The cameras by name: (camera, ``T_rig_cam`` (4, 4)). The rig's frame is the vehicle's."""
-        return {name: (self.camera(width, height), mount.T_rig_cam) for name, mount in self.mounts.items()}
+    def cameras(self, width: int, height: int, view: CameraView | None = None) -> dict[str, tuple[Camera, Array]]:
+        """The cameras by name: (camera, ``T_rig_cam`` (4, 4)). The rig's frame is the vehicle's.
+
+        Args:
+            width: pixels, unless the view has a size of its own.
+            height: pixels, likewise.
+            view: of the drive, if it has one of its own.
+        """
+        T_rig_cam = {name: mount.T_rig_cam for name, mount in self.mounts.items()}
+        if view is None:
+            return {name: (self.camera(width, height), T) for name, T in T_rig_cam.items()}
+        camera = self.camera(*image_size(view, (width, height)), view.focal)
+        centre = np.mean([T[:3, 3] for T in T_rig_cam.values()], axis=0)
+        turn = make_transform(_turn(view.yaw_deg, view.down_deg), centre + np.array([0.0, 0.0, view.up_m]))
+        T_viewed_plain = turn @ make_transform(np.eye(3), -centre)
+        return {name: (camera, T_viewed_plain @ T) for name, T in T_rig_cam.items()}
 
 
 RIGS: dict[str, Rig] = {

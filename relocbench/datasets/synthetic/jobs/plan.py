@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -16,13 +16,14 @@ from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.condition import NamedCondition
 from relocbench.datasets.synthetic.conditions.imaging import Imaging, draw_imaging
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
+from relocbench.datasets.synthetic.conditions.views import CameraView, Views, draw_view
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.rig import RIGS, Rig
 from relocbench.datasets.synthetic.drives.routes import ROUTES, RouteName, route
 from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, available
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
@@ -53,6 +54,8 @@ class TraversalPlan:
     """the moving cars at each step"""
     imaging: Imaging | None = None
     """the drive's own camera, or None for the ideal one"""
+    view: CameraView | None = None
+    """by which ``cameras`` differ from the dataset's rig; None for no difference"""
 
     @property
     def times(self) -> tuple[int, ...]:
@@ -96,16 +99,59 @@ def drive_cameras(
     The camera of a traversal does not depend on which other splits and routes are built with it.
     """
     found = {}
-    for split in splits:
-        for k, (name, condition) in enumerate(conditions.items()):
-            for way, number in product(routes, range(traversals)):
-                imaging = condition.factors.imaging
-                if imaging is None and varied:
-                    rng = np.random.default_rng([seed, 9, *_drawn_by(split, k, way, number)])
-                    imaging = draw_imaging(rng, dark=condition.factors.dark)
-                if imaging is not None:
-                    found[traversal_name(split, name, way, number)] = imaging
+    for at, (split, name, way, number) in _each(splits, conditions, routes, traversals):
+        imaging = conditions[name].factors.imaging
+        if imaging is None and varied:
+            imaging = draw_imaging(np.random.default_rng([seed, 9, *at]), dark=conditions[name].factors.dark)
+        if imaging is not None:
+            found[traversal_name(split, name, way, number)] = imaging
     return found
+
+
+def drive_views(
+    splits: Sequence[str],
+    conditions: Mapping[str, NamedCondition],
+    traversals: int,
+    views: Views,
+    *,
+    seed: int,
+    size: tuple[int, int],
+    routes: Sequence[RouteName] = ("common",),
+) -> dict[str, CameraView]:
+    """The views of traversals that have one of their own, by name: their condition's or, if ``varied``, a drawn one.
+
+    A drawn view does not depend on which other splits and routes are built. The reference traversal of a split has no
+    drawn one.
+
+    Args:
+        size: (width, height) of the dataset's images in pixels.
+
+    Raises:
+        ConfigError: a view is given for a condition that is not built.
+    """
+    found: dict[str, CameraView] = {}
+    if views == "same":
+        return found
+    by_hand = views if isinstance(views, dict) else {}
+    for name in by_hand:
+        if name not in conditions:
+            raise ConfigError(f"views: no condition '{name}'{available(name, conditions)}")
+    reference = next(iter(conditions)), routes[0], 0
+    for at, (split, name, way, number) in _each(splits, conditions, routes, traversals):
+        if name in by_hand:
+            found[traversal_name(split, name, way, number)] = by_hand[name]
+        elif views == "varied" and (name, way, number) != reference:
+            drawn = draw_view(np.random.default_rng([seed, 57, *at]), size)
+            found[traversal_name(split, name, way, number)] = drawn
+    return found
+
+
+def _each(
+    splits: Sequence[str], conditions: Mapping[str, NamedCondition], routes: Sequence[RouteName], traversals: int
+) -> Iterator[tuple[list[int], tuple[str, str, RouteName, int]]]:
+    """What is drawn by beside the seed, and split, condition, route and number within these, of each traversal."""
+    for split, (k, name), way, number in product(splits, enumerate(conditions), routes, range(traversals)):
+        yield _drawn_by(split, k, way, number), (split, name, way, number)
 
 
 def _drawn_by(split: str, condition: int, route: RouteName, number: int) -> list[int]:
@@ -128,6 +174,7 @@ def make_plans(
     size: tuple[int, int] = (320, 240),
     imaging: Mapping[str, Imaging] | None = None,
     routes: Sequence[RouteName] = ("common",),
+    views: Mapping[str, CameraView] | None = None,
 ) -> list[TraversalPlan]:
     """Plan all traversals, ordered by split, condition, route and number.
 
@@ -136,12 +183,13 @@ def make_plans(
     Args:
         size: (width, height) of images in pixels.
         imaging: of traversals that have a camera of their own, by name.
+        views: of traversals that have a view of their own, by name.
 
     Raises:
         ConfigError: a district has no such route of this length, or two traversals would have the same name.
     """
     plans = []
-    imaging = imaging or {}
+    imaging, views = imaging or {}, views or {}
     scene = {name: c.model_copy(update={"factors": c.factors.scene}) for name, c in conditions.items()}
     first = next(iter(scene.values()))
     with reporter.stage("laying out districts", len(splits)) as advance:
@@ -156,10 +204,11 @@ def make_plans(
                     own = traversal_name(split, name, routes[r], number)
                     rng = np.random.default_rng([seed, 5, *_drawn_by(split, k, routes[r], number)])
                     driven = drive(path, steps, style, rng)
-                    cameras = rig.cameras(*size)
+                    look, view = imaging.get(own), views.get(own)
+                    cameras = rig.cameras(*size, view)
                     others = moving_cars(path, driven, condition.factors.traffic, path.other_lane_m, rng)
                     cars = tuple(map(tuple, others))
-                    plan = (own, identity, split, place, condition, first, cameras, driven, cars, imaging.get(own))
+                    plan = (own, identity, split, place, condition, first, cameras, driven, cars, look, view)
                     plans.append(TraversalPlan(*plan))
             advance(1)
     for name, times in Counter(plan.name for plan in plans).items():

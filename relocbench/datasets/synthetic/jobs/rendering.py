@@ -46,6 +46,10 @@ class FrameWork:
     """kind -> path"""
     shot: Shot | None = None
     """of the drive's own camera, if it has one"""
+    T_world_vehicle: Array | None = None
+    """of the car with the headlights, where a view of the drive's own may look elsewhere"""
+    distortion: float = 0.0
+    """of the lens of the drive's own view"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +106,8 @@ def missing_steps(plan: TraversalPlan, layout: DatasetLayout, seed: int, kinds: 
             if missing:
                 number = scenes.frame_seed(seed, plan.number, i, c)
                 shot = Shot(plan.imaging, i / RATE_HZ, twists[name][i], c) if plan.imaging is not None else None
-                frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing, shot))
+                car, bent = (None, 0.0) if plan.view is None else (T_world_rig, plan.view.distortion)
+                frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing, shot, car, bent))
         if frames:
             found.append(StepWork(plan.moving[i], tuple(frames)))
     return found
@@ -119,7 +124,9 @@ def render_unit(unit: RenderUnit) -> Spent:
         for step in unit.steps:
             renderer = scenes.renderer(unit.place, unit.factors, step.moving)
             for work in step.frames:
-                frame = renderer.render(work.camera, work.T_world_cam, work.seed, shot=work.shot)
+                frame = renderer.render(
+                    work.camera, work.T_world_cam, work.seed, work.T_world_vehicle, work.shot, work.distortion
+                )
                 for kind, path in work.missing.items():
                     _WRITERS[kind](path, frame, work, unit)
                 yield sum(path.stat().st_size for path in work.missing.values())

@@ -11,6 +11,7 @@ from relocbench.arrays import Array, Bytes, Floats, Image, Mask
 from relocbench.datasets.synthetic.camera.drops import add_lens_drops
 from relocbench.datasets.synthetic.camera.motion_blur import motion_blur
 from relocbench.datasets.synthetic.camera.photograph import exposure_ev, grey_levels, through_lens
+from relocbench.datasets.synthetic.camera.rectified import RadialLens
 from relocbench.datasets.synthetic.camera.shot import Shot
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer import lamps as lighting
@@ -124,6 +125,7 @@ class Renderer:
         frame_seed: int,
         T_world_vehicle: Array | None = None,
         shot: Shot | None = None,
+        distortion: float = 0.0,
     ) -> Frame:
         """Render the image of a pinhole camera; the same arguments give the same bytes.
 
@@ -133,6 +135,7 @@ class Renderer:
             T_world_vehicle: (4, 4) pose of the car with the headlights; default: they are below the camera and point
                 where it looks.
             shot: the drive's own camera; default: the ideal camera of the factors.
+            distortion: of the lens by which the image is taken before it is rectified; see :class:`RadialLens`.
 
         Raises:
             ConfigError: the camera is not a pinhole camera.
@@ -140,7 +143,9 @@ class Renderer:
         if camera.model != "pinhole":
             raise ConfigError(f"images are rendered with a pinhole camera, got '{camera.model}'")
         pose = np.asarray(T_world_cam, dtype=np.float64)
-        view = View(pose[:3, 3].copy(), pose[:3, :3].copy(), camera.fx, camera.fy, camera.cx, camera.cy)
+        lens = RadialLens(camera, distortion) if distortion else None
+        taken = camera if lens is None else lens.taken
+        view = _view(taken, pose, 0.0 if lens is None else lens.bend)
         beam = _headlights(pose if T_world_vehicle is None else np.asarray(T_world_vehicle), T_world_vehicle is None)
         shape = camera.height, camera.width
         u = np.tile(np.arange(camera.width, dtype=np.float32), camera.height)
@@ -152,7 +157,14 @@ class Renderer:
 
         image = light.reshape(*shape, 3)
         depth = hits.depth.astype(np.float32).reshape(shape)
-        rgb = self._develop(image, depth, camera, pose, frame_seed, shot)
+        rgb = self._develop(image, depth, taken, pose, frame_seed, shot)
+        if lens is not None:
+            # The truth is that of the pinhole camera's own rays, since depth cannot be interpolated.
+            rgb = lens.rectified(rgb)
+            view = _view(camera, pose)
+            samples = self._trace(view, direct_samples(u, v))
+            hits = self._surfaces(view, samples)
+            depth = hits.depth.astype(np.float32).reshape(shape)
         instance, semantic = surfaces.objects(self._geometry, samples.triangle)
         return Frame(rgb, depth, hits.normal.reshape(*shape, 3), instance.reshape(shape), semantic.reshape(shape))
 
@@ -256,6 +268,10 @@ class Renderer:
         image = through_lens(image, shot)
         gain = exposure_gain(image, f) * 2.0 ** exposure_ev(shot)
         return grey_levels(image * np.float32(gain), shot, noise)
+
+
+def _view(camera: Camera, pose: Array, bend: float = 0.0) -> View:
+    return View(pose[:3, 3].copy(), pose[:3, :3].copy(), camera.fx, camera.fy, camera.cx, camera.cy, bend)
 
 
 def _headlights(pose: Array, of_camera: bool) -> Beam:

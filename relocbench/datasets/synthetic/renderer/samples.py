@@ -1,8 +1,9 @@
 """Image samples and their rays, direct and reflected.
 
 A sample is a point (u, v) of the image. Its direction d = R_world_cam ((u - cx)/fx, (v - cy)/fy, 1) has length 1 along
-the optical axis, so that the ray's parameter is the depth. A reflected sample starts where the direct one ended and
-continues along d - 2 (d.m) m; its footprint grows with the sum of both depths, as if seen by the mirrored camera.
+the optical axis, so that the ray's parameter is the depth. A lens that bends lines multiplies (u - cx)/fx = x and
+(v - cy)/fy = y by 1 + bend (x^2 + y^2). A reflected sample starts where the direct one ended and continues along
+d - 2 (d.m) m; its footprint grows with the sum of both depths, as if seen by the mirrored camera.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ class View(NamedTuple):
     fy: float
     cx: float
     cy: float
+    bend: float = 0.0
+    """of the lens, 0 for none; see :class:`relocbench.datasets.synthetic.camera.rectified.RadialLens`"""
 
 
 class Samples(NamedTuple):
@@ -52,11 +55,34 @@ def direct_samples(u: Floats, v: Floats) -> Samples:
     return Samples(u, v, np.zeros(n, np.float32), np.zeros((n, 3), np.float32), np.full(n, NOTHING, np.uint32))
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bent_ray(view: View, x: float, y: float) -> tuple[Vector, Vector, Vector]:
+    """As :func:`ray`, through a lens that bends lines, at a point (x, y) from the centre in focal lengths."""
+    r, k = view.rotation, 1.0 + view.bend * (x * x + y * y)
+    xx, xy, yy = k + 2 * view.bend * x * x, 2 * view.bend * x * y, k + 2 * view.bend * y * y
+    x, y = k * x, k * y
+    ix, iy = 1.0 / view.fx, 1.0 / view.fy
+    d = (r[0, 0] * x + r[0, 1] * y + r[0, 2], r[1, 0] * x + r[1, 1] * y + r[1, 2], r[2, 0] * x + r[2, 1] * y + r[2, 2])
+    dx = (
+        (r[0, 0] * xx + r[0, 1] * xy) * ix,
+        (r[1, 0] * xx + r[1, 1] * xy) * ix,
+        (r[2, 0] * xx + r[2, 1] * xy) * ix,
+    )
+    dy = (
+        (r[0, 0] * xy + r[0, 1] * yy) * iy,
+        (r[1, 0] * xy + r[1, 1] * yy) * iy,
+        (r[2, 0] * xy + r[2, 1] * yy) * iy,
+    )
+    return d, dx, dy
+
+
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def ray(view: View, u: float, v: float) -> tuple[Vector, Vector, Vector]:
     """Direction of the ray through a point of the image, and its derivatives by u and v."""
     r, ix, iy = view.rotation, 1.0 / view.fx, 1.0 / view.fy
     x, y = (u - view.cx) * ix, (v - view.cy) * iy
+    if view.bend != 0.0:
+        return _bent_ray(view, x, y)
     d = (r[0, 0] * x + r[0, 1] * y + r[0, 2], r[1, 0] * x + r[1, 1] * y + r[1, 2], r[2, 0] * x + r[2, 1] * y + r[2, 2])
     dx = (r[0, 0] * ix, r[1, 0] * ix, r[2, 0] * ix)
     dy = (r[0, 1] * iy, r[1, 1] * iy, r[2, 1] * iy)
@@ -86,6 +112,9 @@ def make_rays(view: View, samples: Samples) -> Floats:
     for i in range(n):
         if samples.before[i] <= 0:
             x, y = (samples.u[i] - view.cx) / view.fx, (samples.v[i] - view.cy) / view.fy
+            if view.bend != 0.0:
+                k = 1.0 + view.bend * (x * x + y * y)
+                x, y = k * x, k * y
             for k in range(3):
                 rays[i, k] = origin[k]
                 rays[i, 3 + k] = r[k, 0] * x + r[k, 1] * y + r[k, 2]
