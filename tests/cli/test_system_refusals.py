@@ -234,10 +234,11 @@ def _write_npz(path: Path) -> None:
 
 def _write_parquet(path: Path) -> None:
     from relocbench.datasets.pairs.correspondences import PairCorrespondences
+    from relocbench.datasets.pairs.measures import PairMeasures
 
     n, rng = 4000, np.random.default_rng(0)
     pixels, yes = rng.random((n, 2)), np.ones(n, dtype=bool)
-    found = PairCorrespondences(pixels, rng.random(n), pixels, yes, np.zeros(n, dtype=np.int8), 0.5)
+    found = PairCorrespondences(pixels, rng.random(n), pixels, yes, np.zeros(n, dtype=np.int8), PairMeasures(0.5))
     write_correspondences(path, [((k, k), found) for k in range(4)])
 
 

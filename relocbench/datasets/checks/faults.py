@@ -13,9 +13,8 @@ from pydantic import BaseModel, ValidationError
 from relocbench.arrays import Array
 from relocbench.datasets.core.intrinsics import INTRINSICS_COLUMNS, parse_intrinsics
 from relocbench.datasets.core.pairfile import (
-    AXIS_COLUMNS,
+    FURTHER_COLUMNS,
     POSE_LINE,
-    SCALE_COLUMNS,
     TABLE_COLUMNS,
     PairKey,
     PoseLine,
@@ -179,7 +178,7 @@ def read_pair_table(path: Path, findings: Findings) -> dict[PairKey, TableRow]:
             if (ref, query) in rows:
                 raise DatasetError(f"pair {ref} {query} occurs again", path, number)
             numbers: dict[str, float | None] = {}
-            for name in [*_PAIR_NUMBERS, *(c for c in AXIS_COLUMNS + SCALE_COLUMNS if c in values)]:
+            for name in [*_PAIR_NUMBERS, *(c for c in FURTHER_COLUMNS if c in values)]:
                 numbers[name] = None
                 with findings.catching():
                     numbers[name] = (

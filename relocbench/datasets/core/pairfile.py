@@ -44,10 +44,12 @@ TABLE_COLUMNS = (
 )  # fmt: skip
 AXIS_COLUMNS = ("sigma_along_m", "sigma_across_m", "sigma_height_m")
 """further columns, present if known for any pair"""
-SCALE_COLUMNS = ("scale_change",)
-"""the same"""
-_HEADERS = tuple(TABLE_COLUMNS + axes + scale for axes in ((), AXIS_COLUMNS) for scale in ((), SCALE_COLUMNS))
-_NUMBERS = ("overlap", "sigma_translation_m", "sigma_rotation_deg", *AXIS_COLUMNS, *SCALE_COLUMNS)
+MEASURE_COLUMNS = ("scale_change", "overlap_query", "depth_error", "similarity")
+"""the same; each is there if it is known for any pair"""
+FURTHER_COLUMNS = AXIS_COLUMNS + MEASURE_COLUMNS
+MEASURES = ("overlap", *MEASURE_COLUMNS)
+"""what is measured by rays or in images, of which copies of a dataset may have other pixels"""
+_NUMBERS = ("overlap", "sigma_translation_m", "sigma_rotation_deg", *FURTHER_COLUMNS)
 UNCALIBRATED = "sigma not calibrated"
 """part of a pair's source where its sigmas are no standard deviations of the errors"""
 ELSEWHERE = "elsewhere"
@@ -97,6 +99,12 @@ class Pair:
     sigma_height_m: float | None = None
     scale_change: float | None = None
     """median change of scale of what the query sees of the reference, 1 or more"""
+    overlap_query: float | None = None
+    """share of the query's pixels with depth that the reference sees"""
+    depth_error: float | None = None
+    """median sigma of the reference's depths within the query's image, relative to the depth"""
+    similarity: float | None = None
+    """median correlation, -1 to 1, of patches of the reference with what the query shows there"""
 
     @property
     def axis_sigmas(self) -> tuple[float | None, float | None, float | None]:
@@ -274,32 +282,28 @@ def pose_line_fields(line: PoseLine) -> list[str]:
 def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> None:
     """Write the accepted pairs to the nine-column file and all pairs, with everything known, to the table.
 
-    Where the truth of a pair is withheld, so are its overlap and change of scale. Where that of a pair of different
-    places is, all of the set's are left blank, and its groups: they would tell which pairs these are.
+    Where the truth of a pair is withheld, so are its measures. Where that of a pair of different places is, all of the
+    set's are left blank, and its groups: they would tell which pairs these are.
     """
     hidden = any(p.is_negative and p.T_query_ref is None for p in pairs)
-    by_axis = any(s is not None for p in pairs for s in p.axis_sigmas)
-    seen = [
-        (None, None) if hidden or (p.accepted and p.T_query_ref is None) else (p.overlap, p.scale_change) for p in pairs
-    ]
-    scaled = any(scale_change is not None for _, scale_change in seen)
+    blank = Pair(0, 0, None)
+    seen = [blank if hidden or (p.accepted and p.T_query_ref is None) else p for p in pairs]
+    further = (AXIS_COLUMNS if any(s is not None for p in pairs for s in p.axis_sigmas) else ()) + tuple(
+        name for name in MEASURE_COLUMNS if any(getattr(p, name) is not None for p in seen)
+    )
     rows = (
         [
             *p.key,
             "" if hidden else p.group,
-            *map(_number, (distance_m, angle_deg, overlap)),
+            *map(_number, (distance_m, angle_deg, measured.overlap)),
             *map(_number, (p.sigma_translation_m, p.sigma_rotation_deg)),
             p.source,
             "true" if p.accepted else "false",
             p.reason,
-            *(map(_number, p.axis_sigmas) if by_axis else ()),
-            *([_number(scale_change)] if scaled else ()),
+            *(_number(getattr(p if name in AXIS_COLUMNS else measured, name)) for name in further),
         ]
-        for p, (distance_m, angle_deg), (overlap, scale_change) in zip(
-            pairs, distances_and_angles(pairs), seen, strict=True
-        )
+        for p, (distance_m, angle_deg), measured in zip(pairs, distances_and_angles(pairs), seen, strict=True)
     )
-    further = (AXIS_COLUMNS if by_axis else ()) + (SCALE_COLUMNS if scaled else ())
     write_table(pair_table, TABLE_COLUMNS + further, rows)
     accepted = [p for p in pairs if p.accepted]
     write_text(pair_file, _pose_text([p.key for p in accepted], [p.T_query_ref for p in accepted], TRUTH_DECIMALS))
@@ -343,7 +347,7 @@ def read_pairs(pair_file: Path, pair_table: Path, *, allow_non_finite: bool = Fa
     for number, row in rows:
         if len(row) != len(columns):
             raise DatasetError(f"expected {len(columns)} columns, found {len(row)}", pair_table, number)
-        field = dict.fromkeys(AXIS_COLUMNS + SCALE_COLUMNS, "") | dict(zip(columns, row, strict=True))
+        field = dict.fromkeys(FURTHER_COLUMNS, "") | dict(zip(columns, row, strict=True))
         key = (
             parse_timestamp(field["ref_timestamp_ns"], pair_table, number, DatasetError),
             parse_timestamp(field["query_timestamp_ns"], pair_table, number, DatasetError),
@@ -371,7 +375,7 @@ def read_pairs(pair_file: Path, pair_table: Path, *, allow_non_finite: bool = Fa
                 field["source"],
                 accepted,
                 field["reason"],
-                *(value[name] for name in AXIS_COLUMNS + SCALE_COLUMNS),
+                *(value[name] for name in FURTHER_COLUMNS),
             )
         )
     for key in lines:
@@ -382,10 +386,14 @@ def read_pairs(pair_file: Path, pair_table: Path, *, allow_non_finite: bool = Fa
 
 def table_columns(header: Sequence[str], pair_table: Path) -> tuple[str, ...]:
     """The columns named by a table's first line. Raises DatasetError if they are none of the known sets."""
-    if tuple(header) in _HEADERS:
-        return tuple(header)
-    wanted = f"expected the columns {','.join(TABLE_COLUMNS)}[,{','.join(AXIS_COLUMNS)}][,{','.join(SCALE_COLUMNS)}]"
-    raise DatasetError(wanted, pair_table, 1)
+    columns = tuple(header)
+    further = columns[len(TABLE_COLUMNS) :]
+    known = tuple(name for name in FURTHER_COLUMNS if name in further)
+    by_axis = set(AXIS_COLUMNS).isdisjoint(known) or set(AXIS_COLUMNS) <= set(known)
+    if columns == TABLE_COLUMNS + known and by_axis:
+        return columns
+    optional = "".join(f"[,{name}]" for name in (",".join(AXIS_COLUMNS), *MEASURE_COLUMNS))
+    raise DatasetError(f"expected the columns {','.join(TABLE_COLUMNS)}{optional}", pair_table, 1)
 
 
 def any_non_finite(fields: Sequence[str]) -> bool:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Image
 from relocbench.datasets.moved_views.drawing import Keyframe
 from relocbench.datasets.moved_views.surfaces import seen_at, shown_at
 from relocbench.datasets.pairs.correspondences import FARTHEST_M, PairCorrespondences, exact_pair, sampled_pixels
+from relocbench.tracking import Reference
 
 _SAME_PX = 1e-3
 """between a pixel and the one that the query shows where the pixel's point lies, if nothing hides that"""
 
 
 def exact_correspondences(
-    keyframe: Keyframe, T_query_ref: Array, count: int, rng: np.random.Generator
+    keyframe: Keyframe,
+    reference: Reference,
+    query_image: Image,
+    T_query_ref: Array,
+    count: int,
+    rng: np.random.Generator,
 ) -> PairCorrespondences:
-    """Up to ``count`` correspondences of a pair, spread over the keyframe, and the pair's overlap.
+    """Up to ``count`` correspondences of a pair, spread over the keyframe, and the pair's measures.
 
     They are sampled from the pixels whose point projects into the query's image, visible or hidden by another part of
     the surface.
@@ -29,4 +35,8 @@ def exact_correspondences(
     seen = seen_at(surface, camera, camera, T_query_ref, uv_query[inside])
     # Not a number, where a ray meets nothing, is not the same either.
     visible[inside] = np.linalg.norm(seen - pixels[inside], axis=1) <= _SAME_PX
-    return exact_pair(camera, pixels, depth, uv_query, inside, visible, count, rng, camera, T_query_ref)
+    # What the query shows is always a surface that the photograph shows, within the keyframe or around it.
+    shown = seen_at(surface, camera, camera, T_query_ref, sampled_pixels(camera, 0, np.random.default_rng(0)))
+    back = float(np.mean(camera.contains(np.nan_to_num(shown, nan=-1.0))))
+    found = pixels, depth, uv_query, inside, visible
+    return exact_pair(reference, *found, count, rng, camera, T_query_ref, back, query_image)

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Indices, Mask, Times
+from relocbench.arrays import Array, Image, Indices, Mask, Times
 from relocbench.datasets.core.images import DEPTH_SCALE
+from relocbench.datasets.pairs.measures import PairMeasures, measured
 from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, lift, see
-from relocbench.geometry import Camera, apply, hat
+from relocbench.geometry import Camera, apply, hat, invert
 from relocbench.tracking import Reference
 
 _CELLS = 24
@@ -62,12 +63,9 @@ class PairCorrespondences:
     visible: Mask
     check: NDArray[np.int8]
     """(N,) index into CHECKS"""
-    overlap: float
-    """share of the reference's pixels with depth that the query sees"""
+    measures: PairMeasures
     sigma_px: Array | None = None
     """(N,) one standard deviation of the query's pixel, if that of the pose is known"""
-    scale_change: float | None = None
-    """the median change of scale of what the query sees, 1 or more; None where it sees nothing"""
 
     def __len__(self) -> int:
         return len(self.depth_ref)
@@ -80,55 +78,49 @@ def pair_correspondences(
     count: int,
     rng: np.random.Generator,
     sigma_pose: tuple[float, float] | None = None,
+    query_image: Image | None = None,
 ) -> PairCorrespondences:
-    """Up to ``count`` correspondences of a pair, spread over the reference image, and the pair's overlap.
+    """Up to ``count`` correspondences of a pair, spread over the reference image, and the pair's measures.
 
     They are sampled from the reference pixels whose points project into the query's image, visible there or hidden.
 
     Args:
         count: greatest number of correspondences.
         sigma_pose: one standard deviation of the pose per direction, metres and radians; gives pixels a sigma too.
+        query_image: without it, the pair has no similarity.
     """
     points = ReferencePoints.of(reference)
     if len(points) > _OVERLAP_PIXELS:
         points = points.take(np.sort(rng.choice(len(points), _OVERLAP_PIXELS, replace=False)))
-    seen = see(points, T_query_ref, DepthView(reference.camera, reference.depth, reference.depth_sigma), query)
+    view = DepthView(reference.camera, reference.depth, reference.depth_sigma)
+    seen = see(points, T_query_ref, view, query)
     overlap = float(np.mean(seen.visible)) if len(points) else 0.0
     inside = np.nonzero(seen.inside)[0]
     rows = inside[spread_sample(points.uv[inside], reference.camera, count, rng)]
     chosen, sigma = points.take(rows), None
-    known = points.take(seen.visible)
-    scale = scale_change(known.uv, known.depth, reference.camera, query.camera, T_query_ref)
     if sigma_pose is not None:
         sigma = pixel_sigma(chosen, reference.camera, query.camera, T_query_ref, *sigma_pose)
+    known = points.take(seen.visible)
+    back = _overlap_of_query(view, T_query_ref, query)
+    measures = measured(
+        PairMeasures(overlap, back), known.uv, known.depth, reference, query.camera, T_query_ref, query_image
+    )
     return PairCorrespondences(
-        chosen.uv, chosen.depth, seen.uv_query[rows], seen.visible[rows], seen.check[rows], overlap, sigma, scale
+        chosen.uv, chosen.depth, seen.uv_query[rows], seen.visible[rows], seen.check[rows], measures, sigma
     )
 
 
-def scale_change(
-    pixels: Array, depth: Array, camera_ref: Camera, camera_query: Camera, T_query_ref: Array
-) -> float | None:
-    """The median change of scale of surface points between keyframe and query.
-
-    A patch at the distance d from a camera of focal length f (the geometric mean of fx and fy) is seen at the scale
-    f / d. With ``s = (f_query / d_query) / (f_ref / d_ref)`` of each point it is ``exp(median |log s|)``: the same
-    whether the query is nearer or farther by a factor, and whichever of the two images is the keyframe. Distances are
-    those from the camera's centre, so that a camera that only turns changes no scale.
-
-    Args:
-        pixels, depth: (N, 2) and (N,) metres along z, of the points that both cameras see.
-
-    Returns:
-        1 or more; None without points.
-    """
-    points, known = lift(camera_ref, pixels, depth)
-    if not known.any():
+def _overlap_of_query(reference: DepthView, T_query_ref: Array, query: DepthView) -> float | None:
+    """The share of the query's pixels with depth that the keyframe sees; None where no depth of the query is known."""
+    if query.depth is None:
         return None
-    before = np.linalg.norm(points[known], axis=1)
-    after = np.linalg.norm(apply(T_query_ref, points[known]), axis=1)
-    focal = np.sqrt((camera_query.fx * camera_query.fy) / (camera_ref.fx * camera_ref.fy))
-    return float(np.exp(np.median(np.abs(np.log(focal * before / after)))))
+    v, u = np.nonzero(query.depth > 0)
+    if not len(u):
+        return None
+    rows = np.linspace(0, len(u) - 1, min(len(u), _SAMPLES)).astype(np.int64)
+    z = query.depth[v[rows], u[rows]].astype(np.float64)
+    points = ReferencePoints(np.column_stack([u[rows], v[rows]]).astype(np.float64), z, query.sigma(z))
+    return float(np.mean(see(points, invert(T_query_ref), query, reference).visible))
 
 
 def spread_sample(pixels: Array, camera: Camera, count: int, rng: np.random.Generator) -> Indices:
@@ -158,7 +150,7 @@ def sampled_pixels(camera: Camera, count: int, rng: np.random.Generator) -> Arra
 
 
 def exact_pair(
-    camera: Camera,
+    reference: Reference,
     pixels: Array,
     depth: Array,
     uv_query: Array,
@@ -168,22 +160,22 @@ def exact_pair(
     rng: np.random.Generator,
     camera_query: Camera,
     T_query_ref: Array,
+    overlap_query: float | None,
+    query_image: Image,
 ) -> PairCorrespondences:
     """A pair whose truth is exact: what the query sees of all sampled pixels, and up to ``count`` of those ``inside``.
 
     Args:
-        camera: of the keyframe.
+        reference: the keyframe as methods get it; its depth may be worse than the truth.
         pixels, depth, uv_query: (N, 2), (N,) and (N, 2) of the sampled pixels that have depth.
         inside, visible: (N,) whether the query's image holds the point, and whether nothing hides it.
     """
     candidates = np.nonzero(inside)[0]
-    rows = candidates[spread_sample(pixels[candidates], camera, count, rng)]
+    rows = candidates[spread_sample(pixels[candidates], reference.camera, count, rng)]
     check = np.full(len(rows), CHECKS.index("both"), dtype=np.int8)
-    overlap = float(np.mean(visible)) if len(visible) else 0.0
-    scale = scale_change(pixels[visible], depth[visible], camera, camera_query, T_query_ref)
-    return PairCorrespondences(
-        pixels[rows], depth[rows], uv_query[rows], visible[rows], check, overlap, scale_change=scale
-    )
+    overlaps = PairMeasures(float(np.mean(visible)) if len(visible) else 0.0, overlap_query)
+    measures = measured(overlaps, pixels[visible], depth[visible], reference, camera_query, T_query_ref, query_image)
+    return PairCorrespondences(pixels[rows], depth[rows], uv_query[rows], visible[rows], check, measures)
 
 
 _STEP = 1e-4

@@ -1,4 +1,4 @@
-"""Writing the pairs of a pair set, with their overlap, change of scale and correspondences."""
+"""Writing the pairs of a pair set, with their measures and correspondences."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences
+from relocbench.datasets.pairs.measures import PairMeasures
 from relocbench.datasets.pairs.visibility import DepthView
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
@@ -42,7 +43,8 @@ def _work(unit: _Unit) -> PairCorrespondences:
     query = DepthView(seen_by, unit.query.depth(camera, pair.query_timestamp_ns), entry.depth_sigma)
     rng = np.random.default_rng([unit.seed, *(time % 2**64 for time in pair.key)])
     reference = unit.reference.reference(camera, pair.ref_timestamp_ns)
-    return pair_correspondences(reference, pair.T_query_ref, query, unit.count, rng, _sigma_pose(pair))
+    image = unit.query.image(camera, pair.query_timestamp_ns)
+    return pair_correspondences(reference, pair.T_query_ref, query, unit.count, rng, _sigma_pose(pair), image)
 
 
 def _sigma_pose(pair: Pair) -> tuple[float, float] | None:
@@ -56,7 +58,7 @@ def write_pair_set(job: Build[ImportOptions], reference: str, query: str, camera
     """Write a pair set with what the query of each pair sees and, if the options want any, a file of correspondences.
 
     The traversals must have been written before. Pairs of poses alone, and pairs that are rejected, have no pose or
-    show different places, get no overlap, no change of scale and no correspondences. A set that an earlier run of the
+    show different places, get no measures and no correspondences. A set that an earlier run of the
     same build has finished is kept unchanged.
     """
     layout, count = job.writer.layout, job.options.correspondences
@@ -98,11 +100,11 @@ def write_measured(
         measured: results for some or all of the pairs, which are consumed one at a time.
         sigma: as in :func:`write_correspondences`.
     """
-    seen: dict[PairKey, tuple[float, float | None]] = {}
+    measures: dict[PairKey, PairMeasures] = {}
 
     def noted() -> Iterator[tuple[PairKey, PairCorrespondences]]:
         for key, found in measured:
-            seen[key] = found.overlap, found.scale_change
+            measures[key] = found.measures
             yield key, found
 
     if with_correspondences:
@@ -112,10 +114,7 @@ def write_measured(
     else:
         for _ in noted():
             pass
-    complete = []
-    for pair in pairs:
-        overlap, scale_change = seen.get(pair.key, (pair.overlap, pair.scale_change))
-        complete.append(replace(pair, overlap=overlap, scale_change=scale_change))
+    complete = [replace(pair, **vars(measures[pair.key])) if pair.key in measures else pair for pair in pairs]
     pairfile.write_pairs(layout.pair_file(name), layout.pair_table(name), complete)
 
 

@@ -43,6 +43,7 @@ from relocbench.metrics import (
     within,
 )
 from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
+from relocbench.metrics.pose.scores import FLOATS
 
 ALL = "all"
 """the group of all pairs of a set; and all start offsets together"""
@@ -198,9 +199,15 @@ class PairErrors(PairRecord):
     """median change of scale of what it sees, 1 or more"""
     peak_memory_bytes: Annotated[float | None, NUMBER] = None
     """as in the table of answers"""
+    overlap_query: Annotated[float | None, NUMBER] = None
+    """share of the query's pixels with depth that the keyframe sees"""
+    depth_error: Annotated[float | None, NUMBER] = None
+    """what the map states of the keyframe's depths, relative to them"""
+    similarity: Annotated[float | None, NUMBER] = None
+    """correlation of patches of the two images, -1 to 1"""
 
 
-ERRORS = Schema(PairErrors, added_later=5)
+ERRORS = Schema(PairErrors, added_later=8)
 NUMBERS = ERRORS.columns[4:]
 _ERRORS, _OPTIONAL = NUMBERS[:3], NUMBERS[3:]
 _MAY_BE_INFINITE = [*range(len(_ERRORS)), NUMBERS.index("vcre")]
@@ -304,17 +311,8 @@ class ErrorTable(Sequence[PairErrors]):
     @cached_property
     def scores(self) -> PairScores:
         """What metrics are computed from."""
-        return PairScores(
-            self.errors,
-            seconds=self.column("seconds"),
-            confidence=self.column("confidence"),
-            vcre=self.column("vcre"),
-            travelled_m=self.column("travelled_m"),
-            overlap=self.column("overlap"),
-            scale_change=self.column("scale_change"),
-            peak_memory_bytes=self.column("peak_memory_bytes"),
-            query_ns=self.keys[:, 1],
-        )
+        columns: dict[str, Any] = {name: self.column(name) for name in FLOATS}
+        return PairScores(self.errors, **columns, query_ns=self.keys[:, 1])
 
     @property
     def different_places(self) -> DifferentPlaces:

@@ -13,7 +13,7 @@ from relocbench import version
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
+from relocbench.datasets.core.pairfile import MEASURES, PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, ScoreRecord, check_made_for, write_record
 from relocbench.evaluation.tables.records import (
@@ -150,9 +150,8 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
                 sigma_rotation_deg=pair.calibrated_sigmas[1],
                 vcre=vcre,
                 travelled_m=pair_set.query_traversal.travelled_m.get(pair.query_timestamp_ns),
-                overlap=pair.overlap,
-                scale_change=pair.scale_change,
                 peak_memory_bytes=answer.peak_memory_bytes,
+                **{name: getattr(pair, name) for name in MEASURES},
             )
         )
     return ErrorTable.of(rows)

@@ -13,7 +13,7 @@ import numpy as np
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.pairfile import MEASURES, PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.tables.records import (
@@ -41,10 +41,6 @@ _SAME = (1e-9, 1e-6)
 """Relative and absolute difference that the last digits of another processor explain."""
 _COPY = (1e-6, 1e-3)
 """The same where the truth is that of a copy of the dataset, whose poses are equal to a millionth."""
-
-
-_SEEN = ("overlap", "scale_change")
-"""What is measured by rays or in depth images, of which copies may have other pixels."""
 
 
 def faults_of_record(
@@ -163,7 +159,7 @@ def rescored(
             folder.scores_yaml,
         )
     errors = score_pair_set(pair_set, folder).by_time()
-    difference = _first_difference(rows, errors, *((_COPY, _SEEN) if copy else (_SAME, ())))
+    difference = _first_difference(rows, errors, *((_COPY, MEASURES) if copy else (_SAME, ())))
     if difference is not None:
         raise PredictionError(
             f"does not follow from predictions and truth: {difference}; {again}", folder.errors(pair_set.name)

@@ -68,11 +68,11 @@ def matrix_columns(dataset: DatasetBoard) -> list[dict[str, Any]]:
     The last is that of the total.
     """
     results = by_condition([dataset])
-    columns = [(_words(results, column), column.pair_sets, column.metres, column.degrees) for column in results.columns]
-    together = [name for column in results.in_total for name in column.pair_sets]
+    together = tuple(name for column in results.in_total for name in column.pair_sets)
+    columns = [(_words(results, c), c.pair_sets, c.metres, c.degrees, c.tier) for c in results.columns]
     return [
-        {"title": title, "pair_sets": list(pair_sets), "metres": metres, "degrees": degrees}
-        for title, pair_sets, metres, degrees in [*columns, (results.total_title, together, *CORRECT)]
+        {"title": title, "pair_sets": list(pair_sets), "metres": metres, "degrees": degrees, "tier": tier}
+        for title, pair_sets, metres, degrees, tier in [*columns, (results.total_title, together, *CORRECT, "")]
     ]
 
 
@@ -89,7 +89,7 @@ def _column(results: ByCondition, column: Column, pictures: bool) -> dict[str, A
         "title": column.title,
         "details": [*results.details(column), f"{column.pairs} pairs"],
         "doubt": column.doubt,
-        "image": middle_picture(column.dataset, column.pair_sets[0]) if pictures else None,
+        "image": middle_picture(column.dataset, column.pair_sets[0]) if pictures and not column.tier else None,
     }
 
 

@@ -15,8 +15,9 @@ from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import MEDIANS, SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
 from relocbench.metrics import CORRECT, Interval, metric_named, shown_in
 from relocbench.metrics.pose.metric import SIGMA_FACTOR
+from relocbench.metrics.pose.tiers import TIERS
 
-_LIST = [
+_LIST: list[dict[str, Any]] = [
     {"key": "task", "title": "pair", "kind": "link"},
     {"key": "found", "title": "found", "kind": "found", "higher": True},
     {"key": "translation_error_m", "title": "translation error, m", "kind": "error_m", "higher": False},
@@ -26,6 +27,7 @@ _LIST = [
     {"key": "seconds", "title": "seconds", "kind": "s", "higher": False},
     {"key": "distance_m", "title": "distance, m", "kind": "m"},
     {"key": "angle_deg", "title": "angle, °", "kind": "deg"},
+    {"key": "tier", "title": "tier", "kind": "text"},
     {"key": "task", "title": "pair set", "kind": "text"},
 ]
 """the columns of lists of pairs: key of a row, heading, how it is shown, and whether more is better"""
@@ -34,6 +36,8 @@ _LIST = [
 def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
     """All tables of a dataset."""
     entry = dataset.entry
+    tables = [table for name in entry.pair_sets if (table := entry.errors_of(name)) is not None]
+    has_tiers = any((table.scores.tiers >= 0).any() for table in tables)
     _, *shown = shown_in("set page", board.metric)
     first = [metric for metric in shown if metric.name in MEDIANS]
     metrics = [board.metric, *first, *(m for m in shown if m not in first), metric_named(SECONDS)]
@@ -47,7 +51,7 @@ def set_payload(board: Board, dataset: DatasetBoard) -> dict[str, Any]:
         "page": {"file": links.PAIR_PAGE, "task": "pairset", "unit": "pair", "method": "method"},
         "correct": list(CORRECT),
         "worst": "both",
-        "list": _LIST,
+        "list": [column for column in _LIST if column["key"] != "tier" or has_tiers],
         "columns": {**described, COUNTS: {"heading": COUNTS, "unit": ""}},
         "views": {"methods": ["method", "rank", *described, COUNTS]},
         "heat": ["query", "reference"],
@@ -77,6 +81,7 @@ def errors_payload(dataset: DatasetBoard, pair_set: str) -> dict[str, Any] | Non
     if not known:
         return None
     first = next(iter(known.values()))
+    has_tiers = bool((first.scores.tiers >= 0).any())
     return {
         "pairs": len(first),
         "units": {
@@ -85,8 +90,9 @@ def errors_payload(dataset: DatasetBoard, pair_set: str) -> dict[str, Any] | Non
             "group": floats(first.group_index),
             "distance_m": floats(first.column("distance_m")),
             "angle_deg": floats(first.column("angle_deg")),
+            **({"tier": bytes_of(first.scores.tiers + 1)} if has_tiers else {}),
         },
-        "words": {"group": list(first.group_names)},
+        "words": {"group": list(first.group_names), **({"tier": ["", *TIERS]} if has_tiers else {})},
         "methods": {
             label: {
                 "translation_error_m": floats(rows.errors.translation_error_m),

@@ -5,7 +5,7 @@ Pages, Markdown, the terminal and the demo's picture show the same rows, columns
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from relocbench.leaderboard.tracking.model import DatasetBoard
 from relocbench.leaderboard.tracking.reservations import finer_thresholds
 from relocbench.metrics import CORRECT, within
 from relocbench.metrics.pose.metric import finer_than_truth
+from relocbench.metrics.pose.tiers import TIERS
 
 UNKNOWN = "unknown"
 """the condition of drives of which none is recorded"""
@@ -41,10 +42,14 @@ class Column:
     metres: float = CORRECT[0]
     degrees: float = CORRECT[1]
     """the greatest errors of a pair that is found"""
+    tier: str = ""
+    """the tier whose pairs of all conditions these are; empty for a column of a condition"""
 
     @property
     def title(self) -> str:
-        """The condition, or what stands for it where it is not known: the queries' drives, or that it is all pairs."""
+        """The tier or condition, or what stands for it where it is not known: the queries' drives, or all pairs."""
+        if self.tier:
+            return self.tier
         if self.condition != UNKNOWN:
             return self.condition
         entry = self.dataset.entry
@@ -75,7 +80,8 @@ class ConditionRecall:
     """What one method finds of the pairs of one column."""
 
     share: float | None
-    """the mean over the column's pair sets, each counting the same; None where the result on one is missing"""
+    """the mean over the column's pair sets, each counting the same, or over the pairs of a tier; None where the result
+    on one set is missing"""
     right: Mask
     """(N,) whether each pair is found, by time of the query and then of the keyframe; empty without a share"""
 
@@ -109,7 +115,7 @@ class ByCondition:
     @property
     def has_total(self) -> bool:
         """Whether the share of a line is the mean of several columns, and so more than one of them."""
-        return sum(not column.is_finer for column in self.columns) > 1
+        return sum(not column.is_finer and not column.tier for column in self.columns) > 1
 
     @property
     def in_total(self) -> tuple[Column, ...]:
@@ -128,8 +134,10 @@ class ByCondition:
 
     def details(self, column: Column) -> list[str]:
         """What tells a column from others beside its title: keyframes, split and thresholds, where they differ."""
-        of_dataset = [other for other in self.columns if other.dataset is column.dataset]
+        of_dataset = [other for other in self.columns if other.dataset is column.dataset and not other.tier]
         maps = {other.map_condition for other in of_dataset}
+        if column.tier:
+            return []
         out = ["same drive"] if column.same_drive else []
         if not column.same_drive and len(maps) > 1 and column.map_condition != UNKNOWN:
             out.append(f"map: {column.map_condition}")
@@ -184,7 +192,21 @@ def _columns(dataset: DatasetBoard) -> list[Column]:
         columns.append(column)
         if finer is not None:
             columns.append(replace(column, metres=finer.metres, degrees=finer.degrees))
-    return columns
+    return [*columns, *_tier_columns(dataset, columns)]
+
+
+def _tier_columns(dataset: DatasetBoard, columns: Sequence[Column]) -> Iterator[Column]:
+    """The pairs of the total by tier, where they are of several."""
+    together = _in_total(columns)
+    names = tuple(name for column in together for name in column.pair_sets)
+    tables = [table for name in names if (table := dataset.entry.errors_of(name)) is not None]
+    known = np.concatenate([table.scores.tiers for table in tables]) if len(tables) == len(names) else np.zeros(0)
+    counts = {tier: int(np.count_nonzero(known == index)) for index, tier in enumerate(TIERS)}
+    if sum(count > 0 for count in counts.values()) > 1:
+        for tier, count in counts.items():
+            if count:
+                same_drive = all(column.same_drive for column in together)
+                yield Column(dataset, names, UNKNOWN, UNKNOWN, "", count, same_drive, tier=tier)
 
 
 def _ranks(datasets: Sequence[DatasetBoard]) -> dict[str, str]:
@@ -207,7 +229,7 @@ def _line(label: str, methods: Sequence[Method], rank: str, columns: Sequence[Co
 
 
 def _in_total(columns: Sequence[Column]) -> tuple[Column, ...]:
-    usual = [column for column in columns if not column.is_finer]
+    usual = [column for column in columns if not column.is_finer and not column.tier]
     return tuple([column for column in usual if not column.same_drive] or usual)
 
 
@@ -224,6 +246,11 @@ def _found(label: str, column: Column) -> ConditionRecall:
     if not known or len(known) < len(column.pair_sets):
         return ConditionRecall(None, np.zeros(0, dtype=np.bool_))
     rights = [within(table.errors, column.metres, column.degrees) for table in known]
+    if column.tier:
+        tier = TIERS.index(column.tier)
+        of_tier = [right[table.scores.tiers == tier] for right, table in zip(rights, known, strict=True)]
+        together = np.concatenate(of_tier)
+        return ConditionRecall(float(np.mean(together)), together)
     keys = np.concatenate([table.keys for table in known])
     order = np.lexsort((keys[:, 0], keys[:, 1]))
     return ConditionRecall(float(np.mean([right.mean() for right in rights])), np.concatenate(rights)[order])

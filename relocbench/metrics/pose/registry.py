@@ -18,6 +18,7 @@ from relocbench.metrics.pose.errors import PoseErrors
 from relocbench.metrics.pose.metric import Metric, Place
 from relocbench.metrics.pose.scores import CORRECT, PairScores, within
 from relocbench.metrics.pose.sequences import Drive, LostStretches, right_runs
+from relocbench.metrics.pose.tiers import LOOKS, TIERS
 
 _Judged = tuple[Mask, Mask, Array]
 """(N,) whether each pair is correct, whether it is answered, and how confidently"""
@@ -280,40 +281,55 @@ def _median_vcre() -> Metric:
     return _of_vcre("median_vcre", description, lambda vcre, _: float(np.median(vcre)), higher_is_better=False)
 
 
-def _recall_where(
-    column: str, name: str, words: str, low: float, high: float, inside: Callable[[Array], Mask]
-) -> Metric:
-    """The recall over the pairs whose value in a column lies in a range; a value that is not known lies in none."""
+def _recall_where(name: str, words: str, inside: Callable[[PairScores], Mask]) -> Metric:
+    """The recall over some of the pairs; one for which it is not known whether it belongs to them does not."""
     metres, degrees = CORRECT
-    ends = f"to_{high:g}" if low == -math.inf else f"over_{low:g}" if high == math.inf else f"{low:g}_to_{high:g}"
 
     def compute(scores: PairScores) -> float | None:
-        rows = inside(scores.column(column))
+        rows = inside(scores)
         return float(np.mean(within(scores.errors, metres, degrees)[rows])) if rows.any() else None
 
     return Metric(
-        f"recall_{name}_{ends}@({metres:g}m,{degrees:g}deg)",
+        f"recall_{name}@({metres:g}m,{degrees:g}deg)",
         "share",
         True,
-        f"share of the pairs with {words} with translation_error_m <= {metres:g} and rotation_error_deg <= "
-        f"{degrees:g}; nothing without such a pair",
+        f"share of the pairs {words} with translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}; "
+        "nothing without such a pair",
         compute,
-        over=lambda scores: int(np.count_nonzero(inside(scores.column(column)))),
+        over=lambda scores: int(np.count_nonzero(inside(scores))),
         translation_threshold_m=metres,
         rotation_threshold_deg=degrees,
     )
 
 
+def _ends(low: float, high: float) -> str:
+    return f"to_{high:g}" if low == -math.inf else f"over_{low:g}" if high == math.inf else f"{low:g}_to_{high:g}"
+
+
 def _recall_by_overlap(low: float, high: float) -> Metric:
+    def inside(scores: PairScores) -> Mask:
+        overlap = scores.column("overlap")
+        return (low <= overlap) & (overlap < high)
+
     parts = (f"overlap >= {low:g}" if low > 0 else "", f"overlap < {high:g}" if high < 1 else "")
-    words = " and ".join(filter(None, parts))
-    return _recall_where("overlap", "overlap", words, low, high, lambda v: (low <= v) & (v < high))
+    return _recall_where(f"overlap_{_ends(low, high)}", f"with {' and '.join(filter(None, parts))}", inside)
 
 
 def _recall_by_scale(low: float, high: float) -> Metric:
+    def inside(scores: PairScores) -> Mask:
+        change = scores.column("scale_change")
+        return (low < change) & (change <= high)
+
     parts = (f"change of scale > {low:g}" if low > 1 else "", f"change of scale <= {high:g}" if high < math.inf else "")
-    words = " and ".join(filter(None, parts))
-    return _recall_where("scale_change", "scale", words, low, high, lambda v: (low < v) & (v <= high))
+    return _recall_where(f"scale_{_ends(low, high)}", f"with {' and '.join(filter(None, parts))}", inside)
+
+
+def _recall_of_tier(tier: str) -> Metric:
+    return _recall_where(tier, f"of the tier {tier}", lambda scores: scores.tiers == TIERS.index(tier))
+
+
+def _recall_of_look(look: str) -> Metric:
+    return _recall_where(f"look_{look}", f"whose images look {look}", lambda scores: scores.looks == LOOKS.index(look))
 
 
 def _of_drives(
@@ -403,6 +419,8 @@ METRICS: tuple[Metric, ...] = (
     *(_shown(_lost_queries(least), "more") for least in STRETCHES),
     *(_shown(_lost_stretches(least), "more") for least in STRETCHES),
     *(_shown(_run_recall(length), "more") for length in RUNS),
+    *(_shown(_recall_of_tier(tier), "more") for tier in TIERS),
+    *(_shown(_recall_of_look(look), "more") for look in LOOKS),
     *(_shown(_recall_by_overlap(*ends), "more") for ends in pairwise(OVERLAPS)),
     *(_shown(_recall_by_scale(*ends), "more") for ends in pairwise(SCALE_CHANGES)),
     _confidence_area(*CORRECT),

@@ -11,10 +11,14 @@ import numpy as np
 from relocbench.arrays import Array, Indices, Mask
 from relocbench.metrics.pose.errors import PoseErrors
 from relocbench.metrics.pose.sequences import Drive
+from relocbench.metrics.pose.tiers import looks, tiers
 
 CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence, stretches and runs are judged"""
-_COLUMNS = ("seconds", "confidence", "vcre", "travelled_m", "overlap", "scale_change", "peak_memory_bytes")
+FLOATS = (
+    *("seconds", "confidence", "vcre", "travelled_m", "peak_memory_bytes"),
+    *("overlap", "overlap_query", "scale_change", "angle_deg", "depth_error", "similarity"),
+)
 """of floats, by their names in :class:`PairScores`"""
 
 
@@ -36,6 +40,14 @@ class PairScores:
     """(N,) shares of the keyframes' pixels with depth that the queries see; NaN or None where not known"""
     scale_change: Array | None = None
     """(N,) median changes of scale of what they see, 1 or more; NaN or None where not known"""
+    overlap_query: Array | None = None
+    """(N,) shares of the queries' pixels with depth that the keyframes see; NaN or None where not known"""
+    angle_deg: Array | None = None
+    """(N,) angles between the cameras"""
+    depth_error: Array | None = None
+    """(N,) errors that the map states of the keyframes' depths, relative to them; NaN or None where it states none"""
+    similarity: Array | None = None
+    """(N,) correlations of patches of the two images, -1 to 1; NaN or None where not known"""
     peak_memory_bytes: Array | None = None
     """(N,) the most resident memory of the method's process until a pair was answered; NaN or None where not known"""
     query_ns: Indices | None = None
@@ -44,7 +56,7 @@ class PairScores:
     """the number of pairs of each set, of which one follows the other; empty for a single one"""
 
     def __post_init__(self) -> None:
-        for name in (*_COLUMNS, "query_ns"):
+        for name in (*FLOATS, "query_ns"):
             given = getattr(self, name)
             if given is not None and np.shape(given) != (len(self.errors),):
                 raise ValueError(f"{name} must be ({len(self.errors)},), got {np.shape(given)}")
@@ -55,7 +67,7 @@ class PairScores:
         times = [part.query_ns for part in parts if part.query_ns is not None]
         return cls(
             PoseErrors.joined([part.errors for part in parts]),
-            **{name: np.concatenate([part.column(name) for part in parts]) for name in _COLUMNS},
+            **{name: np.concatenate([part.column(name) for part in parts]) for name in FLOATS},
             query_ns=np.concatenate(times) if len(times) == len(parts) else None,
             sets=tuple(len(part.errors) for part in parts),
         )
@@ -71,6 +83,18 @@ class PairScores:
             Drive.of(right[end - count : end], self.query_ns[end - count : end], travelled[end - count : end])
             for end, count in zip(ends.tolist(), self.sets or (len(self.errors),), strict=True)
         ]
+
+    @cached_property
+    def tiers(self) -> Indices:
+        """(N,) how hard each pair is, an index into :data:`TIERS`; -1 where that is not known."""
+        return tiers(
+            *(self.column(n) for n in ("overlap", "overlap_query", "scale_change", "angle_deg", "depth_error"))
+        )
+
+    @cached_property
+    def looks(self) -> Indices:
+        """(N,) how alike the images of each pair look, an index into :data:`LOOKS`; -1 where that is not known."""
+        return looks(self.column("similarity"))
 
     def column(self, name: str) -> Array:
         """(N,) a column of floats by its name; NaN where it is not given."""

@@ -15,7 +15,7 @@ from relocbench.datasets.checks.faults import Findings, read_pair_table
 from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.pairfile import (
     AXIS_COLUMNS,
-    SCALE_COLUMNS,
+    MEASURE_COLUMNS,
     TABLE_COLUMNS,
     UNCALIBRATED,
     Pair,
@@ -152,20 +152,29 @@ def test_a_table_keeps_what_nine_columns_cannot_and_rejected_pairs_stay_out_of_t
     assert back[2].distance_m is None
 
 
-def test_a_change_of_scale_is_kept_where_it_is_known_and_hidden_with_the_truth(tmp_path: Path) -> None:
-    known = [replace(p, overlap=0.5, scale_change=1.25) for p in PAIRS]
+def test_measures_are_kept_where_they_are_known_and_hidden_with_the_truth(tmp_path: Path) -> None:
+    measures = {"scale_change": 1.25, "overlap_query": 0.75, "depth_error": 0.02, "similarity": -0.25}
+    known = [replace(p, overlap=0.5, **measures) for p in PAIRS]
     pair_file, table = write(tmp_path, known)
-    assert table.read_text().splitlines()[0] == ",".join(TABLE_COLUMNS + SCALE_COLUMNS)
-    assert [(p.overlap, p.scale_change) for p in read_pairs(pair_file, table)] == [
-        (0.5, 1.25),
-        (0.5, 1.25),
-        (None, None),
-    ]
+    assert table.read_text().splitlines()[0] == ",".join(TABLE_COLUMNS + MEASURE_COLUMNS)
+    values = [tuple(getattr(p, name) for name in MEASURE_COLUMNS) for p in read_pairs(pair_file, table)]
+    assert values == [tuple(measures.values()), tuple(measures.values()), (None,) * 4]
     found = Findings()
     read_pair_table(table, found)
     assert not found.faults
     both = [replace(p, sigma_along_m=0.03) for p in known]
     assert [(p.sigma_along_m, p.scale_change) for p in read_pairs(*write(tmp_path, both))][:2] == [(0.03, 1.25)] * 2
+    withheld = [replace(p, T_query_ref=None) for p in known]
+    assert [p.similarity for p in read_pairs(*write(tmp_path, withheld)) if p.accepted] == [None, None]
+
+
+def test_a_table_of_an_earlier_version_has_fewer_measures(tmp_path: Path) -> None:
+    pair_file, table = write(tmp_path, [replace(p, scale_change=1.25) for p in PAIRS])
+    assert table.read_text().splitlines()[0] == ",".join((*TABLE_COLUMNS, "scale_change"))
+    assert [p.scale_change for p in read_pairs(pair_file, table)] == [1.25, 1.25, None]
+    table.write_text(table.read_text().replace("scale_change", "sigma_along_m"))
+    with refused(DatasetError, "pairs.csv", 1, "sigma_along_m,sigma_across_m,sigma_height_m"):
+        read_pairs(pair_file, table)
 
 
 def test_sigmas_that_are_not_calibrated_are_kept_and_used_by_no_score(tmp_path: Path) -> None:

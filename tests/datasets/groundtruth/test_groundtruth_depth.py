@@ -28,6 +28,7 @@ from relocbench.datasets.groundtruth.depth.surfels import SECTORS, SurfelOptions
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences, pixel_sigma
+from relocbench.datasets.pairs.measures import PairMeasures
 from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, warp
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, apply, invert, make_transform, se3_exp
@@ -339,7 +340,7 @@ def test_correspondences_from_submap_depth_tell_what_a_wall_hides() -> None:
 
 def test_files_tell_the_sigma_of_pixels_where_they_have_one(tmp_path: Path) -> None:
     uv = np.arange(6.0).reshape(3, 2)
-    rows = PairCorrespondences(uv, uv[:, 0] + 1, uv, np.ones(3, bool), np.zeros(3, np.int8), 1.0)
+    rows = PairCorrespondences(uv, uv[:, 0] + 1, uv, np.ones(3, bool), np.zeros(3, np.int8), PairMeasures(1.0))
     known = replace(rows, sigma_px=np.array([0.5, 1.0, 2.0]))
     write_correspondences(tmp_path / "a.parquet", [((1, 2), rows), ((1, 3), known)], sigma=True)
     write_correspondences(tmp_path / "b.parquet", [((1, 2), rows)])

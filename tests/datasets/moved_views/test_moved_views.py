@@ -19,6 +19,7 @@ from relocbench.datasets.moved_views.light import changed
 from relocbench.datasets.moved_views.pictures import Reduced, view_of
 from relocbench.datasets.moved_views.surfaces import Planes, Relief, plane_homography, seen_at, shown_at
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
+from relocbench.tracking import Reference
 
 SIZE = 96, 72
 PHOTOGRAPH = 200, 140
@@ -90,6 +91,11 @@ def test_a_spline_is_that_of_scipy() -> None:
     assert np.allclose(relief.inverse_depth(np.column_stack([xy, np.ones(50)])), expected, atol=1e-12)
 
 
+def seen_as(keyframe: Keyframe, image: Image) -> Reference:
+    """The keyframe as a dataset has it."""
+    return Reference("", None, image, keyframe.camera, depth=keyframe.depth())
+
+
 @pytest.mark.thorough
 def test_what_a_hill_hides_is_hidden_and_what_is_visible_is_hidden_by_nothing() -> None:
     numbers = np.full((9, 9), 0.08)
@@ -98,7 +104,9 @@ def test_what_a_hill_hides_is_hidden_and_what_is_visible_is_hidden_by_nothing() 
     camera = Camera("pinhole", *SIZE, 90.0, 90.0, 47.5, 35.5)
     hill = Keyframe(PHOTOGRAPH, keyframe.crop, camera, Relief(numbers, (-0.8, -0.8), 0.2))
     T_query_ref = make_transform(np.eye(3), [-1.2, 0.0, 0.0])
-    found = exact_correspondences(hill, T_query_ref, 3000, np.random.default_rng(0))
+    blank = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    found = exact_correspondences(hill, seen_as(hill, blank), blank, T_query_ref, 3000, np.random.default_rng(0))
+    assert found.measures.similarity is None
     assert 0.05 < np.mean(~found.visible) < 0.5
     # Independently: all pixels of the keyframe, drawn into the query, of which the nearest is seen.
     uv, _, z = shown_at(hill.surface, camera, camera, T_query_ref, all_pixels(camera))
@@ -121,9 +129,13 @@ def test_a_query_shows_each_point_where_its_correspondence_says_and_no_border(ki
     reference, query = view_of(reduced, keyframe), view_of(reduced, keyframe, T_query_ref)
     for image in (reference, query):
         assert image[..., 2].max() < 20
-    found = exact_correspondences(keyframe, T_query_ref, 400, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    found = exact_correspondences(keyframe, seen_as(keyframe, reference), query, T_query_ref, 400, rng)
     seen = found.visible
-    assert found.overlap > 0.25
+    assert found.measures.overlap is not None
+    assert found.measures.overlap > 0.25
+    assert found.measures.overlap_query is not None
+    assert found.measures.overlap_query > 0.25
     assert np.sum(seen) > 50
     at = found.uv_query[seen].astype(np.float32)[None]
     shown = cv2.remap(query, at[..., 0], at[..., 1], cv2.INTER_LINEAR)[0].astype(float)

@@ -17,9 +17,9 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences, 
 from relocbench.datasets.pairs.correspondences import (
     PairCorrespondences,
     pair_correspondences,
-    scale_change,
     spread_sample,
 )
+from relocbench.datasets.pairs.measures import PairMeasures, scale_change
 from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, reference_z_buffer, see, warp
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert, make_transform, se3_exp, so3_exp
@@ -122,7 +122,7 @@ def test_a_sparse_keyframe_against_a_query_without_depth_is_checked_by_nothing()
     )
     assert len(found) == 1  # the other one left the image
     assert [CHECKS[c] for c in found.check] == ["none"]
-    assert found.overlap == 0.5
+    assert found.measures.overlap == 0.5
 
 
 def test_a_sparse_keyframe_is_checked_against_the_querys_depth() -> None:
@@ -140,9 +140,9 @@ def test_overlap_is_the_share_of_the_reference_that_the_query_sees() -> None:
     # 2.96 m to the right at 10 m is 35.52 px: 36 of 160 columns leave the image.
     T_query_ref = make_transform(np.eye(3), [-2.96, 0, 0])
     found = pair_correspondences(reference, T_query_ref, DepthView(PINHOLE), 100, np.random.default_rng(0))
-    assert found.overlap == pytest.approx(124 / 160, abs=1e-9)
-    assert found.scale_change is not None
-    assert 1.0 < found.scale_change < 1.1
+    assert found.measures.overlap == pytest.approx(124 / 160, abs=1e-9)
+    assert found.measures.scale_change is not None
+    assert 1.0 < found.measures.scale_change < 1.1
     assert len(found) == 100
 
 
@@ -193,7 +193,7 @@ def some_rows(count: int, start: float) -> PairCorrespondences:
     values = np.arange(count, dtype=np.float64) + start
     uv = np.column_stack([values, values + 0.5])
     check = (np.arange(count) % 3).astype(np.int8)
-    return PairCorrespondences(uv, values + 1, uv + 2, np.arange(count) % 2 == 0, check, 0.5)
+    return PairCorrespondences(uv, values + 1, uv + 2, np.arange(count) % 2 == 0, check, PairMeasures(0.5))
 
 
 def test_a_file_gives_back_what_was_written_all_or_one_pair(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.layout import pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
+from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.single_photographs.photographs import Photograph
 from relocbench.datasets.moved_views.drawing import (
@@ -166,13 +167,15 @@ def write_pairs(job: Build[ImportOptions], recipe: Recipe, made: Sequence[Made],
     name = pair_set_name(split, query_traversal(split, change), CAMERA)
     if is_finished(layout, name, pairs, with_correspondences=count > 0):
         return name
+    reference, query = (Traversal(layout.traversal(t)) for t in (split, query_traversal(split, change)))
     with job.reporter.stage(f"correspondences of {name}", len(pairs)) as advance:
 
         def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
             for pair, one in zip(pairs, made, strict=True):
                 place = one.place
                 rng = recipe.rng(place.photograph, place.number, _CORRESPONDENCES, *change.encode())
-                yield pair.key, exact_correspondences(one.keyframe, one.T_query_ref[change], count, rng)
+                keyframe = reference.reference(CAMERA, place.time), query.image(CAMERA, place.time)
+                yield pair.key, exact_correspondences(one.keyframe, *keyframe, one.T_query_ref[change], count, rng)
                 advance(1)
 
         write_measured(layout, name, pairs, measured(), with_correspondences=count > 0)

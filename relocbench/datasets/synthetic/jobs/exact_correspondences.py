@@ -11,14 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from relocbench.arrays import Array, Mask
+from relocbench.arrays import Array, Image, Mask
 from relocbench.datasets.pairs.correspondences import FARTHEST_M, PairCorrespondences, exact_pair, sampled_pixels
 from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
-from relocbench.geometry import Camera, apply
+from relocbench.geometry import Camera, apply, invert
+from relocbench.tracking import Reference
 
 _ROUNDINGS = 4
 """tolerance perpendicular to the surface, in units of single-precision rounding of the district's coordinates, since
@@ -53,6 +54,11 @@ class View:
         distance, moves = self.cast(origins, directions)
         return distance / lengths, moves
 
+    def points(self, pixels: Array, depth: Array) -> Array:
+        """The world points (N, 3) of pixels (N, 2) with depth (N,) along z."""
+        rays, _ = self.camera.unproject(pixels)
+        return apply(self.T_world_cam, rays * depth[:, None])
+
     def sees(self, points: Array) -> Mask:
         """Whether each world point (N, 3) lies on a surface and nothing is in front of it."""
         offset = points - self.T_world_cam[:3, 3]
@@ -72,20 +78,44 @@ class View:
 
 
 def exact_correspondences(
-    reference: View, query: View, T_query_ref: Array, count: int, rng: np.random.Generator
+    views: tuple[View, View],
+    reference: Reference,
+    query_image: Image,
+    T_query_ref: Array,
+    count: int,
+    rng: np.random.Generator,
 ) -> PairCorrespondences:
-    """Up to ``count`` correspondences of a pair, spread over the reference image, and the pair's overlap.
+    """Up to ``count`` correspondences of a pair, spread over the reference image, and the pair's measures.
 
     They are sampled from the pixels whose point is static and projects into the query's image, visible or hidden.
+
+    Args:
+        views: of the keyframe and of the query.
+        reference: the keyframe as the dataset has it.
     """
-    camera = reference.camera
+    keyframe, query = views
+    camera = keyframe.camera
     pixels = sampled_pixels(camera, count, rng)
-    depth, moves = reference.depth(pixels)
+    depth, moves = keyframe.depth(pixels)
     known = (depth <= FARTHEST_M) & ~moves
     pixels, depth = pixels[known], depth[known]
     uv_query, _, valid = warp(np.column_stack([pixels, depth]), camera, query.camera, T_query_ref)
     inside = valid & query.camera.contains(uv_query)
-    rays, _ = camera.unproject(pixels)
     visible = inside.copy()
-    visible[inside] = query.sees(apply(reference.T_world_cam, (rays * depth[:, None])[inside]))
-    return exact_pair(camera, pixels, depth, uv_query, inside, visible, count, rng, query.camera, T_query_ref)
+    visible[inside] = query.sees(keyframe.points(pixels, depth)[inside])
+    back = _overlap_of_query(keyframe, query)
+    found = pixels, depth, uv_query, inside, visible
+    return exact_pair(reference, *found, count, rng, query.camera, T_query_ref, back, query_image)
+
+
+def _overlap_of_query(keyframe: View, query: View) -> float | None:
+    """The share of the query's pixels with static points that the keyframe sees; None where it shows none."""
+    pixels = sampled_pixels(query.camera, 0, np.random.default_rng(0))
+    depth, moves = query.depth(pixels)
+    known = (depth <= FARTHEST_M) & ~moves
+    if not known.any():
+        return None
+    points = query.points(pixels[known], depth[known])
+    uv, in_front = keyframe.camera.project(apply(invert(keyframe.T_world_cam), points))
+    inside = in_front & keyframe.camera.contains(uv)
+    return float(np.count_nonzero(keyframe.sees(points[inside])) / len(points))

@@ -11,6 +11,7 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
+from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.different_places import with_different_places
 from relocbench.datasets.pairs.pairing import make_pairs
@@ -31,7 +32,9 @@ class PairSetUnit:
 
     layout: DatasetLayout
     split: str
-    name: str
+    traversals: tuple[str, str]
+    """of the keyframes and of the queries"""
+    camera: str
     pairs: tuple[Pair, ...]
     """sorted by their keys"""
     references: dict[int, View]
@@ -39,6 +42,10 @@ class PairSetUnit:
     queries: dict[int, View]
     count: int
     seed: int
+
+    @property
+    def name(self) -> str:
+        return pair_set_name(*self.traversals, self.camera)
 
     def __str__(self) -> str:
         return f"pair set {self.name}"
@@ -115,7 +122,8 @@ def _unit(
     return PairSetUnit(
         layout,
         reference.split,
-        name,
+        (reference.name, query.name),
+        camera,
         ordered,
         _views(reference, camera, *frames[0].T_world_cam, wanted=keyframes),
         _views(query, camera, *frames[1].T_world_cam, wanted=asking),
@@ -135,6 +143,9 @@ def _views(plan: TraversalPlan, camera: str, *T_world_cam: np.ndarray, wanted: s
 def write_set(unit: PairSetUnit) -> None:
     """Compute and write one pair set: the correspondences first, and last the pair file, which marks it as finished."""
 
+    camera = unit.camera
+    reference, query = (Traversal(unit.layout.traversal(name)) for name in unit.traversals)
+
     def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
         for pair in unit.pairs:
             if pair.is_negative:
@@ -142,6 +153,7 @@ def write_set(unit: PairSetUnit) -> None:
             assert pair.T_query_ref is not None
             rng = np.random.default_rng([unit.seed, 8, *pair.key])
             views = unit.references[pair.ref_timestamp_ns], unit.queries[pair.query_timestamp_ns]
-            yield pair.key, exact_correspondences(*views, pair.T_query_ref, unit.count, rng)
+            images = reference.reference(camera, pair.ref_timestamp_ns), query.image(camera, pair.query_timestamp_ns)
+            yield pair.key, exact_correspondences(views, *images, pair.T_query_ref, unit.count, rng)
 
     write_measured(unit.layout, unit.name, unit.pairs, measured(), with_correspondences=unit.count > 0)

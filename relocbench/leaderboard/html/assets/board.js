@@ -160,8 +160,9 @@
   }
 
   /** The pairs of a cell of the matrix. */
-  async function openCell(label, { pair_sets, title, metres, degrees }) {
-    openList(label, rowsOf(await answersOf(pair_sets), { group: "all" }, label), title, { thresholds: [metres, degrees] });
+  async function openCell(label, { pair_sets, title, metres, degrees, tier }) {
+    const rows = rowsOf(await answersOf(pair_sets), { group: "all" }, label).filter((row) => !tier || row.tier === tier);
+    openList(label, rows, title, { thresholds: [metres, degrees] });
   }
 
   function groups() {
