@@ -16,7 +16,7 @@ from relocbench.datasets.pairs.visibility import ReferencePoints, lift, warp
 from relocbench.geometry import Camera, apply
 from relocbench.tracking import Reference
 
-_WIDTH = 384
+_WIDTH = 256
 """pixels; images are reduced to about this width before patches are compared, so that noise counts the same"""
 _PATCH = 11
 """pixels; side of a patch"""
