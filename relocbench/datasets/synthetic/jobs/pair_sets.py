@@ -142,7 +142,6 @@ def _views(plan: TraversalPlan, camera: str, *T_world_cam: np.ndarray, wanted: s
 
 def write_set(unit: PairSetUnit) -> None:
     """Compute and write one pair set: the correspondences first, and last the pair file, which marks it as finished."""
-
     camera = unit.camera
     reference, query = (Traversal(unit.layout.traversal(name)) for name in unit.traversals)
 
