@@ -20,7 +20,7 @@ from relocbench.evaluation.tables.records import ERRORS, PairErrors, read_errors
 from relocbench.files import write_text
 from relocbench.leaderboard import load_results, make_board
 
-LATER = ("vcre", "metres", "overlap", "scale")
+LATER = ("vcre", "metres", "overlap", "scale", "recall_easy", "recall_medium", "recall_hard", "recall_extreme", "look")
 """in the names of metrics that later columns give"""
 FIRST_COLUMNS = 13
 """of the first version of the table"""
