@@ -52,7 +52,7 @@ def _has_times(drive: CheckedTraversal) -> bool:
 def _check_poses(drive: CheckedTraversal, findings: Findings) -> Motion:
     times, T_world_rig = np.array(list(drive.poses), dtype=np.int64), np.array(list(drive.poses.values()))
     # Pairs that were made elsewhere keep their times as they stand, which may be microseconds.
-    motion, path = judge(times * unit_of_dates(drive.poses), T_world_rig), drive.layout.poses
+    motion, path = judge(times * (unit_of_dates(drive.poses) or 1), T_world_rig), drive.layout.poses
     if motion.hopeless:
         findings.fault(motion.hopeless, path)
         return motion

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +102,7 @@ def write_pairs(
     source: str,
     where: Path,
     numbers: dict[int, int] | None = None,
+    starts: Collection[int] = (),
 ) -> None:
     """Write a pair set by the pairing rule of the options, with its correspondences.
 
@@ -110,18 +111,18 @@ def write_pairs(
     Args:
         source: how the poses were obtained.
         where: the recording's folder, for messages.
-        numbers: timestamp_ns -> frame number, if the recording's frame numbers have gaps.
+        numbers, starts: as of :func:`posed_frames`.
     """
     drives = {name: Traversal(job.writer.layout.traversal(name)) for name in (reference, query)}
     same = query == reference
     frames = (
-        posed_frames(drives[reference], camera, numbers),
-        posed_frames(drives[query], camera, numbers if same else None),
+        posed_frames(drives[reference], camera, numbers, starts),
+        posed_frames(drives[query], camera, numbers if same else None, starts if same else ()),
     )
     pairs = make_pairs(*frames, job.options, same_traversal=same, source=source, where=where)
-    if same and (missing := steps_left_out(frames[0], job.options)):
-        job.reporter.note(f"{reference}: {missing}")
     ordered = not drives[query].names
+    if same and ordered and (missing := steps_left_out(frames[0], job.options)):
+        job.reporter.note(f"{reference}: {missing}")
     if not same and ordered and (doubt := doubt_of_world(drives[reference].poses, drives[query].poses)):
         job.reporter.note(f"{reference} and {query} {doubt}")
     _note_unpaired(drives[query], camera, {p.query_timestamp_ns for p in pairs}, job, same)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,13 +47,16 @@ class PosedFrames:
         return [i for i, t in enumerate(self.timestamps) if t in self.keyframes]
 
 
-def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | None = None) -> PosedFrames:
+def posed_frames(
+    traversal: Traversal, camera: str, numbers: dict[int, int] | None = None, starts: Collection[int] = ()
+) -> PosedFrames:
     """The frames of a traversal on disk that have an image and a pose.
 
-    Where images have names they are a collection in no order, and one piece.
+    Where images have names, their times are mere numbers and are not judged.
 
     Args:
         numbers: timestamp_ns -> frame number, if the recording's frame numbers have gaps.
+        starts: of images with names, timestamps of those before which nobody knows the way.
     """
     times = [t for t in traversal.timestamps(camera) if t in traversal.poses]
     poses = [traversal.T_world_cam(camera, t) for t in times]
@@ -63,7 +66,9 @@ def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | No
         T_world_cam,
         frozenset(traversal.keyframe_timestamps(camera)),
         tuple(numbers[t] for t in times) if numbers is not None else (),
-        () if traversal.names else pieces_of(times, T_world_cam),
+        tuple(np.searchsorted(sorted(starts), times, side="right").tolist())
+        if traversal.names
+        else pieces_of(times, T_world_cam),
     )
 
 

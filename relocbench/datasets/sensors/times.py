@@ -116,10 +116,10 @@ def times_in_unit(
     return out
 
 
-def unit_of_dates(values: Iterable[int]) -> int:
-    """Nanoseconds of the unit that whole numbers have by their digits and steps; 1 where they are no dates."""
+def unit_of_dates(values: Iterable[int]) -> int | None:
+    """Nanoseconds of the unit that whole numbers have by their digits and steps; None where they are no dates."""
     found = np.array(list(values), dtype=np.int64)
-    return (_unit_ns(found, 1) if len(found) else None) or 1
+    return _unit_ns(found, 1) if len(found) else None
 
 
 def check_increasing(

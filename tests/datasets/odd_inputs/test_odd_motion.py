@@ -5,11 +5,13 @@ from __future__ import annotations
 from decimal import Decimal
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from odd_inputs import odd_input
 from pose_doors import DOORS
 from refusals import Notes, noted, refused
+from scipy.spatial.transform import Rotation
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.checks.validation import validate_dataset
@@ -210,6 +212,49 @@ def test_an_outlier_takes_part_in_nothing_and_validate_finds_it_in_older_dataset
     table = alone.layout.traversal("a").poses
     table.write_text(table.read_text().replace("\n1500000000,2", "\n1500000000,1e6,0,0,0,0,0,1\n1500000001,2"))
     assert any(f.path == table and f.line == 6 for f in validate_dataset(alone.layout.root, Silent()).faults)
+
+
+def write_kapture(root: Path, times: list[int], T_world_cam: Array) -> Path:
+    """A drive of one camera with depth maps."""
+    tables, posed, seen, deep = root / "sensors", [], [], []
+    (tables / "records_data").mkdir(parents=True)
+    size = "PINHOLE, 32, 24, 30, 30, 16, 12"
+    (tables / "sensors.txt").write_text(f"# kapture format: 1.1\ncam, , camera, {size}\ndeep, , depth, {size}\n")
+    for k, (time, T) in enumerate(zip(times, invert(T_world_cam), strict=True)):
+        x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+        numbers = ", ".join(str(float(value)) for value in (w, x, y, z, *T[:3, 3]))
+        posed += [f"{time}, {device}, {numbers}" for device in ("cam", "deep")]
+        seen.append(f"{time}, cam, {k:04d}.png")
+        deep.append(f"{time}, deep, {k:04d}.depth")
+        cv2.imwrite(str(tables / "records_data" / f"{k:04d}.png"), np.full((24, 32), k, np.uint8))
+        (tables / "records_data" / f"{k:04d}.depth").write_bytes(np.full((24, 32), 5.0, "<f4").tobytes())
+    for name, rows in (("trajectories", posed), ("records_camera", seen), ("records_depth", deep)):
+        (tables / f"{name}.txt").write_text("# kapture format: 1.1\n" + "\n".join(rows) + "\n")
+    return root
+
+
+@pytest.mark.parametrize("unit_ns", [1, 1000, 0])
+def test_kapture_with_real_times_is_judged_as_a_drive_and_with_numbers_is_not(unit_ns: int, tmp_path: Path) -> None:
+    _, T = drive()
+    rows = np.delete(np.arange(60), np.arange(40, 50))
+    T[20, :3, 3] += [0.0, 12.0, 0.0]
+    times = [(1_553_180_224_000_000_000 + k * 100_000_000) // unit_ns if unit_ns else k for k in rows.tolist()]
+    dataset, notes = built("kapture", [write_kapture(tmp_path / "drive", times, T[rows])], tmp_path / "set")
+    names = set(dataset.traversal("map").names.values())
+    assert ("0020.png" in names) == (unit_ns == 0)
+    pairs = dataset.pair_sets()[0].pairs
+    assert len(pairs) == (49 if unit_ns == 0 else 46)
+    assert noted(notes.notes, "records_camera.txt:22") == (unit_ns > 0)
+    assert noted(notes.notes, "records_camera.txt:42", "1.1 s") == (unit_ns > 0)
+
+
+@pytest.mark.parametrize(("rate_hz", "metres", "left_out"), [(10.0, 1.5, 1), (2.0, 9.0, 1), (1.0, 20.0, 0)])
+def test_an_outlier_exceeds_four_times_what_8_m_s2_do_between_two_poses(
+    rate_hz: float, metres: float, left_out: int
+) -> None:
+    times, T = drive(rate_hz)
+    T[120, :3, 3] += [0.0, 0.0, metres]
+    assert len(judge(times, T).outliers) == left_out
 
 
 def test_no_pair_steps_over_a_hole(tmp_path: Path) -> None:

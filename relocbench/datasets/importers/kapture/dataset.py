@@ -14,6 +14,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from relocbench.datasets.core.build import Build
@@ -39,10 +40,14 @@ from relocbench.datasets.importers.photos.lists import chosen_queries, listed_pa
 from relocbench.datasets.importers.photos.options import PhotoOptions
 from relocbench.datasets.importers.photos.points import Observations
 from relocbench.datasets.pairs.writing import write_pair_set
+from relocbench.datasets.sensors.plausible_poses import plausible
+from relocbench.datasets.sensors.pose_tables import PoseTable
+from relocbench.datasets.sensors.times import unit_of_dates
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError, DatasetError, quoted
 from relocbench.execution import Run
 from relocbench.files import fitting_name, lines_of, read_text
+from relocbench.geometry import invert
 from relocbench.progress import Reporter
 
 _SOURCE = "kapture"
@@ -108,7 +113,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         for root in roots:
             folders.append(read_folder(root))
             advance(1)
-    reference, *others = parts = _parts(folders, names, options)
+    judged = [_on_their_way(folder, _of_cameras(folder, options.cameras), options, reporter) for folder in folders]
+    reference, *others = parts = _parts(folders, [images for images, _ in judged], names, options)
     keyframes = without_far(_keyframes(reference, options, reporter), reference.folder.root, reporter)
     queries = {part.name: without_far(_photos(part, options), part.folder.root, reporter) for part in others}
     if options.query_poses is not None:
@@ -120,9 +126,12 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     for part, photos in zip(parts, (keyframes, *queries.values()), strict=True):
         write_traversal(job, part.name, photos, _depth(part, options, reporter), _SOURCE)
     asked = queries or {MAP: keyframes}
+    taken = {record.name: record.timestamp for _, record in reference.images}
+    after = [[photo.time for photo in keyframes if taken[photo.name] >= start] for start in judged[0][1]]
+    starts = {min(times) for times in after if times}
     if options.pairs is None:
         for query in asked:
-            write_pairs(job, reference.name, query, CAMERA, source=_SOURCE, where=roots[0])
+            write_pairs(job, reference.name, query, CAMERA, source=_SOURCE, where=roots[0], starts=starts)
     else:
         chosen = pairs_by_name(options.pairs, _listed(options.pairs), keyframes, asked, _SOURCE)
         for query, pairs in chosen.items():
@@ -144,9 +153,13 @@ def _roots(sources: Sequence[Path]) -> list[Path]:
     return list(sources)
 
 
-def _parts(folders: Sequence[KaptureFolder], names: Sequence[str], options: Options) -> list[_Part]:
+def _parts(
+    folders: Sequence[KaptureFolder],
+    chosen: Sequence[list[tuple[int, Record]]],
+    names: Sequence[str],
+    options: Options,
+) -> list[_Part]:
     """The traversals, the map first."""
-    chosen = [_of_cameras(folder, options.cameras) for folder in folders]
     if len(folders) == len(names):
         return [_Part(*part) for part in zip(names, folders, chosen, strict=True)]
     (folder,), (images,) = folders, chosen
@@ -165,6 +178,40 @@ def _of_cameras(folder: KaptureFolder, cameras: Sequence[str]) -> list[tuple[int
         message = f"no camera matches {', '.join(map(quoted, cameras))}; available: {', '.join(sorted(known))}"
         raise DatasetError(message, folder.root)
     return [(number, record) for number, record in enumerate(folder.images) if record.device in chosen]
+
+
+def _on_their_way(
+    folder: KaptureFolder, images: list[tuple[int, Record]], options: Options, reporter: Reporter
+) -> tuple[list[tuple[int, Record]], list[int]]:
+    """The images without those whose poses no drive can have had, and timestamps before which nobody knows the way.
+
+    Each sensor is judged by its own times, if they are dates. Others may be mere numbers: nothing follows from them.
+
+    Raises:
+        DatasetError: the poses of a sensor cannot be those of one drive.
+    """
+    unit_ns = unit_of_dates({record.timestamp for _, record in images})
+    if unit_ns is None:
+        return images, []
+    left_out: set[Record] = set()
+    starts: set[int] = set()
+    for device in sorted({record.device for _, record in images}):
+        posed = {
+            record: in_metres(T_cam_world, options.metres_per_unit)
+            for _, record in images
+            if record.device == device and (T_cam_world := folder.T_device_world(device, record.timestamp)) is not None
+        }
+        table = PoseTable(
+            folder.root / "sensors" / "records_camera.txt",
+            np.array([record.timestamp for record in posed], dtype=np.int64) * unit_ns,
+            invert(np.array(list(posed.values())).reshape(-1, 4, 4)),
+            [record.line for record in posed],
+        )
+        found = plausible(table, reporter)
+        kept = set(found.lines)
+        left_out |= {record for record in posed if record.line not in kept}
+        starts |= {int(found.times_ns[row]) // unit_ns for row in found.breaks}
+    return [(number, record) for number, record in images if record not in left_out], sorted(starts)
 
 
 def _photos(part: _Part, options: Options) -> list[Photo]:

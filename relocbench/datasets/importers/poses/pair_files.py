@@ -194,7 +194,7 @@ def _poses(listed: Sequence[_Listed], placed: Mapping[str, Path], job: Build[Opt
     for name, file in placed.items():
         own = read_pose_file(file, job.options.given("quaternions"), reporter=job.reporter).by_time
         times = {t for one in listed for p in one.pairs for n, t in zip(one.key[:2], p.key, strict=True) if n == name}
-        if (unit_ns := unit_of_dates(times)) != 1:
+        if (unit_ns := unit_of_dates(times) or 1) != 1:
             # Pairs keep their times as they stand, by which predictions name them.
             own = {time // unit_ns: pose for time, pose in own.items()}
             job.reporter.note(f"{name}: times of pairs look like {UNITS[unit_ns]} and are kept as they stand")
