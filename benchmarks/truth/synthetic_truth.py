@@ -1,13 +1,13 @@
 """Whether the truth of the procedural town is exact: depth, correspondences and occlusion against independent rays.
 
-Two datasets are built and read like any other: one with all predefined conditions against the first one, with different
-parked cars, and one with three conditions and moving cars. Every ray is then cast again, independently of the renderer
-and its ray caster, by the algorithm of Moeller and Trumbore (1997) in double precision over all triangles whose outline
-is near the ray. It prints a table; the last line is JSON.
+Three datasets are built and read like any other: one with all predefined conditions against the first one, with
+different parked cars, one with three conditions and moving cars, and one of these conditions with a rig of its own for
+each drive (``--views varied``). Every ray is then cast again, independently of the renderer and its ray caster, by the
+algorithm of Moeller and Trumbore (1997) in double precision over all triangles whose outline is near the ray. It prints
+a table; the last line is JSON.
 
 A ray that passes an edge within ``_SILHOUETTE_PX`` may end on either side of it. Such disagreements are counted like
-all
-others and also reported separately: the result holds for a ray within this distance.
+all others and also reported separately: the result holds for a ray within this distance.
 
     python benchmarks/truth/synthetic_truth.py [--steps N] [--correspondences N] [--seed N]
 """
@@ -355,6 +355,7 @@ def main() -> None:
         for name, conditions, more in (
             ("still", tuple(dict.fromkeys(("Sunny", *CONDITIONS))), {}),
             ("traffic", _BUSY, {"traffic": 3.0}),
+            ("views", _BUSY, {"views": "varied", "traversals": 2}),
         ):
             print(f"building {name}: {', '.join(conditions)}", file=sys.stderr)
             dataset = build(Path(scratch) / name, conditions, name=name, **common, **more)

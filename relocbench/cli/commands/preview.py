@@ -37,7 +37,18 @@ def preview(
             min=0, max=20, metavar="N", help="Show each condition by N drawn cameras too, as --imaging varied has them."
         ),
     ] = 0,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the district and of drawn cameras.")] = 0,
+    drawn_views: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=20,
+            metavar="N",
+            help="Show each condition in N drawn views too, as --views varied has them but for the size.",
+        ),
+    ] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Seed of the district and of drawn cameras and views.")
+    ] = 0,
     split: Annotated[
         str, typer.Option(metavar="NAME", help="Split of the district: train, validation or test.")
     ] = "test",
@@ -68,7 +79,9 @@ def preview(
         raise ConfigError(f"--size {quoted(size)}: {bad}") from None
     shown = previewed(conditions, everything=all_, swept=sweep, steps=sweep_steps, cameras=drawn_cameras, seed=seed)
     with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
-        sheet = contact_sheet(shown, seed=seed, split=split, at_m=at, size=pixels, reporter=reporter(quiet))
+        sheet = contact_sheet(
+            shown, seed=seed, split=split, at_m=at, size=pixels, reporter=reporter(quiet), views=drawn_views
+        )
         stream.write(jpeg_bytes(sheet) if out.suffix.lower() in (".jpg", ".jpeg") else png_bytes(sheet))
     if json:
-        print_json({"file": out}, {"pictures": len(shown), "files_written": 1})
+        print_json({"file": out}, {"pictures": len(shown) * (drawn_views + 1), "files_written": 1})

@@ -15,6 +15,7 @@ from command_line import relocbench
 from refusals import assert_names
 from repository import TRUTH
 
+from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
@@ -265,6 +266,21 @@ def test_views_by_hand_belong_to_conditions(tmp_path: Path) -> None:
     back = next(s for s in dataset.pair_sets() if s.query == "test-Snow-0")
     assert all(pair.angle_deg is not None and pair.angle_deg > 170 for pair in back.pairs)
     assert relocbench("validate", out).status == 0
+
+
+@pytest.mark.thorough
+def test_a_preview_shows_drawn_views(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
+    sheets = []
+    for count in (0, 1):
+        out = tmp_path / f"{count}.png"
+        told = relocbench("preview", "-c", "Sunny", "--drawn-views", count, "--size", "96x72", "--out", out, "--quiet")
+        assert told.status == 0, told.err
+        sheets.append(images.read_image(out).astype(float))
+    assert sheets[1].shape == (72, 2 * 96 + 4, 3)
+    assert np.array_equal(sheets[0], sheets[1][:, :96])
+    assert np.abs(sheets[1][:60, :96] - sheets[1][:60, 100:]).mean() > 3
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:

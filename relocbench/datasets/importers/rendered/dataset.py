@@ -272,14 +272,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     if varied:
         record["imaging"] = {name: imaging.model_dump(mode="json") for name, imaging in own.items()}
     views = drive_views(
-        splits,
-        conditions,
-        options.traversals,
-        options.views,
-        seed=options.seed,
-        size=options.width_height,
-        routes=options.route,
-    )
+        splits, conditions, options.traversals, options.views,
+        seed=options.seed, size=options.width_height, routes=options.route,
+    )  # fmt: skip
     if views:
         record["views"] = {name: view.model_dump(mode="json", exclude_none=True) for name, view in views.items()}
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, options.licence)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from relocbench.arrays import Image
 from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.conditions.views import draw_view
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M, RATE_HZ, DriveStyle
 from relocbench.datasets.synthetic.drives.rig import rig_named
 from relocbench.datasets.synthetic.jobs import scenes
@@ -24,25 +26,39 @@ _EXTENT_M = 250.0
 
 
 def contact_sheet(
-    conditions: Mapping[str, Factors], *, seed: int, split: str, at_m: float, size: tuple[int, int], reporter: Reporter
+    conditions: Mapping[str, Factors],
+    *,
+    seed: int,
+    split: str,
+    at_m: float,
+    size: tuple[int, int],
+    reporter: Reporter,
+    views: int = 0,
 ) -> Image:
     """The front camera's view ``at_m`` metres along the drive in each condition, with labels, (H, W, 3) RGB.
 
-    ``size`` is (width, height) of each picture in pixels. A condition's own camera moves at the mean speed of drives.
+    A condition's own camera moves at the mean speed of drives.
+
+    Args:
+        size: (width, height) of each picture in pixels.
+        views: number of drawn views that each condition is shown by, beside the plain one.
     """
     place = DistrictSpec(seed, split, _EXTENT_M)
     route = scenes.district(place).network.drive(_ROUTE_M, seed)
-    camera, T_rig_cam = rig_named("front").cameras(*size)["front"]
     step_m = DriveStyle().speed_mps / RATE_HZ
-    poses = np.array([route.pose(MARGIN_M + at_m + k * step_m) for k in (-1, 0, 1)]) @ T_rig_cam
-    twist = camera_twists(poses, 1 / RATE_HZ)[1]
+    T_world_rig = np.array([route.pose(MARGIN_M + at_m + k * step_m) for k in (-1, 0, 1)])
     pictures = []
-    with reporter.stage("rendering", len(conditions)) as advance:
-        for k, (label, factors) in enumerate(conditions.items()):
+    with reporter.stage("rendering", len(conditions) * (views + 1)) as advance:
+        for (k, (label, factors)), n in product(enumerate(conditions.items()), range(views + 1)):
+            view = draw_view(np.random.default_rng([seed, 57, k, n]), size).model_copy(update={"size": None})
+            camera, T_rig_cam = rig_named("front").cameras(*size, view if n else None)["front"]
+            poses = T_world_rig @ T_rig_cam
+            twist = camera_twists(poses, 1 / RATE_HZ)[1]
             shot = Shot(factors.imaging, 0.0, twist) if factors.imaging is not None else None
             renderer = scenes.renderer(place, factors.scene)
-            frame = renderer.render(camera, poses[1], scenes.frame_seed(seed, k, 0, 0), shot=shot)
-            pictures.append(labelled(frame.rgb, label))
+            car, distortion = (T_world_rig[1], view.distortion) if n else (None, 0.0)
+            frame = renderer.render(camera, poses[1], scenes.frame_seed(seed, k, 0, 0), car, shot, distortion)
+            pictures.append(labelled(frame.rgb, f"{label}, view {n}" if n else label))
             advance(1)
     return tiled(pictures)
 
