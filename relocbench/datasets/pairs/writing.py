@@ -118,8 +118,14 @@ def write_measured(
     pairfile.write_pairs(layout.pair_file(name), layout.pair_table(name), complete)
 
 
-def is_finished(layout: DatasetLayout, name: str, pairs: Sequence[Pair], *, with_correspondences: bool) -> bool:
-    """Whether an earlier run has written this pair set; its pairs are written after the correspondences."""
+def is_finished(
+    layout: DatasetLayout, name: str, pairs: Sequence[Pair], *, with_correspondences: bool, some: bool = False
+) -> bool:
+    """Whether an earlier run has written this pair set; its pairs are written after the correspondences.
+
+    Args:
+        some: the set may hold some of the pairs alone.
+    """
     if not (layout.pair_file(name).exists() and layout.pair_table(name).exists()):
         return False
     try:
@@ -131,6 +137,8 @@ def is_finished(layout: DatasetLayout, name: str, pairs: Sequence[Pair], *, with
         known = pairfile.read_pairs(layout.pair_file(name), layout.pair_table(name))
     except DatasetError:
         return False
+    if some:
+        return {p.key for p in known} <= {p.key for p in pairs}
     return [p.key for p in known] == [p.key for p in pairs]
 
 

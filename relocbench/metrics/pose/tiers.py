@@ -8,12 +8,14 @@ two images look, which weather, light and season change, is a second axis.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from relocbench.arrays import Array, Indices
 
-TIERS = ("easy", "medium", "hard", "extreme")
+Tier = Literal["easy", "medium", "hard", "extreme"]
+TIERS: tuple[Tier, ...] = ("easy", "medium", "hard", "extreme")
 
 
 @dataclass(frozen=True)

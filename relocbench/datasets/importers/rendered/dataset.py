@@ -21,12 +21,14 @@ from relocbench.datasets.synthetic.conditions.presets import (
     PRESETS,
     SPLITS,
     ExtraKind,
+    RepeatingStreet,
     conditions_of,
     refuse_imaging,
 )
 from relocbench.datasets.synthetic.conditions.views import Views
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
+from relocbench.metrics.pose.tiers import Tier
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
@@ -48,10 +50,13 @@ _LAYOUT_OPTIONS = {
 _DATASET_OPTIONS = (
     "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
     "min_distance", "min_angle", "cameras", "size", "distance", "reference", "extras", "elsewhere",
-    "elsewhere_distance", "salt_file", "views",
+    "elsewhere_distance", "salt_file", "views", "tier", "pairs", "repeating_street",
 )  # fmt: skip
 
-_LATER_OPTIONS = ("imaging", "months", "route", "views", "min_distance", "min_angle")
+_LATER_OPTIONS = (
+    *("imaging", "months", "route", "views", "min_distance", "min_angle"),
+    *("tier", "pairs", "repeating_street"),
+)
 """options that earlier versions did not have, and whose defaults change nothing"""
 
 
@@ -128,6 +133,15 @@ class Options(RuleOptions):
     )
     correspondences: int = Field(
         500, ge=0, description="ground-truth correspondences kept for each pair, spread over the image; 0 for none"
+    )
+    tier: Tier | None = Field(
+        None, description="keep only the pairs of this tier of difficulty; draw many, since most may be of another"
+    )
+    pairs: int | None = Field(None, ge=1, description="most pairs that a pair set keeps, evenly along the drive")
+    repeating_street: RepeatingStreet = Field(
+        "keep",
+        description="pairs on the street whose houses repeat themselves: 'group' counts them apart, 'avoid' leaves "
+        "them out, 'keep' treats them as all others",
     )
     extras: tuple[ExtraKind, ...] = Field(
         (), description="further images to write to OUT/extras: normals, instance, semantic, changed"
@@ -251,6 +265,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread
     from relocbench.datasets.synthetic.jobs.plan import drive_cameras, drive_views, make_plans
     from relocbench.datasets.synthetic.jobs.rendering import render_all
+    from relocbench.datasets.synthetic.jobs.selection import Selection
     from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 
     assert isinstance(options, Options)
@@ -298,7 +313,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         options.distance, options.max_distance, options.max_angle, options.min_distance, options.min_angle
     )
     # A rule that no pair meets is refused before anything is written.
-    pair_sets = plan_pair_sets(job, asked(plans, options), spread)
+    selection = Selection(options.tier, options.pairs)
+    pair_sets = plan_pair_sets(job, asked(plans, options), spread, selection, options.repeating_street)
     for plan in plans:
         writer.traversal(plan.file(), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
     render_all(job, plans, options.extras)

@@ -22,6 +22,8 @@ from relocbench.errors import ConfigError
 
 ExtraKind = Literal["normals", "instance", "semantic", "changed"]
 """further images that can be written beside a dataset"""
+RepeatingStreet = Literal["keep", "group", "avoid"]
+"""what becomes of pairs on the street whose houses repeat themselves"""
 SPLITS = ("train", "validation", "test")
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,9 +16,16 @@ from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.different_places import with_different_places
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.writing import is_finished, write_measured
+from relocbench.datasets.synthetic.conditions.presets import RepeatingStreet
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
+from relocbench.datasets.synthetic.jobs.selection import (
+    EVERYTHING,
+    Selection,
+    on_repeating_street,
+    sorted_by_street,
+)
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
 
@@ -42,6 +49,7 @@ class PairSetUnit:
     queries: dict[int, View]
     count: int
     seed: int
+    selection: Selection = EVERYTHING
 
     @property
     def name(self) -> str:
@@ -55,31 +63,53 @@ def plan_pair_sets(
     job: Build[RuleOptions],
     asked: Sequence[tuple[TraversalPlan, TraversalPlan]],
     spread: DistanceSpread,
+    selection: Selection = Selection(),  # it is frozen
+    repeating: RepeatingStreet = "keep",
 ) -> list[PairSetUnit]:
     """The pair sets of (reference, query) traversals for every camera.
 
     Raises:
         DatasetError: a pair set would be empty, or the road is too short for pairs of different places.
     """
-    return [_unit(job, *each, camera, spread) for each in asked for camera in each[0].cameras]
+    return [
+        replace(_unit(job, *each, camera, spread, repeating), selection=selection)
+        for each in asked
+        for camera in each[0].cameras
+    ]
 
 
 def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> Mapping[str, Sequence[str]]:
     """Write pair sets with correspondences. Those that an earlier run of the same build has finished are kept.
 
+    A set of which the selection keeps nothing is left out.
+
     Returns:
         split -> names of its pair sets.
+
+    Raises:
+        DatasetError: the selection keeps nothing of any set.
     """
-    splits: dict[str, list[str]] = {}
     units = []
     for unit in planned:
-        splits.setdefault(unit.split, []).append(unit.name)
-        if not is_finished(unit.layout, unit.name, unit.pairs, with_correspondences=unit.count > 0):
+        some = not unit.selection.keeps_all
+        if not is_finished(unit.layout, unit.name, unit.pairs, with_correspondences=unit.count > 0, some=some):
             units.append(unit)
     run = job.run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else job.run.single_process()
     with job.reporter.stage("pairs and their correspondences", len(units)) as advance:
         for _ in run_units(write_set, units, run):
             advance(1)
+    splits: dict[str, list[str]] = {}
+    for unit in planned:
+        if unit.layout.pair_file(unit.name).stat().st_size:
+            splits.setdefault(unit.split, []).append(unit.name)
+        else:
+            unit.layout.pair_file(unit.name).unlink()
+            job.reporter.note(f"{unit.name}: none of {len(unit.pairs)} pairs is {unit.selection.tier}; left out")
+    if not splits:
+        tier = planned[0].selection.tier
+        raise DatasetError(
+            f"no pair of any set is {tier}; expected other distances, angles or depths", job.writer.layout.root
+        )
     return splits
 
 
@@ -89,6 +119,7 @@ def _unit(
     query: TraversalPlan,
     camera: str,
     spread: DistanceSpread,
+    repeating: RepeatingStreet,
 ) -> PairSetUnit:
     options, layout = job.options, job.writer.layout
     name = pair_set_name(reference.name, query.name, camera)
@@ -110,6 +141,13 @@ def _unit(
             sigma_translation_m=0.0,
             sigma_rotation_deg=0.0,
         )
+    if repeating != "keep":
+        repeats = {
+            time: bool(there)
+            for plan, posed in ((reference, frames[0]), (query, frames[1]))
+            for time, there in zip(plan.times, on_repeating_street(plan.place, posed.T_world_cam), strict=True)
+        }
+        pairs = sorted_by_street(pairs, repeats, repeating)
     if not pairs:
         nearest = nearest_miss(*frames, spread, same_traversal=same)
         raise DatasetError(f"{name}: no keyframe of any query is {spread}; {nearest}", layout.root)
@@ -155,4 +193,10 @@ def write_set(unit: PairSetUnit) -> None:
             images = reference.reference(camera, pair.ref_timestamp_ns), query.image(camera, pair.query_timestamp_ns)
             yield pair.key, exact_correspondences(views, *images, pair.T_query_ref, unit.count, rng)
 
-    write_measured(unit.layout, unit.name, unit.pairs, measured(), with_correspondences=unit.count > 0)
+    if unit.selection.keeps_all:
+        write_measured(unit.layout, unit.name, unit.pairs, measured(), with_correspondences=unit.count > 0)
+        return
+    found = dict(measured())
+    kept = unit.selection.of(unit.pairs, found)
+    chosen = ((pair.key, found[pair.key]) for pair in kept if pair.key in found)
+    write_measured(unit.layout, unit.name, kept, chosen, with_correspondences=unit.count > 0)

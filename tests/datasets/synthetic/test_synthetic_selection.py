@@ -1,0 +1,100 @@
+"""Which pairs a rendered set keeps: those of a tier, some of many, not on the repeating street."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.importers.rendered.dataset import Options, build
+from relocbench.datasets.pairs.correspondences import PairCorrespondences
+from relocbench.datasets.pairs.measures import PairMeasures
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
+from relocbench.datasets.synthetic.jobs.selection import (
+    REPEATING,
+    Selection,
+    clear_tiers,
+    on_repeating_street,
+    sorted_by_street,
+)
+from relocbench.errors import DatasetError
+from relocbench.execution import Run
+from relocbench.geometry import make_transform, so3_exp
+from relocbench.metrics.pose.tiers import TIERS
+from relocbench.progress import Silent
+
+
+def pair(number: int, angle_deg: float = 1.0) -> Pair:
+    return Pair(number, 100 + number, make_transform(so3_exp([0.0, np.radians(angle_deg), 0.0]), [0.0, 0.0, 1.0]))
+
+
+def tier_of(angle_deg: float = 1.0, **measures: float) -> str:
+    known = PairMeasures(**{"overlap": 0.9, "overlap_query": 0.9, "scale_change": 1.0, "depth_error": 0.0, **measures})
+    index = clear_tiers([pair(0, angle_deg)], [known])[0]
+    return "" if index < 0 else TIERS[index]
+
+
+def test_a_pair_close_to_a_limit_is_in_no_tier_on_any_processor() -> None:
+    assert tier_of() == "easy"
+    assert tier_of(overlap=0.4) == tier_of(scale_change=1.3) == tier_of(10.0) == tier_of(depth_error=0.02) == "medium"
+    assert tier_of(overlap=0.505) == tier_of(scale_change=1.151) == tier_of(5.05) == tier_of(depth_error=0.0149) == ""
+
+
+def test_pairs_of_different_places_stay_and_the_rest_is_spread_evenly() -> None:
+    pairs = [pair(n) for n in range(10)]
+    pairs.append(replace(pair(10), group="elsewhere"))
+    none = np.zeros((0, 2))
+    of = PairMeasures(0.9, 0.9, 1.0, 0.0, None)
+    nothing = none, none[:, 0], none, np.zeros(0, bool), np.zeros(0, np.int8)
+    found = {p.key: PairCorrespondences(*nothing, of) for p in pairs[:10]}
+    kept = Selection("easy", 4).of(pairs, found)
+    assert [p.ref_timestamp_ns for p in kept] == [0, 3, 6, 9, 10]
+    assert [p.ref_timestamp_ns for p in Selection("hard", 4).of(pairs, found)] == [10]
+
+
+def test_the_repeating_street_is_where_its_houses_are() -> None:
+    place = DistrictSpec(3, "validation", 250.0)
+    district = scenes.district(place)
+    middle = np.mean([(front.start + front.end) / 2 for front in district.periodic.fronts], axis=0)
+    away = district.network.nodes[:, :2][np.argmax(np.linalg.norm(district.network.nodes[:, :2] - middle, axis=1))]
+    poses = np.array([make_transform(np.eye(3), [*at, 1.5]) for at in (middle, away)])
+    assert on_repeating_street(place, poses).tolist() == [True, False]
+    pairs = [pair(0), pair(1)]
+    there = {0: True, 1: False, 100: False, 101: False}
+    assert [p.group for p in sorted_by_street(pairs, there, "group")] == [REPEATING, ""]
+    assert [p.ref_timestamp_ns for p in sorted_by_street(pairs, there, "avoid")] == [1]
+    assert sorted_by_street(pairs, there, "keep") == pairs
+
+
+SMALL = {"preset": "smoke", "conditions": ("Sunny", "Overcast"), "steps": 12, "size": "96x72", "split": "validation"}
+
+
+def tree_bytes(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
+
+
+def made(out: Path, **options: object) -> Dataset:
+    return build([], Options(**{**SMALL, **options}), out, Silent(), Run(1))
+
+
+def test_a_set_of_a_tier_holds_some_of_the_pairs_that_it_would_hold_anyway(tmp_path: Path) -> None:
+    every = made(tmp_path / "all", distance=4.0, max_distance=12.0)
+    medium = made(tmp_path / "medium", distance=4.0, max_distance=12.0, tier="medium", pairs=3)
+    for name in medium.pair_set_names:
+        by_key = {p.key: p for p in every.pair_set(name).pairs}
+        kept = medium.pair_set(name).pairs
+        assert 1 <= len(kept) <= 3
+        for one in kept:
+            assert (one.overlap, one.scale_change) == (by_key[one.key].overlap, by_key[one.key].scale_change)
+    before = tree_bytes(medium.root)
+    next((medium.root / "pairs").glob("*.txt")).unlink()
+    made(tmp_path / "medium", distance=4.0, max_distance=12.0, tier="medium", pairs=3)
+    assert tree_bytes(medium.root) == before
+
+
+def test_a_tier_that_no_pair_is_of_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="no pair of any set is extreme"):
+        made(tmp_path / "none", distance=0.5, max_distance=1.0, max_angle=2.0, tier="extreme")
