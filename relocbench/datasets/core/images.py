@@ -129,11 +129,14 @@ def as_grey(image: Image) -> Image:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether an image file exists and was written to its end. Nothing is decoded."""
+    """Whether a file of an image or of keyframe points exists and was written to its end. Nothing is decoded."""
     try:
         if not path.is_file():  # opening a pipe would wait for its writer
             return False
         with path.open("rb") as stream:
+            if path.suffix == ".csv":
+                text = stream.read()
+                return text.startswith(f"{_POINT_HEADER}\n".encode()) and text.endswith(b"\n")
             start = stream.read(8)
             if start != PNG_START:
                 return path.suffix.lower() != ".png" and len(start) == 8 and start.startswith(JPEG_START)

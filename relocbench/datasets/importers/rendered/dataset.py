@@ -8,6 +8,7 @@ data set.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -26,6 +27,7 @@ from relocbench.datasets.synthetic.conditions.presets import (
     refuse_imaging,
 )
 from relocbench.datasets.synthetic.conditions.views import Views
+from relocbench.datasets.synthetic.map_depth.kinds import DepthKind, MapDepth
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.metrics.pose.tiers import Tier
@@ -47,15 +49,24 @@ _LAYOUT_OPTIONS = {
     "boreas": _SPINNING_OPTIONS,
 }
 """options of recordings that only some layouts have"""
+_DEPTH_OPTIONS = {
+    "exact": (),
+    "points": ("depth_points", "depth_error"),
+    "lidar": ("rings",),
+    "stereo": ("depth_error",),
+}
+"""options of datasets that only some kinds of depth have"""
 _DATASET_OPTIONS = (
     "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
     "min_distance", "min_angle", "cameras", "size", "distance", "reference", "extras", "elsewhere",
     "elsewhere_distance", "salt_file", "views", "tier", "pairs", "repeating_street",
+    "depth", "depth_points", "depth_error",
 )  # fmt: skip
 
 _LATER_OPTIONS = (
     *("imaging", "months", "route", "views", "min_distance", "min_angle"),
     *("tier", "pairs", "repeating_street"),
+    *("depth", "depth_points", "depth_error"),
 )
 """options that earlier versions did not have, and whose defaults change nothing"""
 
@@ -147,6 +158,19 @@ class Options(RuleOptions):
         (), description="further images to write to OUT/extras: normals, instance, semantic, changed"
     )
     salt_file: Path | None = Field(None, description=SALT_FILE)
+    depth: DepthKind = Field(
+        "exact",
+        description="what keyframes know of depth: 'exact'; 'points': a sparse map's corners; 'lidar': what the camera "
+        "sees of a spinning lidar's points; 'stereo': depth images with the errors and holes of matching",
+    )
+    depth_points: int = Field(500, ge=20, le=20_000, description="--depth points: most points of a keyframe")
+    depth_error: float = Field(
+        0.5,
+        ge=0.01,
+        le=5,
+        description="standard deviation in pixels of what depth is computed from: parallax over 1 m (--depth points), "
+        "disparity over 0.54 m (--depth stereo)",
+    )
 
     recording: Literal["robotcar", "kitti", "boreas"] | None = Field(
         None,
@@ -166,7 +190,9 @@ class Options(RuleOptions):
         "robotcar, the two grey ones of kitti, the one of boreas",
     )
     image_scale: float = Field(0.5, ge=0.05, le=1, description="recording: image size relative to the real cameras")
-    rings: int = Field(64, ge=16, le=64, description="kitti and boreas recordings: rings of the lidar")
+    rings: int = Field(
+        64, ge=16, le=64, description="kitti and boreas recordings, and --depth lidar: rings of the lidar"
+    )
     azimuths: int = Field(2000, ge=100, le=10_000, description="kitti and boreas recordings: points per ring and turn")
     motion_distorted: bool = Field(
         False, description="kitti recording: write scans without motion compensation, unlike KITTI's own"
@@ -219,24 +245,28 @@ class Options(RuleOptions):
 def _refuse_what_has_no_effect(values: dict[str, Any]) -> None:
     """Raise PydanticCustomError if an option was given that has no effect."""
     layout = values.get("recording")
-    refused: tuple[str, ...] = _RECORDING_OPTIONS
+    # Recordings and one kind of depth have the lidar's rings.
+    refused = [name for name in _RECORDING_OPTIONS if name not in _only_some(_DEPTH_OPTIONS)]
     why = "applies to recordings (--recording) only"
+    option, chosen, having = "depth", values.get("depth", "exact"), _DEPTH_OPTIONS
     if layout is not None:
-        refused, why = _DATASET_OPTIONS, "applies to datasets only, not to recordings (--recording)"
+        refused, why = [*_DATASET_OPTIONS], "applies to datasets only, not to recordings (--recording)"
+        option, chosen, having = "recording", layout, _LAYOUT_OPTIONS
     found = [name for name in refused if name in values]
-    if not found and layout in _LAYOUT_OPTIONS:
-        found = [name for name in _only_some() if name in values and name not in _LAYOUT_OPTIONS[layout]]
-        having = [other for other, names in _LAYOUT_OPTIONS.items() if found and found[0] in names]
-        why = f"applies to --recording {' and '.join(having)} only"
+    if not found and chosen in [*having]:
+        found = [name for name in _only_some(having) if name in values and name not in having[chosen]]
+        those = [other for other, names in having.items() if found and found[0] in names]
+        also = " and to recordings" if layout is None and found and found[0] in _RECORDING_OPTIONS else ""
+        why = f"applies to --{option} {' and '.join(those)}{also} only"
     if not found and values.get("min_distance") and "distance" in values:
         found, why = ["distance"], "has no effect with --min-distance, which spreads distances evenly"
     if found:
         raise PydanticCustomError("no_effect", f"--{found[0].replace('_', '-')} {why}")
 
 
-def _only_some() -> tuple[str, ...]:
-    """The options that only some layouts of recordings have."""
-    return tuple(dict.fromkeys(name for names in _LAYOUT_OPTIONS.values() for name in names))
+def _only_some(having: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """The options that only some layouts of recordings have, or some kinds of depth."""
+    return tuple(dict.fromkeys(name for names in having.values() for name in names))
 
 
 def _conditions(options: Options) -> dict[str, NamedCondition]:
@@ -275,7 +305,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     conditions = _conditions(options)
     record = configuration("synthetic", [], options)
     # Extra images can be added to a finished dataset later, because no score depends on them.
-    for name in ("extras", "recording", *_RECORDING_OPTIONS):
+    for name in {"extras", "recording", *_RECORDING_OPTIONS}.difference(_DEPTH_OPTIONS[options.depth]):
         del record["options"][name]
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
@@ -307,6 +337,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         imaging=own,
         routes=options.route,
         views=views,
+        depth=MapDepth(options.depth, options.depth_points, options.depth_error, options.rings),
     )
     job = Build(writer, options, reporter, run)
     spread = DistanceSpread(
@@ -358,7 +389,7 @@ def record(
     )
     each.target(out)
     unused = {*_DATASET_OPTIONS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic", "months"}
-    unused |= set(_only_some()) - set(_LAYOUT_OPTIONS[options.recording])
+    unused |= set(_only_some(_LAYOUT_OPTIONS)) - set(_LAYOUT_OPTIONS[options.recording])
     settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
     settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     check_folder(out, settings)

@@ -10,7 +10,6 @@ from itertools import product
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.condition import NamedCondition
@@ -23,6 +22,8 @@ from relocbench.datasets.synthetic.drives.routes import ROUTES, RouteName, route
 from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
+from relocbench.datasets.synthetic.map_depth.kinds import EXACT, MapDepth
+from relocbench.datasets.synthetic.map_depth.matched import stored_sigma
 from relocbench.errors import ConfigError, available
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
@@ -30,8 +31,6 @@ from relocbench.progress import Reporter
 Cameras = Mapping[str, tuple[Camera, Array]]
 """name -> (camera, ``T_rig_cam`` (4, 4))"""
 
-_DEPTH_SIGMA = (1 / DEPTH_SCALE / np.sqrt(12), 0.0, 0.0)
-"""metres; the standard deviation of rounding to 1/256 m"""
 _FIRST_NS = 1_000_000_000_000
 """time between the starts of traversals"""
 
@@ -56,6 +55,8 @@ class TraversalPlan:
     """the drive's own camera, or None for the ideal one"""
     view: CameraView | None = None
     """by which ``cameras`` differ from the dataset's rig; None for no difference"""
+    depth: MapDepth = EXACT
+    """what the drive tells of depth, if it is the map"""
 
     @property
     def times(self) -> tuple[int, ...]:
@@ -65,7 +66,11 @@ class TraversalPlan:
 
     def file(self) -> TraversalFile:
         """The content of ``traversal.yaml``."""
-        entries = {name: CameraEntry.of(c, T_rig_cam, _DEPTH_SIGMA) for name, (c, T_rig_cam) in self.cameras.items()}
+        error_px = self.depth.error_px if self.depth.kind == "stereo" else 0.0
+        entries = {
+            name: CameraEntry.of(camera, T_rig_cam, stored_sigma(camera, error_px))
+            for name, (camera, T_rig_cam) in self.cameras.items()
+        }
         return TraversalFile(
             name=self.name,
             condition=self.condition.label,
@@ -76,7 +81,7 @@ class TraversalPlan:
         )
 
     def frames(self, camera: str) -> PosedFrames:
-        """All frames of a camera, each of which has depth."""
+        """All frames of a camera, each of which has depth or points."""
         return PosedFrames(self.times, self.drive.T_world_rig @ self.cameras[camera][1], frozenset(self.times))
 
 
@@ -175,6 +180,7 @@ def make_plans(
     imaging: Mapping[str, Imaging] | None = None,
     routes: Sequence[RouteName] = ("common",),
     views: Mapping[str, CameraView] | None = None,
+    depth: MapDepth = EXACT,
 ) -> list[TraversalPlan]:
     """Plan all traversals, ordered by split, condition, route and number.
 
@@ -184,6 +190,7 @@ def make_plans(
         size: (width, height) of images in pixels.
         imaging: of traversals that have a camera of their own, by name.
         views: of traversals that have a view of their own, by name.
+        depth: what drives tell of depth.
 
     Raises:
         ConfigError: a district has no such route of this length, or two traversals would have the same name.
@@ -209,7 +216,7 @@ def make_plans(
                     others = moving_cars(path, driven, condition.factors.traffic, path.other_lane_m, rng)
                     cars = tuple(map(tuple, others))
                     plan = (own, identity, split, place, condition, first, cameras, driven, cars, look, view)
-                    plans.append(TraversalPlan(*plan))
+                    plans.append(TraversalPlan(*plan, depth))
             advance(1)
     for name, times in Counter(plan.name for plan in plans).items():
         if times > 1:

@@ -21,8 +21,10 @@ from relocbench.datasets.synthetic.drives.drive import RATE_HZ
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import estimates, scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent
+from relocbench.datasets.synthetic.jobs.keyframe_depth import Keyframe, Scan
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
+from relocbench.datasets.synthetic.map_depth.kinds import EXACT, MapDepth
 from relocbench.datasets.synthetic.renderer.render import Frame
 from relocbench.execution import chunks
 from relocbench.files import write_bytes
@@ -33,6 +35,8 @@ _WORTH_AN_ESTIMATE = 400
 """images; fewer take too little time for an estimate"""
 _WORTH_WORKERS = 8
 """images; fewer are rendered before other processes have started"""
+_LIDAR = 1000
+"""in place of a camera's number in the seed of a scan"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +54,8 @@ class FrameWork:
     """of the car with the headlights, where a view of the drive's own may look elsewhere"""
     distortion: float = 0.0
     """of the lens of the drive's own view"""
+    scan: Scan | None = None
+    """at its time, for maps of a lidar"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +74,8 @@ class RenderUnit:
     factors: Factors
     reference: Factors
     steps: tuple[StepWork, ...]
+    depth: MapDepth = EXACT
+    """what the drive tells of depth"""
 
     @property
     def images(self) -> int:
@@ -99,22 +107,27 @@ def missing_steps(plan: TraversalPlan, layout: DatasetLayout, seed: int, kinds: 
     found = []
     for i, (timestamp, T_world_rig) in enumerate(zip(plan.times, plan.drive.T_world_rig, strict=True)):
         frames = []
+        scan = None
+        if plan.depth.kind == "lidar":
+            scan_seed = scenes.frame_seed(seed, plan.number, i, _LIDAR)
+            scan = Scan(plan.place, plan.condition.factors, plan.moving[i], T_world_rig, scan_seed)
         for c, (name, (camera, T_rig_cam)) in enumerate(plan.cameras.items()):
-            files = {"image": target.image(name, timestamp), "depth": target.depth(name, timestamp)}
+            known = target.depth if plan.depth.stored_as == "depth" else target.points
+            files = {"image": target.image(name, timestamp), plan.depth.stored_as: known(name, timestamp)}
             files |= {k: extra_path(layout.root, plan.name, k, name, timestamp) for k in kinds}
             missing = {kind: path for kind, path in files.items() if not images.is_whole(path)}
             if missing:
                 number = scenes.frame_seed(seed, plan.number, i, c)
                 shot = Shot(plan.imaging, i / RATE_HZ, twists[name][i], c) if plan.imaging is not None else None
                 car, bent = (None, 0.0) if plan.view is None else (T_world_rig, plan.view.distortion)
-                frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing, shot, car, bent))
+                frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing, shot, car, bent, scan))
         if frames:
             found.append(StepWork(plan.moving[i], tuple(frames)))
     return found
 
 
 def _unit(plan: TraversalPlan, steps: Sequence[StepWork]) -> RenderUnit:
-    return RenderUnit(plan.place, plan.condition.factors, plan.reference.factors, tuple(steps))
+    return RenderUnit(plan.place, plan.condition.factors, plan.reference.factors, tuple(steps), plan.depth)
 
 
 def render_unit(unit: RenderUnit) -> Spent:
@@ -140,9 +153,14 @@ def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) 
     )
 
 
+def _keyframe(frame: Frame, work: FrameWork) -> Keyframe:
+    return Keyframe(frame, work.camera, work.T_world_cam, work.seed, work.scan)
+
+
 _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
     "image": lambda path, frame, work, unit: images.write_image(path, frame.rgb),
-    "depth": lambda path, frame, work, unit: images.write_depth(path, frame.depth),
+    "depth": lambda path, frame, work, unit: images.write_depth(path, _keyframe(frame, work).depth(unit.depth)),
+    "points": lambda path, frame, work, unit: images.write_points(path, _keyframe(frame, work).points(unit.depth)),
     "normals": lambda path, frame, work, unit: write_normals(path, frame.normal),
     "instance": lambda path, frame, work, unit: write_instance(path, frame.instance),
     "semantic": lambda path, frame, work, unit: images.write_image(path, frame.semantic),

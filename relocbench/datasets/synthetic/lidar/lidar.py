@@ -128,6 +128,8 @@ class SimulatedScan:
     """(N,)"""
     instance: NDArray[np.uint32]
     """(N,) object that reflected the beam; 0 for echoes from rain and snow"""
+    sigma_m: Array
+    """(N,) standard deviation of the range, which is larger for weak echoes"""
 
 
 def push_broom() -> Lidar:
@@ -193,7 +195,8 @@ def scan(
     speckle, noise, glitter = rng.normal(size=(3, len(times)))
     blocked, fouled = rng.random(size=(2, len(times)))
     echo_m = lidar.nearest_m + rng.exponential(_CLUTTER_RANGE_M, size=len(times))
-    measured = hits.range + lidar.sigma_m * np.sqrt(1 + 1 / np.maximum(power, 1e-3)) * noise
+    sigma_m = lidar.sigma_m * np.sqrt(1 + 1 / np.maximum(power, 1e-3))
+    measured = hits.range + sigma_m * noise
     seen = (
         np.isfinite(hits.range)
         & (power * np.exp(_SPECKLE * speckle) > 1)
@@ -210,6 +213,7 @@ def scan(
         np.where(returned, np.clip(brightness, 0.0, 1.0), 0.0),
         returned,
         np.where(returned & ~false_echo, hits.instance, 0).astype(np.uint32),
+        sigma_m,
     )
 
 
