@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -46,6 +46,9 @@ def preview(
             help="Show each condition in N drawn views too, as --views varied has them but for the size.",
         ),
     ] = 0,
+    depths: Annotated[
+        bool, typer.Option("--depths", help="Show one condition, and what each kind of --depth knows of it.")
+    ] = False,
     seed: Annotated[
         int, typer.Option(min=0, metavar="N", help="Seed of the district and of drawn cameras and views.")
     ] = 0,
@@ -68,6 +71,8 @@ def preview(
     from relocbench.datasets.core.images import jpeg_bytes, png_bytes
     from relocbench.datasets.synthetic.conditions.presets import SPLITS, previewed
     from relocbench.datasets.synthetic.jobs.contact_sheet import contact_sheet
+    from relocbench.datasets.synthetic.jobs.depth_sheet import depth_sheet
+    from relocbench.datasets.synthetic.map_depth.kinds import DepthKind
     from relocbench.errors import ConfigError, available, quoted
     from relocbench.files import atomic_write
 
@@ -78,10 +83,13 @@ def preview(
     except ValueError as bad:
         raise ConfigError(f"--size {quoted(size)}: {bad}") from None
     shown = previewed(conditions, everything=all_, swept=sweep, steps=sweep_steps, cameras=drawn_cameras, seed=seed)
+    if depths and (len(shown) != 1 or drawn_views):
+        told = f"{len(shown)} conditions" if len(shown) != 1 else f"--drawn-views {drawn_views}"
+        raise ConfigError(f"--depths shows what maps know in one condition and one view, got {told}")
     with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
-        sheet = contact_sheet(
-            shown, seed=seed, split=split, at_m=at, size=pixels, reporter=reporter(quiet), views=drawn_views
-        )
+        view: Any = {"seed": seed, "split": split, "at_m": at, "size": pixels, "reporter": reporter(quiet)}
+        sheet = depth_sheet(*shown.values(), **view) if depths else contact_sheet(shown, **view, views=drawn_views)
         stream.write(jpeg_bytes(sheet) if out.suffix.lower() in (".jpg", ".jpeg") else png_bytes(sheet))
     if json:
-        print_json({"file": out}, {"pictures": len(shown) * (drawn_views + 1), "files_written": 1})
+        pictures = 1 + len(get_args(DepthKind)) if depths else len(shown) * (drawn_views + 1)
+        print_json({"file": out}, {"pictures": pictures, "files_written": 1})

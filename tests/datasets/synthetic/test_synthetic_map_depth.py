@@ -269,6 +269,25 @@ def test_options_without_effect_are_refused(options: tuple[Any, ...], names: tup
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
+def test_a_preview_shows_what_maps_know(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
+    sheet = tmp_path / "sheet.png"
+    words = ("preview", "-c", "Sunny", "--depths", "--size", "96x72", "--out", sheet, "--quiet")
+    assert relocbench(*words).status == 0
+    picture = images.read_image(sheet)
+    assert picture.shape == (72, 5 * 96 + 4 * 4, 3)
+    coloured = [np.ptp(picture[:60, k * 100 : k * 100 + 96].astype(int), axis=2) > 60 for k in range(1, 5)]
+    exact, points, lidar, stereo = (np.mean(known) for known in coloured)
+    assert 0.05 < points < exact
+    assert 0.05 < lidar < exact
+    assert 0.05 < stereo < exact
+    told = relocbench("preview", "--all", "--depths", "--out", sheet)
+    assert told.status == 2
+    assert_names(told.complaint, "", None, "--depths", 10)
+
+
 def test_points_that_were_not_written_to_their_end_are_noticed(tmp_path: Path) -> None:
     path = tmp_path / "1.csv"
     assert not images.is_whole(path)

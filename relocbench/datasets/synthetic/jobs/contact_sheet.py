@@ -12,7 +12,7 @@ from relocbench.arrays import Image
 from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.views import draw_view
-from relocbench.datasets.synthetic.drives.drive import MARGIN_M, RATE_HZ, DriveStyle
+from relocbench.datasets.synthetic.drives.drive import MARGIN_M, RATE_HZ, DriveStyle, Route
 from relocbench.datasets.synthetic.drives.rig import rig_named
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -43,8 +43,7 @@ def contact_sheet(
         size: (width, height) of each picture in pixels.
         views: number of drawn views that each condition is shown by, beside the plain one.
     """
-    place = DistrictSpec(seed, split, _EXTENT_M)
-    route = scenes.district(place).network.drive(_ROUTE_M, seed)
+    place, route = place_and_route(seed, split)
     step_m = DriveStyle().speed_mps / RATE_HZ
     T_world_rig = np.array([route.pose(MARGIN_M + at_m + k * step_m) for k in (-1, 0, 1)])
     pictures = []
@@ -61,6 +60,12 @@ def contact_sheet(
             pictures.append(labelled(frame.rgb, f"{label}, view {n}" if n else label))
             advance(1)
     return tiled(pictures)
+
+
+def place_and_route(seed: int, split: str) -> tuple[DistrictSpec, Route]:
+    """The district that sheets show, and the route along which they do."""
+    place = DistrictSpec(seed, split, _EXTENT_M)
+    return place, scenes.district(place).network.drive(_ROUTE_M, seed)
 
 
 def labelled(picture: Image, label: str) -> Image:
