@@ -269,6 +269,15 @@ def test_options_without_effect_are_refused(options: tuple[Any, ...], names: tup
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("kind", "reach"), [("stereo", "1.4 m"), ("points", "3.1 m")])
+def test_errors_that_leave_no_depth_are_refused(kind: str, reach: str, tmp_path: Path) -> None:
+    words = ("--preset", "smoke", "--depth", kind, "--depth-error", 5, "--out", tmp_path / "out")
+    told = relocbench("build-dataset", "synthetic", *words)
+    assert told.status == 2
+    assert_names(told.complaint, "", None, "--depth-error", 5, "96x96", reach, "--size")
+    assert not (tmp_path / "out" / "traversals").exists()
+
+
 @pytest.mark.thorough
 def test_a_preview_shows_what_maps_know(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)

@@ -13,16 +13,39 @@ from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.latest import latest
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.map_depth.kinds import MapDepth
-from relocbench.datasets.synthetic.map_depth.matched import matched_depth
-from relocbench.datasets.synthetic.map_depth.scanned import T_RIG_LIDAR, Surroundings, scan_returns, seen_points
-from relocbench.datasets.synthetic.map_depth.triangulated import triangulated_points
+from relocbench.datasets.synthetic.map_depth.matched import matched_depth, matched_up_to
+from relocbench.datasets.synthetic.map_depth.scanned import (
+    T_RIG_LIDAR,
+    Returns,
+    Surroundings,
+    scan_returns,
+    seen_points,
+)
+from relocbench.datasets.synthetic.map_depth.triangulated import triangulated_points, triangulated_up_to
 from relocbench.datasets.synthetic.renderer.render import Frame
 from relocbench.datasets.synthetic.town.mesh import Semantic
+from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
 
 _DEPTH_STREAM = 3
 """number of the random stream of an image's depth; the renderer has those before"""
+
+
+_LEAST_REACH_M = 5.0
+"""depth up to which a map knows something at least; the road begins 2 to 3 m before the camera"""
+
+
+def check_reach(known: MapDepth, camera: Camera) -> None:
+    """Raise ConfigError if errors are so large that hardly any depth is left."""
+    reaches = {"points": triangulated_up_to, "stereo": matched_up_to}
+    reach = reaches[known.kind](camera, known.error_px) if known.kind in reaches else np.inf
+    if reach < _LEAST_REACH_M:
+        size = f"{camera.width}x{camera.height}"
+        raise ConfigError(
+            f"--depth-error {known.error_px:g}: in images of {size} depth would end at {reach:.1f} m, expected "
+            f"{_LEAST_REACH_M:g} m at least; lower the error or raise --size"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +93,11 @@ class Keyframe:
             scenes.moving_scene(scan.place, scan.factors, scan.moving),
             scan.factors,
         )
+
+        def scanned() -> Returns:
+            rng = np.random.default_rng(scan.seed)
+            return scan_returns(around, scan.T_world_rig @ T_RIG_LIDAR, known.rings, rng)
+
         # All cameras of a rig see points of the same scan.
-        rng = np.random.default_rng(scan.seed)
-        key = scan.place, scan.factors, known, scan.seed
-        returns = latest("scan", key, lambda: scan_returns(around, scan.T_world_rig @ T_RIG_LIDAR, known.rings, rng))
+        returns = latest("scan", (scan.place, scan.factors, known, scan.seed), scanned)
         return seen_points(returns, around, self.camera, self.T_world_cam)

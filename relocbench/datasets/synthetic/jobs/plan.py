@@ -21,6 +21,7 @@ from relocbench.datasets.synthetic.drives.rig import RIGS, Rig
 from relocbench.datasets.synthetic.drives.routes import ROUTES, RouteName, route
 from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.keyframe_depth import check_reach
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.map_depth.kinds import EXACT, MapDepth
 from relocbench.datasets.synthetic.map_depth.matched import stored_sigma
@@ -193,7 +194,8 @@ def make_plans(
         depth: what drives tell of depth.
 
     Raises:
-        ConfigError: a district has no such route of this length, or two traversals would have the same name.
+        ConfigError: errors leave hardly any depth, a district has no such route of this length, or two traversals would
+            have the same name.
     """
     plans = []
     imaging, views = imaging or {}, views or {}
@@ -213,6 +215,8 @@ def make_plans(
                     driven = drive(path, steps, style, rng)
                     look, view = imaging.get(own), views.get(own)
                     cameras = rig.cameras(*size, view)
+                    for camera, _ in cameras.values():
+                        check_reach(depth, camera)
                     others = moving_cars(path, driven, condition.factors.traffic, path.other_lane_m, rng)
                     cars = tuple(map(tuple, others))
                     plan = (own, identity, split, place, condition, first, cameras, driven, cars, look, view)

@@ -35,6 +35,11 @@ def stored_sigma(camera: Camera, error_px: float) -> tuple[float, float, float]:
     return DEPTH_STEP_M / np.sqrt(12), 0.0, error_px / (camera.fx * STEREO_BASELINE_M)
 
 
+def matched_up_to(camera: Camera, error_px: float) -> float:
+    """The depth in metres at which it ends."""
+    return _FARTHEST * camera.fx * STEREO_BASELINE_M / error_px
+
+
 def matched_depth(image: Image, depth: Floats, camera: Camera, error_px: float, rng: np.random.Generator) -> Floats:
     """Depth (H, W) in metres, 0 where there is none.
 
@@ -48,7 +53,7 @@ def matched_depth(image: Image, depth: Floats, camera: Camera, error_px: float, 
     disparity = np.where(known, focal_baseline / np.where(known, depth, 1.0), 0.0).astype(np.float64)
     measured = disparity + error_px * correlated_errors(depth.shape, rng)
     # Where depth ends is told by the exact one: by the drawn one, those pixels would be left that are drawn too near.
-    found = known & (error_px <= _FARTHEST * disparity) & (measured > 0)
+    found = known & (depth <= matched_up_to(camera, error_px)) & (measured > 0)
     found &= textured(image) & seen_by_both(disparity) & ~beside_nearer(disparity)
     return np.where(found, focal_baseline / np.where(found, measured, 1.0), 0.0).astype(np.float32)
 

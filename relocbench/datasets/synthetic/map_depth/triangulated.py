@@ -25,6 +25,11 @@ _SPREAD = 0.5
 """least distance of points relative to that of as many points on a regular grid"""
 
 
+def triangulated_up_to(camera: Camera, error_px: float) -> float:
+    """The depth in metres at which points end."""
+    return _FARTHEST * camera.fx * TRIANGULATION_BASELINE_M / error_px
+
+
 def triangulated_points(
     image: Image, depth: Floats, usable: Mask, camera: Camera, count: int, error_px: float, rng: np.random.Generator
 ) -> KeyframePoints:
@@ -38,7 +43,7 @@ def triangulated_points(
     """
     sigma = error_px / (camera.fx * TRIANGULATION_BASELINE_M)
     # By the exact depth: if it were by the drawn one, those would be left that are drawn too near.
-    near = usable & (depth > 0) & (sigma * depth <= _FARTHEST)
+    near = usable & (depth > 0) & (depth <= triangulated_up_to(camera, error_px))
     apart = _SPREAD * float(np.sqrt(depth.size / count))
     found = cv2.goodFeaturesToTrack(as_grey(image), count, _LEAST_CORNER, apart, mask=near.astype(np.uint8))
     uv = np.zeros((0, 2)) if found is None else np.asarray(found, dtype=np.float64).reshape(-1, 2)
