@@ -8,15 +8,18 @@ data set.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from relocbench.datasets.core.build_options import ImageSize, ImportOptions, RuleOptions, width_height
 from relocbench.datasets.core.salt import SALT_FILE, salted
+from relocbench.datasets.importers.rendered.scopes import (
+    refuse_what_has_no_effect,
+    without_effect_on_datasets,
+    without_effect_on_recordings,
+)
 from relocbench.datasets.synthetic.conditions.condition import Factors, NamedCondition
 from relocbench.datasets.synthetic.conditions.presets import (
     PRESETS,
@@ -41,28 +44,6 @@ if TYPE_CHECKING:
 
 _RECORDING_FRAMES = 160
 """default of ``steps`` for recordings, unless a preset sets it"""
-_RECORDING_OPTIONS = ("recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
-_SPINNING_OPTIONS = ("rings", "azimuths")
-_LAYOUT_OPTIONS = {
-    "robotcar": (),
-    "kitti": (*_SPINNING_OPTIONS, "motion_distorted"),
-    "boreas": _SPINNING_OPTIONS,
-}
-"""options of recordings that only some layouts have"""
-_DEPTH_OPTIONS = {
-    "exact": (),
-    "points": ("depth_points", "depth_error"),
-    "lidar": ("rings",),
-    "stereo": ("depth_error",),
-}
-"""options of datasets that only some kinds of depth have"""
-_DATASET_OPTIONS = (
-    "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
-    "min_distance", "min_angle", "cameras", "size", "distance", "reference", "extras", "elsewhere",
-    "elsewhere_distance", "salt_file", "views", "tier", "pairs", "repeating_street",
-    "depth", "depth_points", "depth_error",
-)  # fmt: skip
-
 _LATER_OPTIONS = (
     *("imaging", "months", "route", "views", "min_distance", "min_angle"),
     *("tier", "pairs", "repeating_street"),
@@ -203,7 +184,7 @@ class Options(RuleOptions):
     def _start_from_preset(cls, values: Any) -> Any:
         if not isinstance(values, dict):
             return values
-        _refuse_what_has_no_effect(values)
+        refuse_what_has_no_effect(values)
         frames = {"steps": _RECORDING_FRAMES} if values.get("recording") else {}
         return {**frames, **PRESETS.get(str(values.get("preset", "demo")), {}), **values}
 
@@ -242,33 +223,6 @@ class Options(RuleOptions):
         return width_height(self.size)
 
 
-def _refuse_what_has_no_effect(values: dict[str, Any]) -> None:
-    """Raise PydanticCustomError if an option was given that has no effect."""
-    layout = values.get("recording")
-    # Recordings and one kind of depth have the lidar's rings.
-    refused = [name for name in _RECORDING_OPTIONS if name not in _only_some(_DEPTH_OPTIONS)]
-    why = "applies to recordings (--recording) only"
-    option, chosen, having = "depth", values.get("depth", "exact"), _DEPTH_OPTIONS
-    if layout is not None:
-        refused, why = [*_DATASET_OPTIONS], "applies to datasets only, not to recordings (--recording)"
-        option, chosen, having = "recording", layout, _LAYOUT_OPTIONS
-    found = [name for name in refused if name in values]
-    if not found and chosen in [*having]:
-        found = [name for name in _only_some(having) if name in values and name not in having[chosen]]
-        those = [other for other, names in having.items() if found and found[0] in names]
-        also = " and to recordings" if layout is None and found and found[0] in _RECORDING_OPTIONS else ""
-        why = f"applies to --{option} {' and '.join(those)}{also} only"
-    if not found and values.get("min_distance") and "distance" in values:
-        found, why = ["distance"], "has no effect with --min-distance, which spreads distances evenly"
-    if found:
-        raise PydanticCustomError("no_effect", f"--{found[0].replace('_', '-')} {why}")
-
-
-def _only_some(having: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
-    """The options that only some layouts of recordings have, or some kinds of depth."""
-    return tuple(dict.fromkeys(name for names in having.values() for name in names))
-
-
 def _conditions(options: Options) -> dict[str, NamedCondition]:
     """The conditions to drive in. Raises ConfigError as :func:`conditions_of` does."""
     swept = options.sweep, options.sweep_steps
@@ -305,7 +259,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     conditions = _conditions(options)
     record = configuration("synthetic", [], options)
     # Extra images can be added to a finished dataset later, because no score depends on them.
-    for name in {"extras", "recording", *_RECORDING_OPTIONS}.difference(_DEPTH_OPTIONS[options.depth]):
+    for name in {"extras", "recording", *without_effect_on_datasets(options.depth)}:
         del record["options"][name]
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
@@ -388,8 +342,8 @@ def record(
         motion_distorted=options.motion_distorted,
     )
     each.target(out)
-    unused = {*_DATASET_OPTIONS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic", "months"}
-    unused |= set(_only_some(_LAYOUT_OPTIONS)) - set(_LAYOUT_OPTIONS[options.recording])
+    unused = {"preset", "conditions", "factors", "sweep", "sweep_steps", "traffic", "months"}
+    unused |= without_effect_on_recordings(options.recording)
     settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
     settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     check_folder(out, settings)
