@@ -31,9 +31,12 @@ class PairLabel:
     traversal_ref: str
     traversal_query: str
     camera: str
+    """of the query"""
     condition_ref: str
     """in words, equal for all traversals of one condition"""
     condition_query: str
+    camera_ref: str = ""
+    """of the keyframe; empty where it is the query's"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ def many_pairs(source: Dataset, out: Path, count: int) -> Dataset:
     pair_set = next(s for s in source.pair_sets() if s.reference == s.query)
     traversal = source.traversal(pair_set.reference)
     writer.traversal(traversal.file, {})
-    camera = pair_set.camera
+    camera = pair_set.query_camera
     layout = writer.layout.traversal(traversal.name)
     pairs = []
     base = pair_set.pairs

@@ -289,10 +289,10 @@ def check(dataset: Dataset, pairs_a_set: int, depth_pixels: int, seed: int) -> T
         rng = np.random.default_rng([seed, *pair_set.name.encode()])
         chosen = rng.choice(len(pair_set.pairs), min(pairs_a_set, len(pair_set.pairs)), replace=False)
         for pair in (pair_set.pairs[i] for i in sorted(chosen)):
-            sides = (pair_set.reference, pair.ref_timestamp_ns), (pair_set.query, pair.query_timestamp_ns)
-            eyes = [scenes.eye(name, pair_set.camera, time) for name, time in sides]
+            sides = zip((pair_set.reference, pair_set.query), pair_set.cameras, pair.key, strict=True)
+            eyes = [scenes.eye(*side) for side in sides]
             check_pair(tally, dataset, pair_set, pair, *eyes)
-            stored = dataset.traversal(pair_set.query).depth(pair_set.camera, pair.query_timestamp_ns)
+            stored = dataset.traversal(pair_set.query).depth(pair_set.query_camera, pair.query_timestamp_ns)
             assert stored is not None
             check_depth(tally, eyes[1], stored, depth_pixels, rng)
     return tally

@@ -199,7 +199,7 @@ class _Work:
         traversal = self.dataset.traversal(pair_set.reference)
         if time not in traversal.poses:
             return None
-        return self._moved(traversal.T_world_cam(pair_set.camera, time), self.worlds[traversal.name])
+        return self._moved(traversal.T_world_cam(pair_set.reference_camera, time), self.worlds[traversal.name])
 
     def _moved(self, T_world_x: Array, world: str) -> Array:
         T = T_world_x.copy()
@@ -321,7 +321,7 @@ class _Work:
     def _add_image(self, pair_set: PairSet, which: str, image: Image, camera: Camera) -> bytes:
         """Log an image flat, and return the small one that stands in its camera's frustum."""
         if camera.model != "pinhole":
-            self.undistorted[pair_set.camera] = None
+            self.undistorted[pair_set.query_camera if which == paths.QUERY else pair_set.reference_camera] = None
         seen = as_pinhole(image, camera)
         self.images += 1
         entity = paths.images(pair_set.name, which)
@@ -348,7 +348,7 @@ class _Work:
             facts.append(("different places", "nothing in the images tells the pose"))
         if self.worlds[pair_set.query] != world:
             facts.append(("poses of the query's traversal", "in another world: not shown here"))
-        if pair_set.camera in self.undistorted:
+        if any(camera in self.undistorted for camera in pair_set.cameras):
             facts.append(("images", "undistorted"))
         lines = [f"- **{name}**: {escaped(value)}" for name, value in facts]
         if self.answers:

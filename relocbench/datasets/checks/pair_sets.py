@@ -10,9 +10,9 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.checks.faults import Findings, TableRow, read_pair_lines, read_pair_table
-from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
+from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout, pair_set_parts
 from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey, PoseLine
-from relocbench.datasets.core.schema import ELSEWHERE_VERSION, TraversalFile
+from relocbench.datasets.core.schema import CAMERAS_VERSION, ELSEWHERE_VERSION, TraversalFile
 from relocbench.errors import available
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.progress import Reporter
@@ -60,6 +60,7 @@ def check_pair_sets(
             pair_file, table = layout.pair_file(name), layout.pair_table(name)
             lines = read_pair_lines(pair_file, findings)
             rows = read_pair_table(table, findings) if table.exists() else {}
+            check_version_of_name(name, version, findings, pair_file)
             check = _PairSetCheck(name, pair_file, table, lines, rows, findings)
             if table.exists():
                 check.table_agrees()
@@ -68,6 +69,12 @@ def check_pair_sets(
             out[name] = lines
             advance(1)
     return out
+
+
+def check_version_of_name(name: str, version: int | None, findings: Findings, path: Path) -> None:
+    """Check that a dataset may have a pair set of this name."""
+    if name.count("__") > 2:
+        check_version(version, CAMERAS_VERSION, "names two cameras", findings, path)
 
 
 def check_version(
@@ -124,42 +131,43 @@ class _PairSetCheck:
 
     def frames(self, layout: DatasetLayout, drives: dict[str, CheckedTraversal]) -> None:
         """Check that the pairs' images and depth exist, or their poses, and that these agree with the traversals'."""
-        parts = self.name.split("__")
-        if len(parts) != 3:
-            self.findings.fault("expected a pair file named REF__QUERY__CAM.txt", self.path)
+        try:
+            parts = pair_set_parts(self.name)
+        except ValueError as bad:
+            self.findings.fault(str(bad), self.path)
             return
         unknown = [part for part in parts[:2] if part not in drives]
         if unknown:
             self.findings.fault(f"no traversal '{unknown[0]}'{available(unknown[0], drives)}", self.path)
             return
-        reference, query, camera = drives[parts[0]], drives[parts[1]], parts[2]
-        for drive in (reference, query):
+        reference, query = drives[parts[0]], drives[parts[1]]
+        sides = (reference, parts[2]), (query, parts[3])
+        for drive, camera in sides:
             if drive.file is not None and camera not in {**drive.file.cameras, **drive.file.frames}:
                 self.findings.fault(f"traversal '{drive.layout.root.name}' has no camera '{camera}'", self.path)
                 return
-        bare = [drive.file is not None and camera in drive.file.frames for drive in (reference, query)]
+        bare = [drive.file is not None and camera in drive.file.frames for drive, camera in sides]
         if all(bare):
             self._poses_exist(reference, query)
         elif any(bare):
             message = "has images in one of the two traversals and poses alone in the other; expected the same in both"
-            self.findings.fault(f"'{camera}' {message}", self.path)
+            self.findings.fault(f"'{parts[bare.index(True) + 2]}' {message}", self.path)
             return
         else:
-            self._images_exist(layout, reference, query, camera)
-        self._poses_agree(reference, query, camera)
+            self._images_exist(layout, *sides)
+        self._poses_agree(*sides)
 
-    def _images_exist(
-        self, layout: DatasetLayout, reference: CheckedTraversal, query: CheckedTraversal, camera: str
-    ) -> None:
+    def _images_exist(self, layout: DatasetLayout, *sides: tuple[CheckedTraversal, str]) -> None:
         """Check that there are the images of all pairs, and the depth of their keyframes."""
+        reference, of_keyframes = sides[0]
         for key, line in self.lines.items():
-            for drive, time in ((reference, key[0]), (query, key[1])):
+            for (drive, camera), time in zip(sides, key, strict=True):
                 if time not in drive.times["images", camera]:
                     missing = drive.layout.image(camera, time).relative_to(layout.root)
                     self.findings.fault(f"no image {missing}", self.path, line.line)
-            if key[0] not in reference.times["depth", camera] | reference.times["points", camera]:
+            if key[0] not in reference.times["depth", of_keyframes] | reference.times["points", of_keyframes]:
                 self.findings.fault(f"keyframe {key[0]} has neither depth nor points", self.path, line.line)
-            elif (camera, key[0]) in reference.without_depth:
+            elif (of_keyframes, key[0]) in reference.without_depth:
                 self.findings.fault(f"keyframe {key[0]} has no pixel with depth", self.path, line.line)
 
     def _poses_exist(self, reference: CheckedTraversal, query: CheckedTraversal) -> None:
@@ -180,15 +188,17 @@ class _PairSetCheck:
         """Whether a pair was made from the poses of its traversals, as its source tells."""
         return key in self.rows and "poses" in self.rows[key].source.lower().split()
 
-    def _poses_agree(self, reference: CheckedTraversal, query: CheckedTraversal, camera: str) -> None:
+    def _poses_agree(self, *sides: tuple[CheckedTraversal, str]) -> None:
         """Compare the pairs' poses with those of the traversals.
 
         A pair whose source contains the word 'poses' was made from the traversals' poses and must agree with them;
         other pairs may differ.
         """
-        if reference.file is None or query.file is None:
+        (reference, _), (query, _) = sides
+        mounts = [_T_rig(drive.file, camera) for drive, camera in sides if drive.file is not None]
+        if len(mounts) < 2:
             return
-        T_rig_ref, T_rig_query = (_T_rig(file, camera) for file in (reference.file, query.file))
+        T_rig_ref, T_rig_query = mounts
         others = []
         for key, line in self.lines.items():
             if line.T_query_ref is None or key[0] not in reference.poses or key[1] not in query.poses:

@@ -104,7 +104,7 @@ class Dataset:
             DatasetError: the description of a traversal is bad or missing.
         """
         drives = self.traversal(pair_set.reference), self.traversal(pair_set.query)
-        return not any(pair_set.camera in drive.frames for drive in drives)
+        return not any(camera in drive.frames for camera, drive in zip(pair_set.cameras, drives, strict=True))
 
     def require_images(self, pair_sets: Iterable[PairSet], instead: str) -> None:
         """Check that pairs are of images, for what cannot be done without.
@@ -124,8 +124,8 @@ class Dataset:
     def reference(self, pair_set: PairSet, pair: Pair, neighbours: int = 0) -> Reference:
         """The tracker's view of a pair's keyframe."""
         traversal = self.traversal(pair_set.reference)
-        return traversal.reference(pair_set.camera, pair.ref_timestamp_ns, neighbours)
+        return traversal.reference(pair_set.reference_camera, pair.ref_timestamp_ns, neighbours)
 
     def query(self, pair_set: PairSet, pair: Pair) -> Query:
         """The tracker's view of a pair's query."""
-        return self.traversal(pair_set.query).query(pair_set.camera, pair.query_timestamp_ns)
+        return self.traversal(pair_set.query).query(pair_set.query_camera, pair.query_timestamp_ns)

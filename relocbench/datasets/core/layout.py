@@ -106,9 +106,24 @@ class TraversalLayout:
         return sorted(time for time in times if time is not None)
 
 
-def pair_set_name(reference: str, query: str, camera: str) -> str:
-    """``REF__QUERY__CAM``."""
-    return f"{reference}__{query}__{camera}"
+def pair_set_name(reference: str, query: str, camera: str, query_camera: str = "") -> str:
+    """``REF__QUERY__CAM``, or ``REF__QUERY__REFCAM__QUERYCAM`` where queries are from another camera."""
+    of_another = [query_camera] if query_camera not in ("", camera) else []
+    return "__".join([reference, query, camera, *of_another])
+
+
+def pair_set_parts(name: str) -> tuple[str, str, str, str]:
+    """Reference traversal, query traversal, keyframes' camera and queries' camera, by the name of a pair set.
+
+    Raises:
+        ValueError: it is not a name that :func:`pair_set_name` makes.
+    """
+    parts = name.split("__")
+    if len(parts) == 3:
+        parts.append(parts[2])
+    elif len(parts) != 4 or parts[2] == parts[3]:
+        raise ValueError("a pair file is named REF__QUERY__CAM.txt, or REF__QUERY__REFCAM__QUERYCAM.txt")
+    return parts[0], parts[1], parts[2], parts[3]
 
 
 def _part(name: str) -> str:

@@ -5,22 +5,28 @@ from __future__ import annotations
 from functools import cached_property
 
 from relocbench.datasets.core import pairfile
-from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_parts
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.errors import DatasetError
 
 
 class PairSet:
-    """All pairs of one reference traversal, one query traversal and one camera."""
+    """All pairs of one reference traversal and one query traversal, of one camera each, which is mostly the same."""
 
     def __init__(self, layout: DatasetLayout, name: str) -> None:
-        parts = name.split("__")
-        if len(parts) != 3:
-            raise DatasetError("a pair file is named REF__QUERY__CAM.txt", layout.pair_file(name))
+        try:
+            parts = pair_set_parts(name)
+        except ValueError as bad:
+            raise DatasetError(str(bad), layout.pair_file(name)) from None
         self.layout = layout
         self.name = name
-        self.reference, self.query, self.camera = parts
+        self.reference, self.query, self.reference_camera, self.query_camera = parts
+
+    @property
+    def cameras(self) -> tuple[str, str]:
+        """The cameras of keyframes and queries."""
+        return self.reference_camera, self.query_camera
 
     @cached_property
     def query_traversal(self) -> Traversal:

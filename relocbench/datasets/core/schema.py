@@ -29,7 +29,9 @@ INTRINSICS_VERSION = 3
 """format of datasets whose images may have intrinsics of their own, which programs that know less would not look at"""
 POSES_VERSION = 4
 """format of datasets with frames that have poses and no images, for which programs that know less would look"""
-_VERSIONS = (FORMAT_VERSION, ELSEWHERE_VERSION, INTRINSICS_VERSION, POSES_VERSION)
+CAMERAS_VERSION = 5
+"""format of datasets with pairs across two cameras, whose names programs that know less would refuse or misread"""
+_VERSIONS = (FORMAT_VERSION, ELSEWHERE_VERSION, INTRINSICS_VERSION, POSES_VERSION, CAMERAS_VERSION)
 
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "name"))]
 """name of a traversal, a camera or a split, which becomes part of a path"""

@@ -43,21 +43,24 @@ def share_a_world(dataset: Dataset, pair_set: PairSet) -> bool:
     chosen = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, min(_MOST, len(known))).astype(int))]
     if not chosen:
         return False
-    metres, radians = np.median(differences(pair_set.camera, chosen, ref, query), axis=0)
+    metres, radians = np.median(differences(pair_set.cameras, chosen, ref, query), axis=0)
     return bool(metres <= _ALIKE_M and radians <= _ALIKE_RAD)
 
 
-def differences(camera: str, pairs: Iterable[Pair], reference: Traversal, query: Traversal) -> Array:
+def differences(cameras: tuple[str, str], pairs: Iterable[Pair], reference: Traversal, query: Traversal) -> Array:
     """Metres and radians (N, 2) by which the poses of two traversals differ from the truth of the pairs that have both.
 
     N is the number of pairs whose truth is known and whose images have poses.
+
+    Args:
+        cameras: of keyframes and of queries.
     """
     apart = []
     for pair in pairs:
         posed = pair.ref_timestamp_ns in reference.poses and pair.query_timestamp_ns in query.poses
         if pair.T_query_ref is not None and posed:
-            T_ref_world = invert(reference.T_world_cam(camera, pair.ref_timestamp_ns))
+            T_ref_world = invert(reference.T_world_cam(cameras[0], pair.ref_timestamp_ns))
             # inv(T_world_ref) T_world_query from poses, and from the truth
-            difference = pair.T_query_ref @ T_ref_world @ query.T_world_cam(camera, pair.query_timestamp_ns)
+            difference = pair.T_query_ref @ T_ref_world @ query.T_world_cam(cameras[1], pair.query_timestamp_ns)
             apart.append((float(np.linalg.norm(difference[:3, 3])), float(rotation_angle(difference[:3, :3]))))
     return np.array(apart).reshape(-1, 2)

@@ -20,6 +20,7 @@ from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import (
+    CAMERAS_VERSION,
     ELSEWHERE_VERSION,
     FORMAT_VERSION,
     INTRINSICS_VERSION,
@@ -138,9 +139,13 @@ class DatasetWriter:
         """Write sparse keyframe points."""
         images.write_points(self.layout.traversal(traversal).points(camera, timestamp_ns), points)
 
-    def pairs(self, reference: str, query: str, camera: str, pairs: Sequence[Pair]) -> str:
-        """Write a pair set, sorted by reference and query time, and return its name."""
-        name = pair_set_name(reference, query, camera)
+    def pairs(self, reference: str, query: str, camera: str, pairs: Sequence[Pair], query_camera: str = "") -> str:
+        """Write a pair set, sorted by reference and query time, and return its name.
+
+        Args:
+            query_camera: that of the queries, where it is not the keyframes'.
+        """
+        name = pair_set_name(reference, query, camera, query_camera)
         ordered = sorted(pairs, key=lambda p: (p.ref_timestamp_ns, p.query_timestamp_ns))
         pairfile.write_pairs(self.layout.pair_file(name), self.layout.pair_table(name), ordered)
         return name
@@ -156,13 +161,16 @@ class DatasetWriter:
         splits = splits if splits is not None else {"test": everything} if everything else {}
         plain = {split: tuple(names) for split, names in splits.items()}
         fingerprint.write_manifest(self.layout)
-        elsewhere = any(PairSet(self.layout, name).negative_pairs for name in everything)
+        sets = [PairSet(self.layout, name) for name in everything]
+        elsewhere = any(one.negative_pairs for one in sets)
         version = ELSEWHERE_VERSION if elsewhere else FORMAT_VERSION
         if any(self.layout.traversals.glob("*/intrinsics/*.csv")):
             version = INTRINSICS_VERSION
         names = sorted(path.parent.name for path in self.layout.traversals.glob("*/traversal.yaml"))
         if any(Traversal(self.layout.traversal(name)).frames for name in names):
             version = POSES_VERSION
+        if any(one.reference_camera != one.query_camera for one in sets):
+            version = CAMERAS_VERSION
         file = DatasetFile(
             format_version=version,
             name=self.name,

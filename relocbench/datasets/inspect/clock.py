@@ -66,20 +66,20 @@ def check_clocks(dataset: Dataset, reporter: Reporter) -> list[DriveClock]:
 
 
 def pair_residual(
-    reference: tuple[Traversal, int], query: tuple[Traversal, int], camera: str, T_query_ref: Array
+    reference: tuple[Traversal, str, int], query: tuple[Traversal, str, int], T_query_ref: Array
 ) -> Residual | None:
     """By how much a pose (4, 4) differs from that which the images of a pair and the keyframe's depth give.
 
     None where they have too little in common.
 
     Args:
-        reference, query: a drive, and the time of its image.
+        reference, query: a drive, a camera, and the time of its image.
 
     Raises:
         DatasetError: an image or a depth image is damaged.
     """
-    models = [drive.camera(camera, time) for drive, time in (reference, query)]
-    features = [features_of(drive, camera, time) for drive, time in (reference, query)]
+    models = [drive.camera(camera, time) for drive, camera, time in (reference, query)]
+    features = [features_of(drive, camera, time) for drive, camera, time in (reference, query)]
     tracks = match(0, features[0], 1, features[1], models[1])
     found = (
         None if tracks is None else motion_by_depth(tracks, homogeneous(tracks.x), homogeneous(tracks.y), models[1].fx)

@@ -110,8 +110,8 @@ def write_pair(path: Path, dataset: Dataset, pair_set: PairSet, pair: Pair, name
     assert pair.T_query_ref is not None
     reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
     traversal = dataset.traversal(pair_set.query)
-    depth = traversal.depth(pair_set.camera, pair.query_timestamp_ns)
-    view = DepthView(query.camera, depth, traversal.file.cameras[pair_set.camera].depth_sigma)
+    depth = traversal.depth(pair_set.query_camera, pair.query_timestamp_ns)
+    view = DepthView(query.camera, depth, traversal.file.cameras[pair_set.query_camera].depth_sigma)
     rng = np.random.default_rng([seed, *(time % 2**64 for time in pair.key)])
     agreement = measure_agreement(reference, query, pair.T_query_ref)
     title = f"{name}   keyframe {pair.ref_timestamp_ns}   query {pair.query_timestamp_ns}"
@@ -123,9 +123,11 @@ def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path
     path = folder / f"{pair_set.name}_{pair.ref_timestamp_ns}_{pair.query_timestamp_ns}.png"
     agreement = write_pair(path, dataset, pair_set, pair, pair_set.name, seed)
     assert pair.T_query_ref is not None  # spread_pairs has chosen it
-    drives = dataset.traversal(pair_set.reference), dataset.traversal(pair_set.query)
-    sides = (drives[0], pair.ref_timestamp_ns), (drives[1], pair.query_timestamp_ns)
-    left = pair_residual(*sides, pair_set.camera, pair.T_query_ref)
+    left = pair_residual(
+        (dataset.traversal(pair_set.reference), pair_set.reference_camera, pair.ref_timestamp_ns),
+        (dataset.traversal(pair_set.query), pair_set.query_camera, pair.query_timestamp_ns),
+        pair.T_query_ref,
+    )
     return Picture(
         path.name,
         pair_set.name,

@@ -53,6 +53,7 @@ class PairSetInventory:
     reference: str
     query: str
     camera: str
+    """of keyframes and queries, ``rear → front`` where they are two"""
     reference_condition: str
     query_condition: str
     pairs: int
@@ -135,7 +136,7 @@ def summarize_pair_set(dataset: Dataset, pair_set: PairSet) -> PairSetInventory:
         name=pair_set.name,
         reference=pair_set.reference,
         query=pair_set.query,
-        camera=pair_set.camera,
+        camera=" → ".join(dict.fromkeys(pair_set.cameras)),
         reference_condition=str(dataset.traversal(pair_set.reference).condition),
         query_condition=str(dataset.traversal(pair_set.query).condition),
         pairs=len(pairs),

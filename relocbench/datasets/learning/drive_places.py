@@ -88,8 +88,8 @@ def _shots(dataset: Dataset) -> Iterator[_Shot]:
     """The images with poses of the split's traversals and cameras, one drive after the other."""
     cameras: dict[str, set[str]] = {}
     for pair_set in dataset.pair_sets(SPLIT):
-        for name in (pair_set.reference, pair_set.query):
-            cameras.setdefault(name, set()).add(pair_set.camera)
+        for name, camera in zip((pair_set.reference, pair_set.query), pair_set.cameras, strict=True):
+            cameras.setdefault(name, set()).add(camera)
     for name in sorted(cameras):
         traversal = dataset.traversal(name)
         for camera in sorted(cameras[name]):

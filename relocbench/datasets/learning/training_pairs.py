@@ -30,7 +30,8 @@ class _Source:
     """One pair set."""
 
     root: Path
-    camera: str
+    cameras: tuple[str, str]
+    """of keyframes and queries"""
     label: PairLabel
     index: CorrespondenceIndex | None
     """None where poses alone are learnt from"""
@@ -56,7 +57,7 @@ class DatasetPairs:
         self._fingerprints: dict[str, str] = {}
         self._sources: list[_Source] = []
         self._entries: list[tuple[int, Pair]] = []
-        self._images: dict[str, tuple[int, str, int]] = {}
+        self._images: dict[str, tuple[int, str, str, int]] = {}
         self._open: dict[tuple[Path, str], Traversal] = {}
         for root in datasets:
             dataset = Dataset(root.resolve())
@@ -85,8 +86,8 @@ class DatasetPairs:
         u_ref, u_query, sigma = source.index.read_visible(key) if source.index else (none, none, None)
         return TrainingPair(
             label=source.label,
-            image_ref=self._image(source, source.label.traversal_ref, key[0]),
-            image_query=self._image(source, source.label.traversal_query, key[1]),
+            image_ref=self._image(source, source.label.traversal_ref, source.cameras[0], key[0]),
+            image_query=self._image(source, source.label.traversal_query, source.cameras[1], key[1]),
             u_ref=u_ref,
             u_query=u_query,
             sigma_px=sigma,
@@ -96,21 +97,20 @@ class DatasetPairs:
         """See ``PosedTrainingData``."""
         number, pair = self._entries[index]
         source = self._sources[number]
-        label = source.label
         if pair.T_query_ref is None:
             raise DatasetError(
                 "the poses of its pairs are withheld, and are what this trainer learns from", source.root
             )
-        ref, query = (_name(label, drive, time) for drive, time in zip(_drives(label), pair.key, strict=True))
+        ref, query = (_name(source.label.dataset, *side) for side in _sides(source, pair))
         return PosedPair(ref, query, pair.T_query_ref)
 
     def view(self, name: str, *, depth: bool) -> TrainingView:
         """See ``PosedTrainingData``."""
-        number, traversal, time = self._images[name]
+        number, traversal, camera, time = self._images[name]
         source = self._sources[number]
-        drive, camera = self._traversal(source, traversal), source.camera
+        drive = self._traversal(source, traversal)
         points = drive.reference(camera, time).points if depth else KeyframePoints(np.zeros((0, 2)), *np.zeros((2, 0)))
-        return TrainingView(self._image(source, traversal, time), drive.camera(camera, time), points)
+        return TrainingView(self._image(source, traversal, camera, time), drive.camera(camera, time), points)
 
     def _add(self, dataset: Dataset, split: str) -> None:
         refuse_test_split(dataset, split)
@@ -128,10 +128,12 @@ class DatasetPairs:
                 dataset=name,
                 traversal_ref=pair_set.reference,
                 traversal_query=pair_set.query,
-                camera=pair_set.camera,
+                camera=pair_set.query_camera,
                 condition_ref=str(dataset.traversal(pair_set.reference).condition),
                 condition_query=str(dataset.traversal(pair_set.query).condition),
+                camera_ref=pair_set.reference_camera if pair_set.reference_camera != pair_set.query_camera else "",
             )
+            source = _Source(dataset.root, pair_set.cameras, label, index)
             kept = [
                 pair
                 for pair in pair_set.pairs
@@ -139,12 +141,12 @@ class DatasetPairs:
             ]
             self._entries += [(len(self._sources), pair) for pair in kept]
             for pair in kept:
-                for drive, time in zip(_drives(label), pair.key, strict=True):
-                    self._images[_name(label, drive, time)] = len(self._sources), drive, time
-            self._sources.append(_Source(dataset.root, pair_set.camera, label, index))
+                for side in _sides(source, pair):
+                    self._images[_name(name, *side)] = len(self._sources), *side
+            self._sources.append(source)
 
-    def _image(self, source: _Source, traversal: str, timestamp_ns: int) -> Image:
-        return as_rgb(self._traversal(source, traversal).image(source.camera, timestamp_ns))
+    def _image(self, source: _Source, traversal: str, camera: str, timestamp_ns: int) -> Image:
+        return as_rgb(self._traversal(source, traversal).image(camera, timestamp_ns))
 
     def _traversal(self, source: _Source, name: str) -> Traversal:
         at = (source.root, name)
@@ -153,13 +155,18 @@ class DatasetPairs:
         return self._open[at]
 
 
-def _drives(label: PairLabel) -> tuple[str, str]:
-    return label.traversal_ref, label.traversal_query
+def _sides(source: _Source, pair: Pair) -> tuple[tuple[str, str, int], tuple[str, str, int]]:
+    """Traversal, camera and time of a pair's keyframe and of its query."""
+    of_keyframes, of_queries = source.cameras
+    return (
+        (source.label.traversal_ref, of_keyframes, pair.ref_timestamp_ns),
+        (source.label.traversal_query, of_queries, pair.query_timestamp_ns),
+    )
 
 
-def _name(label: PairLabel, traversal: str, timestamp_ns: int) -> str:
+def _name(dataset: str, traversal: str, camera: str, timestamp_ns: int) -> str:
     """The name of an image of all datasets."""
-    return f"{label.dataset}/{traversal}/{label.camera}/{timestamp_ns}"
+    return f"{dataset}/{traversal}/{camera}/{timestamp_ns}"
 
 
 def without_only_validation(datasets: Sequence[Path], split: str) -> list[Path]:

@@ -128,15 +128,16 @@ class StreetPlaces:
     def task(self, pair_set: PairSet) -> RetrievalTask:
         """The retrieval task of one pair set. Raises DatasetError."""
         reference, query = self.dataset.traversal(pair_set.reference), self.dataset.traversal(pair_set.query)
-        camera = pair_set.camera
-        keyframes = reference.keyframe_timestamps(camera)
+        keyframes = reference.keyframe_timestamps(pair_set.reference_camera)
         if self.rule == "radius":
             keyframes = [t for t in keyframes if t in reference.poses]
-            times = [t for t in query.timestamps(camera) if t in query.poses]
+            times = [t for t in query.timestamps(pair_set.query_camera) if t in query.poses]
         else:
             times = sorted({p.query_timestamp_ns for p in pair_set.pairs})
         if not keyframes or not times:
-            missing = f"{reference.name} has no keyframe" if not keyframes else f"{query.name} has no image"
+            missing, camera = f"{query.name} has no image", pair_set.query_camera
+            if not keyframes:
+                missing, camera = f"{reference.name} has no keyframe", pair_set.reference_camera
             posed = " with a pose" if self.rule == "radius" else ""
             raise DatasetError(f"{missing} of camera '{camera}'{posed}", self.dataset.layout.pair_file(pair_set.name))
         if self.rule == "radius":
@@ -145,8 +146,8 @@ class StreetPlaces:
             relevance = _paired(pair_set, keyframes, times)
         return RetrievalTask(
             name=pair_set.name,
-            queries=tuple(street_view(query, camera, t) for t in times),
-            gallery=tuple(street_view(reference, camera, t) for t in keyframes),
+            queries=tuple(street_view(query, pair_set.query_camera, t) for t in times),
+            gallery=tuple(street_view(reference, pair_set.reference_camera, t) for t in keyframes),
             relevance=relevance,
             condition_query=str(query.condition),
             condition_gallery=str(reference.condition),
@@ -157,8 +158,11 @@ class StreetPlaces:
     ) -> Relevance:
         check_one_world(pair_set, reference, query, "use --positives pairs")
         at = [
-            np.stack([t.T_world_cam(pair_set.camera, time) for time in of])
-            for t, of in ((query, times), (reference, keyframes))
+            np.stack([t.T_world_cam(camera, time) for time in of])
+            for t, camera, of in (
+                (query, pair_set.query_camera, times),
+                (reference, pair_set.reference_camera, keyframes),
+            )
         ]
         near = relevance_within(at[0][:, :3, 3], at[1][:, :3, 3], self.radius_m)
         if self.heading_deg is None:
@@ -185,7 +189,7 @@ def _paired(pair_set: PairSet, keyframes: list[int], times: list[int]) -> Releva
 def check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal, remedy: str) -> None:
     """Raise DatasetError, with a remedy, if the pairs' poses show that two traversals are in different worlds."""
     some = pair_set.pairs[:: max(1, len(pair_set.pairs) // 100)]
-    apart_m = differences(pair_set.camera, some, reference, query)[:, 0]
+    apart_m = differences(pair_set.cameras, some, reference, query)[:, 0]
     if len(apart_m) and np.median(apart_m) > _ONE_WORLD_M:
         raise DatasetError(
             f"the poses of {query.name} and {reference.name} differ from those of the pairs by "

@@ -29,21 +29,22 @@ class _Unit:
 
     reference: Traversal
     query: Traversal
-    camera: str
+    cameras: tuple[str, str]
+    """of keyframes and queries"""
     pair: Pair
     count: int
     seed: int
 
 
 def _work(unit: _Unit) -> PairCorrespondences:
-    pair, camera = unit.pair, unit.camera
+    pair, (of_keyframes, of_queries) = unit.pair, unit.cameras
     assert pair.T_query_ref is not None
-    entry = unit.query.file.cameras[camera]
-    seen_by = unit.query.camera(camera, pair.query_timestamp_ns)
-    query = DepthView(seen_by, unit.query.depth(camera, pair.query_timestamp_ns), entry.depth_sigma)
+    entry = unit.query.file.cameras[of_queries]
+    seen_by = unit.query.camera(of_queries, pair.query_timestamp_ns)
+    query = DepthView(seen_by, unit.query.depth(of_queries, pair.query_timestamp_ns), entry.depth_sigma)
     rng = np.random.default_rng([unit.seed, *(time % 2**64 for time in pair.key)])
-    reference = unit.reference.reference(camera, pair.ref_timestamp_ns)
-    image = unit.query.image(camera, pair.query_timestamp_ns)
+    reference = unit.reference.reference(of_keyframes, pair.ref_timestamp_ns)
+    image = unit.query.image(of_queries, pair.query_timestamp_ns)
     return pair_correspondences(reference, pair.T_query_ref, query, unit.count, rng, _sigma_pose(pair), image)
 
 
@@ -54,24 +55,35 @@ def _sigma_pose(pair: Pair) -> tuple[float, float] | None:
     return pair.sigma_translation_m, float(np.radians(pair.sigma_rotation_deg))
 
 
-def write_pair_set(job: Build[ImportOptions], reference: str, query: str, camera: str, pairs: Sequence[Pair]) -> None:
+def write_pair_set(
+    job: Build[ImportOptions],
+    reference: str,
+    query: str,
+    camera: str,
+    pairs: Sequence[Pair],
+    query_camera: str = "",
+) -> None:
     """Write a pair set with what the query of each pair sees and, if the options want any, a file of correspondences.
 
     The traversals must have been written before. Pairs of poses alone, and pairs that are rejected, have no pose or
     show different places, get no measures and no correspondences. A set that an earlier run of the
     same build has finished is kept unchanged.
+
+    Args:
+        query_camera: that of the queries, where it is not the keyframes'.
     """
+    cameras = camera, query_camera or camera
     layout, count = job.writer.layout, job.options.correspondences
-    name = pair_set_name(reference, query, camera)
+    name = pair_set_name(reference, query, *cameras)
     ordered = sorted(pairs, key=lambda p: p.key)
     traversals = [Traversal(layout.traversal(t)) for t in (reference, query)]
-    if any(camera in traversal.frames for traversal in traversals):
-        job.writer.pairs(reference, query, camera, ordered)
+    if any(c in traversal.frames for c, traversal in zip(cameras, traversals, strict=True)):
+        job.writer.pairs(reference, query, camera, ordered, query_camera)
         return
     if is_finished(layout, name, ordered, with_correspondences=count > 0):
         return
     measured = [p for p in ordered if p.accepted and p.T_query_ref is not None and not p.is_negative]
-    units = [_Unit(traversals[0], traversals[1], camera, pair, count, job.options.seed) for pair in measured]
+    units = [_Unit(traversals[0], traversals[1], cameras, pair, count, job.options.seed) for pair in measured]
     run = job.run if len(units) >= _WORTH_WORKERS else job.run.single_process()
     with job.reporter.stage(f"correspondences of {name}", len(units)) as advance:
 

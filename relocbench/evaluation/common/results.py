@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
@@ -47,6 +47,9 @@ class PairSetRecord(Strict):
     reference: Name
     query: Name
     camera: Name
+    """of the queries"""
+    reference_camera: Name | None = None
+    """of the keyframes; None where it is the queries'"""
     reference_condition: str
     query_condition: str
     pairs: Count
@@ -60,6 +63,14 @@ class PairSetRecord(Strict):
     median_angle_deg: float | None = None
     median_sigma_translation_m: float | None = None
     median_sigma_rotation_deg: float | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_usual_camera(self, usual: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Records of sets of one camera are written as earlier versions did."""
+        values: dict[str, Any] = usual(self)
+        if self.reference_camera is None:
+            values.pop("reference_camera", None)
+        return values
 
     @property
     def asked(self) -> int:
@@ -284,7 +295,8 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
     return PairSetRecord(
         reference=pair_set.reference,
         query=pair_set.query,
-        camera=pair_set.camera,
+        camera=pair_set.query_camera,
+        reference_camera=pair_set.reference_camera if pair_set.reference_camera != pair_set.query_camera else None,
         reference_condition=str(dataset.traversal(pair_set.reference).condition),
         query_condition=str(dataset.traversal(pair_set.query).condition),
         pairs=len(pairs),

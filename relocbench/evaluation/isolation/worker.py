@@ -23,7 +23,7 @@ from typing import IO, Any, Generic, TypeVar
 import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.traversal import Traversal
@@ -62,7 +62,8 @@ class Unit:
     dataset: Path
     reference: str
     query: str
-    camera: str
+    reference_camera: str
+    query_camera: str
     keys: tuple[PairKey, ...]
     journal: Path
     visibility: Visibility
@@ -72,7 +73,12 @@ class Unit:
     """whether frames around a keyframe may be shown, with their true poses"""
 
     def __str__(self) -> str:
-        return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
+        return f"{self.spec.label} on {self.pair_set}, pair {self.keys[0]}"
+
+    @property
+    def pair_set(self) -> str:
+        """The name of the pair set."""
+        return pair_set_name(self.reference, self.query, self.reference_camera, self.query_camera)
 
 
 def visibility_of(spec: MethodSpec, run: Run) -> Visibility:
@@ -99,7 +105,7 @@ def units_of(
         rng = _rng(f"{seed} {dataset.fingerprint} {pair_set.name}")
         by_keyframe = [[group[i] for i in rng.permutation(len(group))] for group in by_keyframe]
         by_keyframe = [by_keyframe[i] for i in rng.permutation(len(by_keyframe))]
-    common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
+    common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, *pair_set.cameras)
     # Where a set asks the keyframe's drive for its queries, the frames around a keyframe are the answers there.
     asked = any(one.query == pair_set.reference for one in dataset.pair_sets())
     return [
@@ -119,14 +125,14 @@ def show_keyframe(unit: Unit, tracker: TrackerHandle) -> str | None:
         return tracker.declared.fault
     traversal = traversal_of(unit.dataset, unit.reference)
     neighbours = tracker.declared.neighbours if unit.shows_neighbours else 0
-    keyframe = traversal.reference(unit.camera, unit.keys[0][0], neighbours)
+    keyframe = traversal.reference(unit.reference_camera, unit.keys[0][0], neighbours)
     with step(PREPARE, unit.keys, MANY_TIMES):
         return tracker.prepare(masked_reference(keyframe, unit.visibility.times))
 
 
 def query_of(unit: Unit, key: PairKey) -> Query:
     """The query of a pair as the tracker sees it. Raises DatasetError."""
-    query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
+    query = traversal_of(unit.dataset, unit.query).query(unit.query_camera, key[1])
     return masked_query(query, unit.visibility.times)
 
 
@@ -201,7 +207,7 @@ def time_factor(function: str, unit: Unit, pairs: int = 1) -> float:
     return MANY_TIMES if first else min(float(pairs), MANY_TIMES)
 
 
-_trackers: dict[tuple[str, str, Path, str, str, str], TrackerHandle] = {}
+_trackers: dict[tuple[str, str, Path, str], TrackerHandle] = {}
 """the tracker of this process, by what it is and by the pair set that it is asked about"""
 
 
@@ -211,7 +217,7 @@ def tracker_of(unit: Unit) -> TrackerHandle:
     What it saw in one pair set it must not remember in the next, where a drive that was the map may be asked: its
     process ends with the set, and its home and temporary files with it.
     """
-    known = repr(unit.spec), repr(unit.visibility), unit.dataset, unit.reference, unit.query, unit.camera
+    known = repr(unit.spec), repr(unit.visibility), unit.dataset, unit.pair_set
     if known not in _trackers:
         _trackers.clear()
         _called.clear()
@@ -394,8 +400,8 @@ def loss_message(loss: Loss, where: str) -> str:
 
 
 def _keyframe(unit: Unit) -> Hashable:
-    return unit.reference, unit.camera, unit.keys[0][0]
+    return unit.reference, unit.reference_camera, unit.keys[0][0]
 
 
 def _pair(unit: Unit, key: PairKey) -> Hashable:
-    return unit.reference, unit.query, unit.camera, key
+    return unit.pair_set, key

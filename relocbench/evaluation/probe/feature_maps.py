@@ -105,7 +105,7 @@ def places_of(dataset: Dataset, pair_sets: Sequence[PairSet], count: int) -> lis
     for pair_set in pair_sets:
         condition = str(dataset.traversal(pair_set.query).condition)
         for pair in pair_set.pairs:
-            nearest = looked_at.setdefault((pair_set.reference, pair_set.camera, pair.ref_timestamp_ns), {})
+            nearest = looked_at.setdefault((pair_set.reference, pair_set.reference_camera, pair.ref_timestamp_ns), {})
             distance = float(np.linalg.norm(pair.T_query_ref[:3, 3])) if pair.T_query_ref is not None else np.inf
             if condition not in nearest or distance < nearest[condition][0]:
                 nearest[condition] = (distance, pair_set, pair)

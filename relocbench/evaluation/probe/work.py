@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.writer import versions
@@ -171,19 +171,18 @@ def _probe_unit(unit: ProbeUnit) -> int:
 def _ask(unit: ProbeUnit, key: PairKey, tracker: TrackerHandle | None) -> tuple[list[Tally], str]:
     task = unit.task
     query = query_of(unit, key)
-    name = pair_set_name(unit.reference, unit.query, unit.camera)
     tallies: list[Tally] = []
     messages: list[str] = []
-    correspondences = DatasetLayout(unit.dataset).correspondence_file(name)
+    correspondences = DatasetLayout(unit.dataset).correspondence_file(unit.pair_set)
     if task.pixels and correspondences.exists():
         from relocbench.datasets.pairs.correspondence_file import read_correspondences  # needs pyarrow
 
-        image = traversal_of(unit.dataset, unit.reference).image(unit.camera, key[0])
+        image = traversal_of(unit.dataset, unit.reference).image(unit.reference_camera, key[0])
         known = with_structure(read_correspondences(correspondences, key), image, task.structured)
         with step("", (key,), MANY_TIMES):  # one call for the pixels, and one for each level
             found, message = probe_pixels(tracker, query, known, key, task.most_pixels, task.seed)
         tallies, messages = tallies + found, [*messages, message]
-    truth = _pair_set(unit.dataset, name).by_key[key].T_query_ref
+    truth = _pair_set(unit.dataset, unit.pair_set).by_key[key].T_query_ref
     if task.keyframe:
         assert truth is not None
         with step("", (key,), task.directions + 2):

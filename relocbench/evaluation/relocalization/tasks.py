@@ -75,7 +75,7 @@ def _times(images: tuple[ImageView, ...]) -> list[int]:
 def _record(dataset: Dataset, task: RetrievalTask, truth: MapTruth) -> PipelineTask:
     pair_set = truth.pair_set
     traversal = dataset.traversal(pair_set.reference)
-    images = len(dataset.traversal(pair_set.query).timestamps(pair_set.camera))
+    images = len(dataset.traversal(pair_set.query).timestamps(pair_set.query_camera))
     metres, degrees = truth.reach
     return PipelineTask(
         queries=len(task.queries),

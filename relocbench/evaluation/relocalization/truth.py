@@ -40,7 +40,7 @@ class MapTruth:
         unknown = np.full((4, 4), np.nan)
         known = traversal.poses
         self._T_world_ref = np.array(
-            [traversal.T_world_cam(pair_set.camera, t) if t in known else unknown for t in keyframe_times]
+            [traversal.T_world_cam(pair_set.reference_camera, t) if t in known else unknown for t in keyframe_times]
         ).reshape(-1, 4, 4)
         place = {time: index for index, time in enumerate(keyframe_times)}
         self._paired: dict[int, list[tuple[int, Array]]] = {time: [] for time in query_times}

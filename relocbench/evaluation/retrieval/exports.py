@@ -69,7 +69,7 @@ def export_lists(
 def _export(dataset: Dataset, pair_set: str, folder: RetrieverResults, out: Path, top: int) -> ExportedList:
     chosen = dataset.pair_set(pair_set)
     reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
-    asked, gallery = _times(query, chosen.camera), _times(reference, chosen.camera)
+    asked, gallery = _times(query, chosen.query_camera), _times(reference, chosen.reference_camera)
     keyframes = list(gallery.values())
     lists = read_lists(folder.predictions(pair_set), asked, {key: index for index, key in enumerate(gallery)})
     lines, unanswered, answers = [], 0, read_answers(folder.answers(pair_set))
@@ -78,8 +78,9 @@ def _export(dataset: Dataset, pair_set: str, folder: RetrieverResults, out: Path
             raise PredictionError(f"unknown query {quoted(answer.query)}", folder.answers(pair_set))
         retrieved = lists[answer.query][:top]
         unanswered += not retrieved
-        name = listed_name(query, chosen.camera, asked[answer.query])
-        lines += [f"{name} {listed_name(reference, chosen.camera, keyframes[index])}\n" for index in retrieved]
+        name = listed_name(query, chosen.query_camera, asked[answer.query])
+        shown = [listed_name(reference, chosen.reference_camera, keyframes[index]) for index in retrieved]
+        lines += [f"{name} {keyframe}\n" for keyframe in shown]
     write_text(out, "".join(lines))
     return ExportedList(out, len(answers), unanswered)
 

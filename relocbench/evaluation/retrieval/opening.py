@@ -116,7 +116,7 @@ def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) ->
 
 def _tell_left_out(places: StreetPlaces, task: RetrievalTask, reporter: Reporter) -> None:
     pair_set = places.dataset.pair_set(task.name)
-    times = places.dataset.traversal(pair_set.query).timestamps(pair_set.camera)
+    times = places.dataset.traversal(pair_set.query).timestamps(pair_set.query_camera)
     if len(times) > len(task.queries):
         why = "are in no pair" if places.rule == "pairs" else "have no pose"
         reporter.note(

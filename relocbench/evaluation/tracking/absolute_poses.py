@@ -53,7 +53,7 @@ def query_poses(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine]
         QueryPose(
             time,
             line.ref_timestamp_ns,
-            reference.T_world_cam(chosen.camera, line.ref_timestamp_ns) @ invert(_pose(line)),
+            reference.T_world_cam(chosen.reference_camera, line.ref_timestamp_ns) @ invert(_pose(line)),
         )
         for time, line in sorted(best.items())
     ]

@@ -48,8 +48,9 @@ def export_blind(keys: BlindKeys, out: Path, reporter: Reporter) -> Dataset:
             )
     recipe = {"kind": KIND, "options": {"name": str(keys.name)}}
     writer = DatasetWriter(out, str(keys.name), recipe, dataset.file.licence)
-    keyframes = {(s.reference, s.camera, p.ref_timestamp_ns) for s in dataset.pair_sets() for p in s.evaluated}
-    queries = {(s.query, s.camera, p.query_timestamp_ns) for s in dataset.pair_sets() for p in s.evaluated}
+    sets = dataset.pair_sets()
+    keyframes = {(s.reference, s.reference_camera, p.ref_timestamp_ns) for s in sets for p in s.evaluated}
+    queries = {(s.query, s.query_camera, p.query_timestamp_ns) for s in sets for p in s.evaluated}
     images = {keys.key(*image): image for image in keyframes | queries}
     own: dict[tuple[str, str], dict[int, Camera]] = defaultdict(dict)
     with reporter.stage("blind export", len(images)) as advance:
@@ -68,9 +69,10 @@ def export_blind(keys: BlindKeys, out: Path, reporter: Reporter) -> Dataset:
         writer.traversal(_description(drive, dataset.traversal(name), {c: keys.cameras[c] for c in cameras}), {})
     for place, by_key in own.items():
         writer.intrinsics(*place, by_key)
-    for s in dataset.pair_sets():
+    for s in sets:
         blind = [Pair(*key, T_query_ref=None) for key in keys.pairs(s)]
-        writer.pairs(keys.drives[s.reference], keys.drives[s.query], keys.cameras[s.camera], blind)
+        of_keyframes, of_queries = (keys.cameras[camera] for camera in s.cameras)
+        writer.pairs(keys.drives[s.reference], keys.drives[s.query], of_keyframes, blind, of_queries)
     return writer.finish({KIND: sorted(map(keys.pair_set, dataset.pair_sets()))})
 
 

@@ -40,12 +40,12 @@ class BlindKeys:
     @cached_property
     def cameras(self) -> dict[str, str]:
         """The cameras of all pair sets -> what they are called."""
-        return self._secret.numbered("camera", (s.camera for s in self.dataset.pair_sets()))
+        return self._secret.numbered("camera", (c for s in self.dataset.pair_sets() for c in s.cameras))
 
     def pair_set(self, pair_set: PairSet) -> str:
         """What a pair set is called."""
         drives = self.drives[pair_set.reference], self.drives[pair_set.query]
-        return pair_set_name(*drives, self.cameras[pair_set.camera])
+        return pair_set_name(*drives, *(self.cameras[camera] for camera in pair_set.cameras))
 
     def key(self, traversal: str, camera: str, timestamp_ns: int) -> int:
         """The key of an image, from 0 to 2^62."""
@@ -55,6 +55,6 @@ class BlindKeys:
         """The evaluated pairs: keys of keyframe and query -> their times."""
         s = pair_set
         return {
-            (self.key(s.reference, s.camera, ref), self.key(s.query, s.camera, query)): (ref, query)
+            (self.key(s.reference, s.reference_camera, ref), self.key(s.query, s.query_camera, query)): (ref, query)
             for ref, query in s.by_key
         }

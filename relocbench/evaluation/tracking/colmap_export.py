@@ -29,13 +29,15 @@ def export_colmap(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLin
     poses = query_poses(dataset, pair_set, predictions)
     chosen = dataset.pair_set(pair_set)
     reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
-    model = _ColmapModel(chosen.camera)
+    model = _ColmapModel()
     keyframes = sorted({p.ref_timestamp_ns for p in poses})
     for time in keyframes:
-        model.add_image(reference, time, reference.T_world_cam(chosen.camera, time), with_points=True)
+        camera = chosen.reference_camera
+        model.add_image(reference, camera, time, reference.T_world_cam(camera, time), with_points=True)
+    as_in_map = query.name == reference.name and chosen.query_camera == chosen.reference_camera
     for pose in poses:
-        if query.name != reference.name or pose.query_timestamp_ns not in keyframes:
-            model.add_image(query, pose.query_timestamp_ns, pose.T_world_query, with_points=False)
+        if not as_in_map or pose.query_timestamp_ns not in keyframes:
+            model.add_image(query, chosen.query_camera, pose.query_timestamp_ns, pose.T_world_query, with_points=False)
     write_text(out / "cameras.txt", "".join(line + "\n" for line in model.cameras.values()))
     write_text(out / "images.txt", "".join(line + "\n" for line in model.images))
     write_text(out / "points3D.txt", "".join(line + "\n" for line in model.points))
@@ -60,26 +62,24 @@ def colmap_camera(camera: Camera) -> str:
 class _ColmapModel:
     """The lines of the three text files of a model."""
 
-    def __init__(self, camera: str) -> None:
-        self.camera = camera
+    def __init__(self) -> None:
         self.cameras: dict[Camera, str] = {}
         self.images: list[str] = []
         self.points: list[str] = []
 
-    def add_image(self, traversal: Traversal, time: int, T_world_cam: Array, *, with_points: bool) -> None:
+    def add_image(self, traversal: Traversal, camera: str, time: int, T_world_cam: Array, *, with_points: bool) -> None:
         """Add an image: its pose on one line, its points on the next."""
         image_id = len(self.images) // 2 + 1
-        name = stored_name(traversal, self.camera, time)
+        name = stored_name(traversal, camera, time)
         translation, (qx, qy, qz, qw) = transform_to_tq(invert(T_world_cam))
         pose = " ".join(map(digits, (qw, qx, qy, qz, *translation)))
-        camera = traversal.camera(self.camera, time)
-        self.images.append(f"{image_id} {pose} {self._camera_id(camera)} {name}")
-        seen = self._add_points(traversal, time, T_world_cam, image_id) if with_points else []
+        self.images.append(f"{image_id} {pose} {self._camera_id(traversal.camera(camera, time))} {name}")
+        seen = self._add_points(traversal, camera, time, T_world_cam, image_id) if with_points else []
         self.images.append(" ".join(seen))
 
-    def _add_points(self, traversal: Traversal, time: int, T_world_cam: Array, image_id: int) -> list[str]:
+    def _add_points(self, traversal: Traversal, camera: str, time: int, T_world_cam: Array, image_id: int) -> list[str]:
         """Add the sparse points of a keyframe, each observed by it alone; returns their entries on the image's line."""
-        in_world, pixels = points_in_world(traversal, self.camera, time, T_world_cam)
+        in_world, pixels = points_in_world(traversal, camera, time, T_world_cam)
         entries = []
         for index, (point, (u, v)) in enumerate(zip(in_world, pixels, strict=True)):
             point_id = len(self.points) + 1

@@ -131,12 +131,12 @@ def export_hloc(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine]
     poses = query_poses(dataset, pair_set, predictions)
     chosen = dataset.pair_set(pair_set)
     reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
-    named = {listed_name(query, chosen.camera, p.query_timestamp_ns): invert(p.T_world_query) for p in poses}
+    named = {listed_name(query, chosen.query_camera, p.query_timestamp_ns): invert(p.T_world_query) for p in poses}
     write_named_poses(out / "poses.txt", named)
     lines = []
     for pair in sorted(chosen.pairs, key=lambda p: (p.query_timestamp_ns, p.ref_timestamp_ns)):
-        asked = listed_name(query, chosen.camera, pair.query_timestamp_ns)
-        lines.append(f"{asked} {listed_name(reference, chosen.camera, pair.ref_timestamp_ns)}\n")
+        asked = listed_name(query, chosen.query_camera, pair.query_timestamp_ns)
+        lines.append(f"{asked} {listed_name(reference, chosen.reference_camera, pair.ref_timestamp_ns)}\n")
     write_text(out / "pairs.txt", "".join(lines))
     return len(poses)
 

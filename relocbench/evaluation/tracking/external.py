@@ -132,7 +132,8 @@ def read_named_predictions(path: Path, dataset: Dataset, pair_set: PairSet) -> d
         poses[times[0]] = scaled
     reference = dataset.traversal(pair_set.reference)
     return {
-        pair.key: poses[pair.query_timestamp_ns] @ reference.T_world_cam(pair_set.camera, pair.ref_timestamp_ns)
+        pair.key: poses[pair.query_timestamp_ns]
+        @ reference.T_world_cam(pair_set.reference_camera, pair.ref_timestamp_ns)
         for pair in pair_set.evaluated
         if pair.query_timestamp_ns in poses
     }

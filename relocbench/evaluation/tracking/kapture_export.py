@@ -46,10 +46,10 @@ def export_kapture(
     reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
     keyframes = sorted({pair.ref_timestamp_ns for pair in chosen.pairs})
     queries = sorted({pair.query_timestamp_ns for pair in chosen.pairs})
-    mapping, asked = (_Folder(out / name, chosen.camera) for name in ("mapping", "query"))
+    mapping, asked = _Folder(out / "mapping", chosen.reference_camera), _Folder(out / "query", chosen.query_camera)
     with reporter.stage(f"images of {pair_set}", len(keyframes) + len(queries)) as advance:
         for time in keyframes:
-            T_world_cam = reference.T_world_cam(chosen.camera, time)
+            T_world_cam = reference.T_world_cam(chosen.reference_camera, time)
             mapping.add_image(reference, time, T_world_cam)
             mapping.add_depth(reference, time, T_world_cam)
             advance(1)

@@ -17,7 +17,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.pairs.correspondences import Correspondences
@@ -202,9 +202,8 @@ def _match_unit(unit: Unit) -> int:
 def _starts(unit: Unit, key: PairKey) -> Starts:
     from relocbench.datasets.pairs.correspondence_file import read_correspondences  # needs pyarrow
 
-    name = pair_set_name(unit.reference, unit.query, unit.camera)
-    known = read_correspondences(_correspondence_file(unit.dataset, name), key)
-    return draw_starts(known, traversal_of(unit.dataset, unit.query).camera(unit.camera, key[1]), key)
+    known = read_correspondences(_correspondence_file(unit.dataset, unit.pair_set), key)
+    return draw_starts(known, traversal_of(unit.dataset, unit.query).camera(unit.query_camera, key[1]), key)
 
 
 def _correspondence_file(dataset: Path, pair_set: str) -> Path:

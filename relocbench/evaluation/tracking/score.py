@@ -161,11 +161,11 @@ def _reprojection_errors(pair_set: PairSet, T_pred: Array, T_gt: Array, answered
     """The virtual correspondence reprojection errors (N,) as shares of the diagonal; NaN for frames without images."""
     drive = pair_set.query_traversal
     out = np.full(len(T_gt), np.nan)
-    if pair_set.camera in drive.frames:
+    if pair_set.query_camera in drive.frames:
         return out
     rows_of: dict[Camera, list[int]] = {}
     for row, pair in enumerate(pair_set.evaluated):
-        rows_of.setdefault(drive.camera(pair_set.camera, pair.query_timestamp_ns), []).append(row)
+        rows_of.setdefault(drive.camera(pair_set.query_camera, pair.query_timestamp_ns), []).append(row)
     for camera, rows in rows_of.items():
         out[rows] = reprojection_errors(T_pred[rows], T_gt[rows], camera, answered[rows])
     return out

@@ -132,7 +132,7 @@ def _evenly(pairs: Sequence[_ValidationPair], count: int, seed: int) -> list[_Va
 
 
 def _keyframe(pair: _ValidationPair) -> tuple[str, str, str, int]:
-    return str(pair.dataset.root), pair.pair_set.reference, pair.pair_set.camera, pair.pair.ref_timestamp_ns
+    return str(pair.dataset.root), pair.pair_set.reference, pair.pair_set.reference_camera, pair.pair.ref_timestamp_ns
 
 
 def _scores(errors: PoseErrors, chosen: Any) -> dict[str, float]:

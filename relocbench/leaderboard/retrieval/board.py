@@ -229,7 +229,7 @@ def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
 
     A task with part of another one's queries (``drone-satellite__Rain``) counts only among its conditions.
     """
-    whole = [name for name in tasks if not _is_part(name, tasks)]
+    whole = [name for name in tasks if not is_part(name, tasks)]
     out = {"mean over all tasks": tuple(whole)}
     tables: tuple[tuple[str, Callable[[TaskRecord], str], list[str]], ...] = (
         ("direction", lambda r: r.direction, whole),
@@ -256,9 +256,9 @@ def check_plausible(table: RetrievalTable) -> None:
                 raise PredictionError(f"{row.method.label} on {table.name}: {fault}")
 
 
-def _is_part(name: str, tasks: Mapping[str, TaskRecord]) -> bool:
-    whole = name.rpartition("__")[0]
-    return whole in tasks
+def is_part(name: str, tasks: Mapping[str, TaskRecord]) -> bool:
+    """Whether a task asks part of another one's queries; names of pair sets, of one view, may begin alike."""
+    return name.rpartition("__")[0] in tasks and tasks[name].view_query != tasks[name].view_gallery
 
 
 def _rule_differs(record: SetRecord, other: SetRecord) -> str:

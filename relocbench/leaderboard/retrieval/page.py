@@ -21,6 +21,7 @@ from relocbench.leaderboard.retrieval.board import (
     chance_of,
     confirmed_of,
     has_single_positives,
+    is_part,
 )
 from relocbench.leaderboard.retrieval.columns import PAGE, lines_of, retrieval_columns
 from relocbench.leaderboard.tracking.method import machine_words
@@ -55,7 +56,7 @@ def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
     words = ["relocbench", "evaluate-retrieval", "--dataset", "DATASET", "--out", "RESULTS"]
     for key, value in asked.options.items():
         words += [f"--{key}", f"{value:g}" if isinstance(value, float) else value]
-    words += ["--by-condition"] if any(name.rpartition("__")[0] in asked.tasks for name in asked.tasks) else []
+    words += ["--by-condition"] if any(is_part(name, asked.tasks) for name in asked.tasks) else []
     words += method_words(run)
     return shlex.join(
         [*words, "--keep", str(run.keep)] if run.keep and not run.target.startswith(PREDICTIONS) else words

@@ -49,13 +49,13 @@ def test_the_same_pairs_are_asked_of_the_same_pixels(town: Dataset, blind: Datas
         assert {p.key for p in theirs.evaluated} == set(keys.pairs(pair_set))
         for pair in theirs.evaluated:
             ref, query = keys.pairs(pair_set)[pair.key]
-            ours = town.traversal(pair_set.reference).reference(pair_set.camera, ref)
+            ours = town.traversal(pair_set.reference).reference(pair_set.reference_camera, ref)
             reference = blind.reference(theirs, pair)
             assert np.array_equal(reference.image, ours.image)
             assert np.array_equal(reference.inverse_depth_map, ours.inverse_depth_map)
             assert (reference.camera, reference.depth_sigma) == (ours.camera, ours.depth_sigma)
             image = blind.query(theirs, pair).image
-            assert np.array_equal(image, town.traversal(pair_set.query).image(pair_set.camera, query))
+            assert np.array_equal(image, town.traversal(pair_set.query).image(pair_set.query_camera, query))
 
 
 def test_no_file_tells_a_time_a_pose_a_name_or_a_path(town: Dataset, blind: Dataset) -> None:

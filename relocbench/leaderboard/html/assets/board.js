@@ -144,7 +144,7 @@
   }
 
   function drawHeat() {
-    const inTable = current().tasks, whole = (name) => name.slice(0, Math.max(0, name.lastIndexOf("__")));
+    const inTable = current().tasks, whole = (name) => set.tasks[name].part_of;
     const names = Object.keys(set.tasks).filter((name) => inTable.includes(name) || inTable.includes(whole(name)));
     const drawn = names.filter((name) => set.tasks[name].has_conditions && !names.some((part) => whole(part) === name));
     const a = $("heat-a").value, b = $("heat-b").value, tableOf = (name) => set.tables.find((t) => t.tasks.length === 1 && t.tasks[0] === name && !t.total && t.group === "all");

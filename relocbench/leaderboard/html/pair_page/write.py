@@ -183,14 +183,14 @@ def _cameras(
 ) -> dict[int, tuple[Camera, Camera]]:
     """The cameras of the keyframe and the query of pairs with pictures, by their places."""
     reference, query = known.traversal(pair_set.reference), known.traversal(pair_set.query)
-    camera = pair_set.camera
-    return {p: (reference.camera(camera, keys[p][0]), query.camera(camera, keys[p][1])) for p in shown}
+    cameras = pair_set.cameras
+    return {p: (reference.camera(cameras[0], keys[p][0]), query.camera(cameras[1], keys[p][1])) for p in shown}
 
 
 def _camera_axes(known: Dataset, pair_set: PairSet) -> Array:
     """(4, 4) from the axes of a camera, in which the page draws poses from above, to those of a frame."""
     reference = known.traversal(pair_set.reference)
-    poses = np.array(list(reference.poses.values())).reshape(-1, 4, 4) @ reference.T_rig_cam(pair_set.camera)
+    poses = np.array(list(reference.poses.values())).reshape(-1, 4, 4) @ reference.T_rig_cam(pair_set.reference_camera)
     return make_transform(R_frame_camera(poses), np.zeros(3))
 
 
@@ -206,8 +206,8 @@ def _poses(poses: Sequence[Array | None], axes: Array | None) -> dict[str, str]:
 def _folders(pair_set: PairSet) -> dict[str, str]:
     """The part of the keys of pictures that is the same for all keyframes, and for all queries."""
     return {
-        "reference": links.file_id(f"{pair_set.reference}__{pair_set.camera}"),
-        "query": links.file_id(f"{pair_set.query}__{pair_set.camera}"),
+        "reference": links.file_id(f"{pair_set.reference}__{pair_set.reference_camera}"),
+        "query": links.file_id(f"{pair_set.query}__{pair_set.query_camera}"),
     }
 
 
@@ -216,8 +216,8 @@ def _jobs(dataset: DatasetBoard, known: Dataset, name: str, keys: Iterable[PairK
     of_set, pair_set = links.set_id(dataset.entry.record), known.pair_set(name)
     wanted: set[_Picture] = set()
     for reference_ns, query_ns in keys:
-        wanted.add(_Picture(pair_set.reference, pair_set.camera, reference_ns, True))
-        wanted.add(_Picture(pair_set.query, pair_set.camera, query_ns, False))
+        wanted.add(_Picture(pair_set.reference, pair_set.reference_camera, reference_ns, True))
+        wanted.add(_Picture(pair_set.query, pair_set.query_camera, query_ns, False))
     jobs = [_Job(known, site, of_set, picture) for picture in sorted(wanted)]
     return {site / links.data_file(_key(job, "depths" if job.picture.is_keyframe else "images")): job for job in jobs}
 

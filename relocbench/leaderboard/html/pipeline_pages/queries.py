@@ -113,13 +113,13 @@ class LocatedQueries:
             return {}
         known, dataset = self._truth.truth(self._name), self._truth.dataset
         drives = [dataset.traversal(n) for n in (known.pair_set.reference, known.pair_set.query)]
-        camera = known.pair_set.camera
+        of_keyframes, of_queries = known.pair_set.cameras
         out = {}
         for row in chosen:
             query = known.query_times.index(self._times[row])
             indices = {*known.oracle(query, 1), *(k for of in self._halves.values() for k in of.keyframes(query))}
-            keyframes = [street_view(drives[0], camera, known.keyframe_times[k]) for k in sorted(indices)]
-            out[row] = [street_view(drives[1], camera, self._times[row]), *keyframes]
+            keyframes = [street_view(drives[0], of_keyframes, known.keyframe_times[k]) for k in sorted(indices)]
+            out[row] = [street_view(drives[1], of_queries, self._times[row]), *keyframes]
         return out
 
 

@@ -15,7 +15,7 @@ from relocbench.leaderboard.html import links
 from relocbench.leaderboard.html.query_pages import QueryPages
 from relocbench.leaderboard.html.query_tables import ANSWER_COLUMNS, columns_payload, table_payload, view_of
 from relocbench.leaderboard.html.retrieval_pages.queries import RankedQueries
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard, RetrievalTable, Retriever
+from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalSetBoard, RetrievalTable, Retriever, is_part
 from relocbench.leaderboard.retrieval.columns import CHANCE, PAGE, RetrievalColumn, lines_of, retrieval_columns
 from relocbench.leaderboard.retrieval.page import not_above_chance
 from relocbench.leaderboard.tracking.marks import made_elsewhere
@@ -130,6 +130,7 @@ def _task(record: SetRecord, name: str) -> dict[str, Any]:
         "query": _shown_as(task, task.view_query, task.condition_query),
         "gallery": _shown_as(task, task.view_gallery, task.condition_gallery),
         "has_conditions": bool(task.condition_query or task.condition_gallery),
+        "part_of": name.rpartition("__")[0] if is_part(name, record.tasks) else None,
     }
 
 

@@ -247,8 +247,11 @@ def distances_of(truth: RetrievalTruth | None, name: str) -> Distances | None:
     task, pair_set = truth.tasks[name], places.dataset.pair_set(name)
     if places.rule == "radius":
         query, gallery = (
-            _centres(places, traversal, pair_set.camera, images)
-            for traversal, images in ((pair_set.query, task.queries), (pair_set.reference, task.gallery))
+            _centres(places, *side)
+            for side in (
+                (pair_set.query, pair_set.query_camera, task.queries),
+                (pair_set.reference, pair_set.reference_camera, task.gallery),
+            )
         )
         return Distances(task, np.stack([_lengths(gallery - centre) for centre in query]))
     if not pair_set.has_truth:

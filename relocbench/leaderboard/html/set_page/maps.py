@@ -139,7 +139,7 @@ class Maps:
         out = {**self._placed(world, self._beside_keyframes(pair_set, keys)), "own": None}
         if own != world:
             poses = self._dataset.traversal(pair_set.query).poses
-            T_rig_cam = self._dataset.traversal(pair_set.query).T_rig_cam(pair_set.camera)
+            T_rig_cam = self._dataset.traversal(pair_set.query).T_rig_cam(pair_set.query_camera)
             centre = T_rig_cam[:, 3]
             known = [poses[query] @ centre if query in poses else np.full(4, np.nan) for _, query in keys]
             out["own"] = self._placed(own, np.array(known).reshape(-1, 4)[:, :3])
@@ -156,7 +156,7 @@ class Maps:
         known = [i for i, key in enumerate(keys) if key[0] in poses and key in pairs]
         known = [i for i in known if pairs[keys[i]].T_query_ref is not None]
         T_world_ref = np.array([poses[keys[i][0]] for i in known]).reshape(-1, 4, 4) @ reference.T_rig_cam(
-            pair_set.camera
+            pair_set.reference_camera
         )
         T_query_ref = np.array([pairs[keys[i]].T_query_ref for i in known], dtype=np.float64).reshape(-1, 4, 4)
         out = np.full((len(keys), 3), np.nan)
@@ -172,7 +172,11 @@ class Maps:
     def _poses(self, name: str) -> Array:
         """(N, 4, 4) ``T_world_cam`` of a traversal, of the camera or frame of its first pair set, in camera axes."""
         traversal = self._dataset.traversal(name)
-        camera = next(s.camera for s in self._sets if name in (s.reference, s.query))
+        camera = next(
+            s.reference_camera if name == s.reference else s.query_camera
+            for s in self._sets
+            if name in (s.reference, s.query)
+        )
         poses = np.array(list(traversal.poses.values())).reshape(-1, 4, 4) @ traversal.T_rig_cam(camera)
         return with_camera_axes(poses) if camera in traversal.frames else np.asarray(poses)
 
