@@ -23,6 +23,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.layout import pair_set_parts
 from relocbench.errors import MethodError
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
 from relocbench.evaluation.tables.records import ALL, NUMBERS, ErrorTable, MatchingRow, PairErrors
@@ -169,12 +170,13 @@ def _truth_check(row: dict[str, str]) -> TruthCheck:
 
 
 def _pair_set(row: dict[str, str], groups: tuple[str, ...]) -> PairSetRecord:
-    reference, query, camera = row["pair_set"].split("__")
+    reference, query, of_keyframes, of_queries = pair_set_parts(row["pair_set"])
     medians = ("distance_m", "angle_deg", "sigma_translation_m", "sigma_rotation_deg")
     return PairSetRecord(
         reference=reference,
         query=query,
-        camera=camera,
+        camera=of_queries,
+        reference_camera=of_keyframes if of_keyframes != of_queries else None,
         reference_condition=row["reference_condition"],
         query_condition=row["query_condition"],
         pairs=int(row["pairs"]),

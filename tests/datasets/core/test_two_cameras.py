@@ -23,11 +23,13 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.datasets.pairs.visibility import warp
 from relocbench.evaluation.common.results import dataset_record
+from relocbench.evaluation.retrieval.records import TaskRecord
 from relocbench.evaluation.tracking.absolute_poses import query_poses
 from relocbench.evaluation.tracking.blind_keys import BlindKeys
 from relocbench.evaluation.tracking.colmap_export import export_colmap
 from relocbench.evaluation.tracking.exports import export_hloc, truth_lines
 from relocbench.evaluation.tracking.kapture_export import export_kapture
+from relocbench.leaderboard.retrieval.board import is_part
 from relocbench.progress import Silent
 
 
@@ -148,8 +150,22 @@ def test_inspection_pages_and_pictures_are_made(two: Dataset, tmp_path: Path) ->
     assert told.status == 0, told.err
     words = ("--dataset", two.root, "--out", tmp_path / "results", "--quiet", "--workers", 1)
     assert relocbench("evaluate", "--method", "identity,orb-pnp", *words).status == 0
-    words = ("--dataset", two.root, "--html", "--out", tmp_path / "site", "--quiet")
-    told = relocbench("leaderboard", tmp_path / "results", *words)
+    site = ("--dataset", two.root, "--html", "--out", tmp_path / "site", "--quiet")
+    told = relocbench("leaderboard", tmp_path / "results", *site)
     assert told.status == 0, told.err
     folders = {path.name for path in (tmp_path / "site").glob("**/images/*/*") if path.is_dir()}
     assert {re.sub(r"^.*__", "", name) for name in folders} >= {"near", "far"}
+
+
+def test_a_set_across_cameras_is_no_part_of_the_set_of_its_first_camera() -> None:
+    """Tasks of cross-view sets have parts by condition, whose names begin with the whole one's."""
+
+    def task(query: str, gallery: str) -> TaskRecord:
+        return TaskRecord(
+            queries=1, gallery=1, without_positives=0, most_positives=1, view_query=query, view_gallery=gallery
+        )
+
+    along_streets = dict.fromkeys((SAME, ACROSS), task("street", "street"))
+    assert not any(is_part(name, along_streets) for name in along_streets)
+    across_views = dict.fromkeys(("drone-satellite", "drone-satellite__Rain"), task("drone", "satellite"))
+    assert [is_part(name, across_views) for name in across_views] == [False, True]

@@ -16,6 +16,7 @@ from refusals import assert_names, refused
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
+from relocbench.datasets.importers.rendered.asked import asked
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.pairs.visibility import warp
@@ -368,7 +369,7 @@ def test_pair_sets_are_those_that_were_asked_for() -> None:
             ("test",), conditions, traversals, 3, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent()
         )
         chosen = synthetic.Options.model_validate({**SMOKE, "traversals": traversals, **options})
-        return len(synthetic.asked(plans, chosen))
+        return len(asked(plans, chosen))
 
     assert count(1) == 2
     assert count(1, reference="all") == 4

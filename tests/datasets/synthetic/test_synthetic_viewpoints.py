@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
 from refusals import assert_names
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.importers.rendered.dataset import Options, asked
+from relocbench.datasets.importers.rendered.asked import asked
+from relocbench.datasets.importers.rendered.dataset import Options
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.drives.routes import RouteName
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
-from relocbench.geometry import invert, make_transform, so3_exp
+from relocbench.geometry import apply, invert, make_transform, so3_exp
 from relocbench.progress import Silent
 
 SMOKE = ("build-dataset", "synthetic", "--preset", "smoke")
@@ -61,7 +64,12 @@ def test_without_a_least_distance_the_draws_are_those_of_before() -> None:
 def test_what_came_nearest_is_told(spread: DistanceSpread, told: str) -> None:
     frames = turning(0.0, 0.0), turning(20.0, 0.0)
     assert drawn_pairs(*frames, spread, np.random.default_rng(0), same_traversal=False) == []
-    assert nearest_miss(*frames, spread, same_traversal=False).endswith(told)
+    assert nearest_miss([frames], spread, same_traversal=False).endswith(told)
+
+
+def test_where_keyframes_are_near_enough_but_see_nothing_that_is_told() -> None:
+    sides = [(turning(0.0, 0.0), turning(20.0, 0.0))]
+    assert "see nothing" in nearest_miss(sides, DistanceSpread(), same_traversal=False)
 
 
 def planned(*routes: RouteName, traversals: int = 1) -> dict[str, TraversalPlan]:
@@ -132,9 +140,61 @@ def test_a_dataset_of_routes_is_sound_and_the_same_by_any_number_of_workers(tmp_
     assert one.file.made_by["options"]["route"] == ["common", "other-lane"]
 
 
+@pytest.fixture(scope="module")
+def around(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Twelve steps there and back, with four cameras that are paired across."""
+    out = tmp_path_factory.mktemp("around") / "out"
+    words = ("--conditions", "Neutral", "--steps", 12, "--size", "64x48", "--route", "common,return")
+    told = relocbench(*SMOKE, *words, "--cameras", "around", "--camera-pairs", "across", "--quiet", "--out", out)
+    assert told.status == 0, told.err
+    return Dataset(out)
+
+
+def test_what_the_rear_camera_has_seen_the_front_camera_sees_on_the_way_back(around: Dataset) -> None:
+    assert relocbench("validate", around.root, "--quiet").status == 0
+    back = [s for s in around.pair_sets() if s.query == "test-Neutral-return-0"]
+    assert {s.cameras for s in back} >= {("rear", "front"), ("front", "rear")}
+    asked = [(s.query_camera, p.query_timestamp_ns) for s in back for p in s.pairs]
+    assert len(asked) == len(set(asked))
+    for pair_set in around.pair_sets():
+        for pair in pair_set.pairs:
+            assert pair.angle_deg is not None
+            assert pair.angle_deg <= 30.0
+            assert pair.overlap is not None
+            if pair_set.query == "test-Neutral-0":  # on the same way each camera sees most of what it has seen
+                assert pair_set.reference_camera == pair_set.query_camera
+
+
+def test_truth_across_cameras_agrees_with_the_depth_of_both(around: Dataset) -> None:
+    compared = 0
+    for pair_set in around.pair_sets():
+        query = around.traversal(pair_set.query)
+        for pair in pair_set.pairs:
+            assert pair.T_query_ref is not None
+            known = read_correspondences(around.layout.correspondence_file(pair_set.name), pair.key)
+            reference = around.reference(pair_set, pair)
+            rays, _ = reference.camera.unproject(known.uv_ref)
+            z = apply(pair.T_query_ref, rays * known.depth_ref[:, None])[:, 2]
+            depth = query.depth(pair_set.query_camera, pair.query_timestamp_ns)
+            assert depth is not None
+            # Inverse depth is linear in the image of a plane, so that it can be interpolated.
+            inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), np.nan).astype(np.float32)
+            u, v = known.uv_query[known.visible].T.astype(np.float32)
+            off = np.abs(cv2.remap(inverse, u, v, cv2.INTER_LINEAR).ravel() * z[known.visible] - 1)
+            off = off[np.isfinite(off)]
+            compared += len(off)
+            if len(off) > 20:
+                assert np.median(off) < 0.003
+    assert compared > 2000
+
+
 @pytest.mark.parametrize(
     ("options", "names"),
     [
+        (("--camera-pairs", "across"), ("camera_pairs", "front")),
+        (("--camera-pairs", "across", "--cameras", "around", "--pair-rule", "nearest"), ("camera_pairs", "nearest")),
+        (("--camera-pairs", "across", "--cameras", "around", "--elsewhere", "2"), ("elsewhere", "camera_pairs")),
+        (("--camera-pairs", "across", "--recording", "kitti"), ("--camera-pairs", "--recording")),
         (("--min-distance", "12"), ("min_distance", "max_distance")),
         (("--min-angle", "40"), ("min_angle", "max_angle")),
         (("--min-distance", "4", "--distance", "5"), ("--distance", "--min-distance")),

@@ -90,7 +90,7 @@ class Played:
 
 
 def _unit(keys: tuple[PairKey, ...], journal: Path) -> Unit:
-    of = parse_method("identity"), Path("d"), "a", "b", "c"
+    of = parse_method("identity"), Path("d"), "a", "b", "c", "c"
     return Unit(*of, keys, journal, Visibility(), patient=True, shows_neighbours=True)
 
 

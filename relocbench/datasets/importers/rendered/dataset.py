@@ -2,8 +2,7 @@
 
 Every split has its own district, a piece of town. In each district the same routes are driven ``traversals`` times in
 every condition. The first traversal of the first condition and route is the map, whose keyframes are paired with the
-frames of the others. With ``recording``, drives are instead written as a car would record them, in the layout of a real
-data set.
+frames of the others. With ``recording``, drives are written as a car records them, in the layout of a real data set.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.core.build_options import ImageSize, ImportOptions, RuleOptions, width_height
 from relocbench.datasets.core.salt import SALT_FILE, salted
+from relocbench.datasets.importers.rendered.asked import asked
 from relocbench.datasets.importers.rendered.scopes import (
     refuse_what_has_no_effect,
     without_effect_on_datasets,
@@ -39,14 +39,13 @@ from relocbench.progress import Reporter
 if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.core.recording_folder import RecordingFolder
-    from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 
 
 _RECORDING_FRAMES = 160
 """default of ``steps`` for recordings, unless a preset sets it"""
 _LATER_OPTIONS = (
     *("imaging", "months", "route", "views", "min_distance", "min_angle"),
-    *("tier", "pairs", "repeating_street"),
+    *("camera_pairs", "tier", "pairs", "repeating_street"),
     *("depth", "depth_points", "depth_error"),
 )
 """options that earlier versions did not have, and whose defaults change nothing"""
@@ -87,7 +86,12 @@ class Options(RuleOptions):
         "length, size of images, height, pitch, yaw, distortion of the lens; 'same': all have the same rig; views of "
         "conditions by hand, name -> view: YAML only",
     )
-    cameras: Literal["front", "stereo", "wide-stereo", "six"] = Field("front", description="the rig")
+    cameras: Literal["front", "stereo", "wide-stereo", "six", "around"] = Field("front", description="the rig")
+    camera_pairs: Literal["same", "across"] = Field(
+        "same",
+        description="'same': queries of each camera are paired with keyframes of that camera; 'across': with keyframes "
+        "of whichever camera of the rig sees most of the same (default pair rule)",
+    )
     size: ImageSize = Field("320x240", description="pixels, WIDTHxHEIGHT, or one number for both")
     steps: int = Field(
         16,
@@ -208,6 +212,20 @@ class Options(RuleOptions):
                 raise ValueError(f"min_{what} is {low:g} {unit}, expected less than max_{what}, {high:g} {unit}")
         return self
 
+    @model_validator(mode="after")
+    def _cameras_to_choose_from(self) -> Self:
+        if self.camera_pairs == "same":
+            return self
+        from relocbench.datasets.synthetic.drives.rig import RIGS
+
+        if len(RIGS[self.cameras].mounts) == 1:
+            raise ValueError(f"camera_pairs across has no effect with the rig '{self.cameras}', which has one camera")
+        if self.pair_rule is not None:
+            raise ValueError(f"camera_pairs across applies to the default pair rule only, not to {self.pair_rule}")
+        if self.elsewhere:
+            raise ValueError("elsewhere applies to sets of one camera only, not to camera_pairs across")
+        return self
+
     def recorded(self) -> dict[str, Any]:
         """The options without the salt's file, and without later ones at their defaults: as earlier versions."""
         values = super().recorded()
@@ -236,8 +254,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         sources: must be empty.
 
     Raises:
-        ConfigError: sources are given, a condition or sweep is unknown, a district has no such route, or the salt
-            cannot be used.
+        ConfigError: sources are given, a condition, sweep or route is unknown, or the salt cannot be used.
         DatasetError: ``out`` holds something else, or a pair set would be empty.
     """
     from relocbench.datasets.core.build import Build
@@ -245,6 +262,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.importers.assembly import configuration
     from relocbench.datasets.synthetic.drives.drive import DriveStyle
     from relocbench.datasets.synthetic.drives.rig import rig_named
+    from relocbench.datasets.synthetic.drives.routes import check_routes
     from relocbench.datasets.synthetic.jobs.pair_sets import plan_pair_sets, write_pair_sets
     from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread
     from relocbench.datasets.synthetic.jobs.plan import drive_cameras, drive_views, make_plans
@@ -264,7 +282,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     options = salted(options, options.split, record, out, reporter)
-    _check_routes(options)
+    check_routes(options.route)
     splits = SPLITS if options.split == "all" else (options.split,)
     varied = options.imaging == "varied"
     own = drive_cameras(splits, conditions, options.traversals, seed=options.seed, varied=varied, routes=options.route)
@@ -298,8 +316,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         options.distance, options.max_distance, options.max_angle, options.min_distance, options.min_angle
     )
     # A rule that no pair meets is refused before anything is written.
-    selection = Selection(options.tier, options.pairs)
-    pair_sets = plan_pair_sets(job, asked(plans, options), spread, selection, options.repeating_street)
+    selection, across = Selection(options.tier, options.pairs), options.camera_pairs == "across"
+    pair_sets = plan_pair_sets(job, asked(plans, options), spread, selection, options.repeating_street, across=across)
     for plan in plans:
         writer.traversal(plan.file(), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
     render_all(job, plans, options.extras)
@@ -320,13 +338,14 @@ def record(
     if options.recording is None:
         return None
     from relocbench.datasets.synthetic.drives.drive import DriveStyle
+    from relocbench.datasets.synthetic.drives.routes import check_routes
     from relocbench.datasets.synthetic.jobs.recording import DriveOptions
     from relocbench.datasets.synthetic.jobs.recording_set import check_folder, plan_drives, record_all
 
     _no_sources(sources)
     conditions = _conditions(options)
     refuse_imaging(conditions, "recordings")
-    _check_routes(options)
+    check_routes(options.route)
     cameras = None if not options.recording_cameras else tuple(c for c in options.recording_cameras if c != "none")
     if cameras is not None and len(set(cameras)) != len(cameras):
         raise ConfigError(f"--recording-cameras names a camera twice: {','.join(cameras)}")
@@ -363,34 +382,3 @@ def record(
 def _no_sources(sources: list[Path]) -> None:
     if sources:
         raise ConfigError(f"synthetic is rendered and takes no recordings, got {sources[0]}")
-
-
-def _check_routes(options: Options) -> None:
-    if len(set(options.route)) != len(options.route) or not options.route:
-        raise ConfigError(f"--route takes one or more different routes, got {','.join(options.route) or 'none'}")
-
-
-def asked(plans: list[TraversalPlan], options: Options) -> list[tuple[TraversalPlan, TraversalPlan]]:
-    """The (reference, query) traversals of every pair set.
-
-    The reference's condition is also a query condition: in its second traversal, or else in the reference itself.
-    """
-    found = []
-    for split in dict.fromkeys(plan.split for plan in plans):
-        members = [plan for plan in plans if plan.split == split]
-        references = members if options.reference == "all" else members[:1]
-        for reference in references:
-            for query in members:
-                itself = reference is query
-                alone = options.traversals == 1
-                if options.pair_rule == "step":
-                    wanted = itself
-                elif options.pair_rule == "nearest":
-                    wanted = not itself
-                else:
-                    wanted = not itself or alone
-                if wanted:
-                    found.append((reference, query))
-    if not found:
-        raise ConfigError("--pair-rule nearest needs a second traversal; name more conditions or raise --traversals")
-    return found

@@ -90,9 +90,19 @@ RIGS: dict[str, Rig] = {
         },
         90.0,
     ),
+    "around": Rig(
+        {
+            "front": Mount(0.9, 0.0, 1.5),
+            "left": Mount(0.6, 0.9, 1.1, yaw_deg=90),
+            "right": Mount(0.6, -0.9, 1.1, yaw_deg=-90),
+            "rear": Mount(-2.0, 0.0, 1.1, yaw_deg=180),
+        },
+        90.0,
+    ),
 }
-"""``six`` has as many cameras as the rig of the GN-Net benchmark's synthetic half, all with different poses. The
-baselines of the stereo rigs, 0.24 m and 0.54 m, are those of the Bumblebee XB3 (RobotCar) and of KITTI's car."""
+"""``six`` has as many cameras as the rig of the GN-Net benchmark's synthetic half, all with different poses. ``around``
+has those that cars have for parking: behind the windscreen, on both mirrors and above the number plate. The baselines
+of the stereo rigs, 0.24 m and 0.54 m, are those of the Bumblebee XB3 (RobotCar) and of KITTI's car."""
 
 
 def rig_named(name: str) -> Rig:

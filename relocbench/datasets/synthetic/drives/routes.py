@@ -34,6 +34,12 @@ Street = tuple[int, int]
 """the nodes at its ends, the smaller first"""
 
 
+def check_routes(names: Sequence[str]) -> None:
+    """Raise ConfigError unless there are one or more different routes."""
+    if len(set(names)) != len(names) or not names:
+        raise ConfigError(f"--route takes one or more different routes, got {','.join(names) or 'none'}")
+
+
 def route(network: StreetNetwork, periodic: int, name: RouteName, length_m: float, seed: int) -> Path:
     """The path of a route, ``length_m`` metres long; the common one is the network's drive for the seed.
 

@@ -27,6 +27,8 @@ rays are cast in single precision (at most 2.3 were observed)"""
 _TOLERANCE_M = 0.002
 _RELATIVE_TOLERANCE = 5e-4
 """tolerance along the ray, for rays that meet the surface at a grazing angle"""
+_GRID = (20, 15)
+"""columns and rows of pixels by which an overlap is guessed"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +105,21 @@ def exact_correspondences(
     inside = valid & query.camera.contains(uv_query)
     visible = inside.copy()
     visible[inside] = query.sees(keyframe.points(pixels, depth)[inside])
-    back = _overlap_of_query(keyframe, query)
+    back = _overlap_of_query(keyframe, query, sampled_pixels(query.camera, 0, np.random.default_rng(0)))
     found = pixels, depth, uv_query, inside, visible
     return exact_pair(reference, *found, count, rng, query.camera, T_query_ref, back, query_image)
 
 
-def _overlap_of_query(keyframe: View, query: View) -> float | None:
-    """The share of the query's pixels with static points that the keyframe sees; None where it shows none."""
-    pixels = sampled_pixels(query.camera, 0, np.random.default_rng(0))
+def guessed_overlap_of_query(keyframe: View, query: View) -> float:
+    """The share of the query's static points that the keyframe sees, by a grid of some hundred pixels; 0 for none."""
+    columns, rows = _GRID
+    u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
+    pixels = np.floor(np.column_stack([u.ravel() * query.camera.width, v.ravel() * query.camera.height]))
+    return _overlap_of_query(keyframe, query, pixels) or 0.0
+
+
+def _overlap_of_query(keyframe: View, query: View, pixels: Array) -> float | None:
+    """The share of the query's pixels (N, 2) with static points that the keyframe sees; None where it shows none."""
     depth, moves = query.depth(pixels)
     known = (depth <= FARTHEST_M) & ~moves
     if not known.any():

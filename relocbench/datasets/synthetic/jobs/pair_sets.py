@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -17,7 +18,11 @@ from relocbench.datasets.pairs.different_places import with_different_places
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.writing import is_finished, write_measured
 from relocbench.datasets.synthetic.conditions.presets import RepeatingStreet
-from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
+from relocbench.datasets.synthetic.jobs.exact_correspondences import (
+    View,
+    exact_correspondences,
+    guessed_overlap_of_query,
+)
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 from relocbench.datasets.synthetic.jobs.selection import (
@@ -41,7 +46,8 @@ class PairSetUnit:
     split: str
     traversals: tuple[str, str]
     """of the keyframes and of the queries"""
-    camera: str
+    cameras: tuple[str, str]
+    """of the keyframes and of the queries"""
     pairs: tuple[Pair, ...]
     """sorted by their keys"""
     references: dict[int, View]
@@ -53,7 +59,7 @@ class PairSetUnit:
 
     @property
     def name(self) -> str:
-        return pair_set_name(*self.traversals, self.camera)
+        return pair_set_name(*self.traversals, *self.cameras)
 
     def __str__(self) -> str:
         return f"pair set {self.name}"
@@ -65,17 +71,28 @@ def plan_pair_sets(
     spread: DistanceSpread,
     selection: Selection = Selection(),  # it is frozen
     repeating: RepeatingStreet = "keep",
+    *,
+    across: bool = False,
 ) -> list[PairSetUnit]:
     """The pair sets of (reference, query) traversals for every camera.
+
+    Args:
+        across: whether each query is paired with the keyframe of whichever camera sees most of the same. There is a
+            set for each two cameras that have such pairs.
 
     Raises:
         DatasetError: a pair set would be empty, or the road is too short for pairs of different places.
     """
-    return [
-        replace(_unit(job, *each, camera, spread, repeating), selection=selection)
-        for each in asked
-        for camera in each[0].cameras
+    units = [
+        unit
+        for reference, query in asked
+        for unit in (
+            _across_cameras(job, reference, query, spread, repeating)
+            if across
+            else [_of_camera(job, reference, query, camera, spread, repeating) for camera in reference.cameras]
+        )
     ]
+    return [replace(unit, selection=selection) for unit in units]
 
 
 def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> Mapping[str, Sequence[str]]:
@@ -113,7 +130,7 @@ def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> 
     return splits
 
 
-def _unit(
+def _of_camera(
     job: Build[RuleOptions],
     reference: TraversalPlan,
     query: TraversalPlan,
@@ -121,14 +138,13 @@ def _unit(
     spread: DistanceSpread,
     repeating: RepeatingStreet,
 ) -> PairSetUnit:
+    """A pair set of one camera."""
     options, layout = job.options, job.writer.layout
     name = pair_set_name(reference.name, query.name, camera)
     frames = reference.frames(camera), query.frames(camera)
     same = reference is query
     if options.pair_rule is None:
-        # All cameras of a rig use the same seed, so that their pairs are of the same moments wherever possible.
-        rng = np.random.default_rng([options.seed, 6, reference.number, query.number])
-        pairs = drawn_pairs(*frames, spread, rng, same_traversal=same)
+        pairs = drawn_pairs(*frames, spread, _rng(job, reference, query), same_traversal=same)
         if pairs and options.elsewhere:
             pairs = with_different_places(pairs, *frames, options, layout.root)
     else:
@@ -141,36 +157,112 @@ def _unit(
             sigma_translation_m=0.0,
             sigma_rotation_deg=0.0,
         )
-    if repeating != "keep":
-        repeats = {
-            time: bool(there)
-            for plan, posed in ((reference, frames[0]), (query, frames[1]))
-            for time, there in zip(plan.times, on_repeating_street(plan.place, posed.T_world_cam), strict=True)
-        }
-        pairs = sorted_by_street(pairs, repeats, repeating)
+    pairs = _by_street(reference, query, (camera, camera), pairs, repeating)
     if not pairs:
-        nearest = nearest_miss(*frames, spread, same_traversal=same)
+        nearest = nearest_miss([frames], spread, same_traversal=same)
         raise DatasetError(f"{name}: no keyframe of any query is {spread}; {nearest}", layout.root)
     if len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
         job.reporter.note(
             f"{name}: {len(query.times) - len(pairs) + options.elsewhere} of {len(query.times)} queries are in no pair"
         )
+    return _unit(job, reference, query, (camera, camera), pairs)
+
+
+def _across_cameras(
+    job: Build[RuleOptions],
+    reference: TraversalPlan,
+    query: TraversalPlan,
+    spread: DistanceSpread,
+    repeating: RepeatingStreet,
+) -> list[PairSetUnit]:
+    """The pair sets of two traversals across cameras."""
+    found: dict[tuple[str, str], list[Pair]] = {c: [] for c in product(reference.cameras, query.cameras)}
+    same = reference is query
+    with job.reporter.stage(f"cameras of {reference.name} and {query.name}", len(query.cameras)) as advance:
+        for of_query in query.cameras:
+            asked_of: dict[int, list[tuple[str, Pair]]] = {}
+            for of_reference in reference.cameras:
+                frames = reference.frames(of_reference), query.frames(of_query)
+                for pair in drawn_pairs(*frames, spread, _rng(job, reference, query), same_traversal=same):
+                    asked_of.setdefault(pair.query_timestamp_ns, []).append((of_reference, pair))
+            for candidates in asked_of.values():
+                overlaps = [_overlap(reference, query, c, of_query, pair) for c, pair in candidates]
+                best = int(np.argmax(overlaps))
+                if overlaps[best] > 0:
+                    found[candidates[best][0], of_query].append(candidates[best][1])
+            advance(1)
+    found = {cameras: _by_street(reference, query, cameras, pairs, repeating) for cameras, pairs in found.items()}
+    paired, asking = sum(map(len, found.values())), len(query.times) * len(query.cameras)
+    where = f"{reference.name}__{query.name}"
+    if not paired:
+        sides = [(reference.frames(a), query.frames(b)) for a, b in found]
+        nearest = nearest_miss(sides, spread, same_traversal=same)
+        raise DatasetError(
+            f"{where}: no keyframe of any camera that sees something of a query is {spread}; {nearest}",
+            job.writer.layout.root,
+        )
+    if paired < asking:
+        job.reporter.note(f"{where}: {asking - paired} of {asking} queries of all cameras are in no pair")
+    return [_unit(job, reference, query, cameras, pairs) for cameras, pairs in found.items() if pairs]
+
+
+def _by_street(
+    reference: TraversalPlan,
+    query: TraversalPlan,
+    cameras: tuple[str, str],
+    pairs: list[Pair],
+    repeating: RepeatingStreet,
+) -> list[Pair]:
+    """The pairs by the rule for the street whose houses repeat themselves."""
+    if repeating == "keep":
+        return pairs
+    repeats: dict[int, bool] = {}
+    for plan, camera in zip((reference, query), cameras, strict=True):
+        there = on_repeating_street(plan.place, plan.frames(camera).T_world_cam)
+        repeats |= dict(zip(plan.times, there.tolist(), strict=True))
+    return sorted_by_street(pairs, repeats, repeating)
+
+
+def _rng(job: Build[RuleOptions], reference: TraversalPlan, query: TraversalPlan) -> np.random.Generator:
+    """The same for all cameras of a rig, so that their pairs are of the same moments wherever possible."""
+    return np.random.default_rng([job.options.seed, 6, reference.number, query.number])
+
+
+def _overlap(reference: TraversalPlan, query: TraversalPlan, of_reference: str, of_query: str, pair: Pair) -> float:
+    """How much of what a query sees a keyframe has seen, without moving cars."""
+    sides = (reference, of_reference, pair.ref_timestamp_ns), (query, of_query, pair.query_timestamp_ns)
+    views = []
+    for plan, name, time in sides:
+        camera, T_rig_cam = plan.cameras[name]
+        T_world_cam = plan.drive.T_world_rig[plan.times.index(time)] @ T_rig_cam
+        views.append(View(plan.place, plan.condition.factors, camera, T_world_cam))
+    return guessed_overlap_of_query(*views)
+
+
+def _unit(
+    job: Build[RuleOptions],
+    reference: TraversalPlan,
+    query: TraversalPlan,
+    cameras: tuple[str, str],
+    pairs: Sequence[Pair],
+) -> PairSetUnit:
     ordered = tuple(sorted(pairs, key=lambda p: p.key))
     keyframes, asking = {p.ref_timestamp_ns for p in ordered}, {p.query_timestamp_ns for p in ordered}
     return PairSetUnit(
-        layout,
+        job.writer.layout,
         reference.split,
         (reference.name, query.name),
-        camera,
+        cameras,
         ordered,
-        _views(reference, camera, *frames[0].T_world_cam, wanted=keyframes),
-        _views(query, camera, *frames[1].T_world_cam, wanted=asking),
-        options.correspondences,
-        options.seed,
+        _views(reference, cameras[0], keyframes),
+        _views(query, cameras[1], asking),
+        job.options.correspondences,
+        job.options.seed,
     )
 
 
-def _views(plan: TraversalPlan, camera: str, *T_world_cam: np.ndarray, wanted: set[int]) -> dict[int, View]:
+def _views(plan: TraversalPlan, camera: str, wanted: set[int]) -> dict[int, View]:
+    T_world_cam = plan.frames(camera).T_world_cam
     return {
         timestamp: View(plan.place, plan.condition.factors, plan.cameras[camera][0], pose, cars)
         for timestamp, pose, cars in zip(plan.times, T_world_cam, plan.moving, strict=True)
@@ -180,7 +272,7 @@ def _views(plan: TraversalPlan, camera: str, *T_world_cam: np.ndarray, wanted: s
 
 def write_set(unit: PairSetUnit) -> None:
     """Compute and write one pair set: the correspondences first, and last the pair file, which marks it as finished."""
-    camera = unit.camera
+    of_keyframes, of_queries = unit.cameras
     reference, query = (Traversal(unit.layout.traversal(name)) for name in unit.traversals)
 
     def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
@@ -190,8 +282,9 @@ def write_set(unit: PairSetUnit) -> None:
             assert pair.T_query_ref is not None
             rng = np.random.default_rng([unit.seed, 8, *pair.key])
             views = unit.references[pair.ref_timestamp_ns], unit.queries[pair.query_timestamp_ns]
-            images = reference.reference(camera, pair.ref_timestamp_ns), query.image(camera, pair.query_timestamp_ns)
-            yield pair.key, exact_correspondences(views, *images, pair.T_query_ref, unit.count, rng)
+            keyframe = reference.reference(of_keyframes, pair.ref_timestamp_ns)
+            image = query.image(of_queries, pair.query_timestamp_ns)
+            yield pair.key, exact_correspondences(views, keyframe, image, pair.T_query_ref, unit.count, rng)
 
     if unit.selection.keeps_all:
         write_measured(unit.layout, unit.name, unit.pairs, measured(), with_correspondences=unit.count > 0)

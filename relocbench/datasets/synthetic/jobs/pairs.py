@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,14 +84,22 @@ def drawn_pairs(
     return pairs
 
 
-def nearest_miss(reference: PosedFrames, query: PosedFrames, spread: DistanceSpread, *, same_traversal: bool) -> str:
-    """What comes closest to the bounds where no keyframe of any query is within them, for a message."""
-    seen = list(_keyframes_of_queries(reference, query, same_traversal=same_traversal))
+def nearest_miss(
+    sides: Iterable[tuple[PosedFrames, PosedFrames]], spread: DistanceSpread, *, same_traversal: bool
+) -> str:
+    """What comes closest to the bounds where no keyframe of any query is within them, for a message.
+
+    Args:
+        sides: keyframes and queries.
+    """
+    seen = [one for side in sides for one in _keyframes_of_queries(*side, same_traversal=same_traversal)]
     distance, angle = (np.concatenate([one[k] for one in seen]) for k in (1, 2))
     far = spread.is_far_enough(distance)
     if not far.any():
         closest = np.argmin(np.maximum(spread.min_m - distance, distance - spread.max_m))
         return f"the nearest to that is {distance[closest]:.3g} m away"
+    if (far & spread.is_turned_enough(angle)).any():
+        return "those that are see nothing of any query"
     turned = angle[far]
     closest = np.argmin(np.maximum(spread.min_angle_deg - turned, turned - spread.max_angle_deg))
     return f"of those at such a distance, the nearest to that is turned by {turned[closest]:.3g} deg"
