@@ -155,6 +155,13 @@ def test_the_steps_of_a_sweep_have_the_values_of_their_factor() -> None:
     assert list(found["values"].values()) == [60, 47, 34, 21, 8]
 
 
+def test_the_months_of_a_sweep_begin_with_none_and_seasons_have_no_axis_of_one_factor() -> None:
+    found = sweep_of(*_swept("months", {f"months-{i}": f for i, f in enumerate(sweep("months", 4))}))
+    assert found is not None
+    assert (found["reference"], list(found["values"].values())) == (0, [0, 8, 16, 24])
+    assert sweep_of(*_swept("season", {f"season-{i}": f for i, f in enumerate(sweep("season", 5))})) is None
+
+
 def test_own_conditions_that_differ_in_one_factor_are_a_sweep_and_others_are_none() -> None:
     factors = {f"mist{i}": Factors(fog_density=0.01 * i) for i in range(3)}
     found = sweep_of(*_swept(None, factors))

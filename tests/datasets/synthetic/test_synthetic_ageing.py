@@ -11,8 +11,8 @@ from refusals import assert_names
 
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.importers.rendered import dataset as synthetic
-from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.datasets.synthetic.conditions.condition import SEASONS, Factors, sweep
+from relocbench.datasets.synthetic.conditions.presets import conditions_of, previewed
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View
 from relocbench.datasets.synthetic.renderer.render import Frame
@@ -241,6 +241,22 @@ def test_months_change_all_conditions_but_the_first() -> None:
     assert months == [0.0, 6.0, 6.0]
     swept = [c.factors.months for c in conditions_of((), {}, "months", 5).values()]
     assert swept == [0.0, 6.0, 12.0, 18.0, 24.0]
+
+
+def test_the_season_goes_through_the_year() -> None:
+    """With as many steps as there are seasons these are met; what is swept changes in between and nothing else does."""
+    assert list(previewed((), everything=False, swept="season", steps=len(SEASONS))) == list(SEASONS)
+    steps = sweep("season", 2 * len(SEASONS) - 1)
+    swept = SEASONS["spring"].keys()
+    for values, factors in zip(SEASONS.values(), steps[::2], strict=True):
+        assert {key: getattr(factors, key) for key in swept} == pytest.approx(values)
+    for before, between, after in zip(steps[:-2:2], steps[1::2], steps[2::2], strict=True):
+        for key in swept:
+            assert getattr(between, key) == pytest.approx((getattr(before, key) + getattr(after, key)) / 2)
+    rest = [factors.model_dump(exclude=set(swept)) for factors in steps]
+    assert all(values == rest[0] for values in rest)
+    labels = list(previewed((), everything=False, swept="season", steps=3))
+    assert labels == ["spring", "autumn", "winter"]
 
 
 def test_months_without_effect_are_refused(tmp_path: Path) -> None:

@@ -131,7 +131,7 @@ def test_a_frame_alone_in_another_process_has_the_same_bytes(varied: Dataset, tm
 
 
 def test_a_sweep_of_the_camera_changes_one_factor_of_it() -> None:
-    for name, (start, _) in SWEEPS.items():
+    for name, (start, *_) in SWEEPS.items():
         if all(key.startswith("imaging.") for key in start):
             first, middle, last = sweep(name, 3)
             assert first.imaging is not None

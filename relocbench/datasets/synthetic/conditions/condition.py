@@ -147,7 +147,17 @@ def condition_named(name: str) -> NamedCondition:
     return CONDITIONS[name]
 
 
-SWEEPS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
+SEASONS: dict[str, dict[str, float]] = {
+    "spring": {"foliage": 0.5, "leaf_colour": 0.0, "sun_elevation_deg": 42, "snow_cover": 0.0},
+    "summer": {"foliage": 1.0, "leaf_colour": 0.4, "sun_elevation_deg": 62, "snow_cover": 0.0},
+    "autumn": {"foliage": 0.85, "leaf_colour": 1.0, "sun_elevation_deg": 33, "snow_cover": 0.0},
+    "late autumn": {"foliage": 0.1, "leaf_colour": 1.0, "sun_elevation_deg": 20, "snow_cover": 0.0},
+    "winter": {"foliage": 0.0, "leaf_colour": 1.0, "sun_elevation_deg": 16, "snow_cover": 0.9},
+}
+"""The year; the sun is as high as around noon at 50 degrees north."""
+
+SWEEPS: dict[str, tuple[dict[str, float], ...]] = {
+    "season": tuple(SEASONS.values()),
     "light": ({"sun_elevation_deg": 60, "sun_azimuth_deg": 120}, {"sun_elevation_deg": 8, "sun_azimuth_deg": 280}),
     "clouds": ({"cloud_cover": 0.0}, {"cloud_cover": 1.0}),
     "wetness": ({"wetness": 0.0, "puddles": 0.0}, {"wetness": 1.0, "puddles": 1.0}),
@@ -182,20 +192,30 @@ SWEEPS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
     "saturation": ({"imaging.saturation": 0.0}, {"imaging.saturation": 2.0}),
     "jpeg-quality": ({"imaging.jpeg_quality": 95.0}, {"imaging.jpeg_quality": 5.0}),
 }
-"""Name -> values of the swept factors at the start and at the end; all other factors stay the same. Those of the camera
-begin with ``imaging.``."""
+"""Name -> values of the swept factors at two or more stations, the first and the last of which are the ends; all other
+factors stay the same. Those of the camera begin with ``imaging.``."""
 
 
 def sweep(name: str, steps: int) -> Sequence[Factors]:
-    """``steps`` conditions that differ from ``Sunny`` in one swept factor. Raises ConfigError on an unknown name."""
+    """``steps`` conditions, evenly spread over the stations of a sweep, that differ from ``Sunny`` in what is swept.
+
+    Raises:
+        ConfigError: the name is unknown, or there are fewer than two steps.
+    """
     if name not in SWEEPS:
         raise ConfigError(f"no sweep '{name}'{available(name, SWEEPS)}")
     if steps < 2:
         raise ConfigError(f"a sweep needs at least 2 steps, got {steps}")
     base = CONDITIONS["Sunny"].factors
-    start, end = SWEEPS[name]
-    fractions = [i / (steps - 1) for i in range(steps)]
-    return [changed(base, {key: (1 - f) * start[key] + f * end[key] for key in start}) for f in fractions]
+    return [changed(base, _between(SWEEPS[name], i / (steps - 1))) for i in range(steps)]
+
+
+def _between(stations: Sequence[Mapping[str, float]], part: float) -> dict[str, float]:
+    """The values at a part, in [0, 1], of the way from the first station to the last."""
+    at = part * (len(stations) - 1)
+    before = min(int(at), len(stations) - 2)
+    start, end, f = stations[before], stations[before + 1], at - before
+    return {key: (1 - f) * start[key] + f * end[key] for key in start}
 
 
 def changed(factors: Factors, values: Mapping[str, float]) -> Factors:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.synthetic.conditions.condition import (
     CONDITIONS,
+    SEASONS,
     SWEEPS,
     Factors,
     NamedCondition,
@@ -124,7 +126,7 @@ def previewed(
             "--drawn-cameras varies the camera, but in a --sweep a single factor varies; give one of them"
         )
     if swept is not None:
-        return {_sweep_label(swept, f): f for f in sweep(swept, steps)}
+        return {_sweep_label(swept, f, i / (steps - 1)): f for i, f in enumerate(sweep(swept, steps))}
     shown = {}
     for k, name in enumerate(CONDITIONS if everything else names):
         shown[name] = factors = condition_named(name).factors
@@ -134,7 +136,11 @@ def previewed(
     return shown
 
 
-def _sweep_label(swept: str, factors: Factors) -> str:
+def _sweep_label(swept: str, factors: Factors, part: float) -> str:
+    """The values of what is swept, or the names of the seasons that a part, in [0, 1], of the year lies between."""
+    if swept == "season":
+        at, names = part * (len(SEASONS) - 1), list(SEASONS)
+        return " to ".join(dict.fromkeys((names[math.floor(at)], names[math.ceil(at)])))
     values = [
         f"{key.removeprefix('imaging.').removesuffix('_deg')} {value_of(factors, key):.3g}" for key in SWEEPS[swept][0]
     ]

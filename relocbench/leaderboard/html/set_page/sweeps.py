@@ -17,6 +17,10 @@ from relocbench.evaluation.common.results import PairSetRecord
 
 _FEWEST = 3
 """different values from which on pair sets are a sweep"""
+_ENDS = 2
+"""stations of a sweep that goes one way"""
+_LEFT_OUT = {"months": 0.0}
+"""factors that datasets do not record where they have no effect"""
 _STEP = re.compile(r"(.+) (\d{1,6})")
 _UNITS = {"_deg": "°", "_mm_h": "mm/h", "_ms": "ms", "_px": "px", "_ev": "EV"}
 
@@ -39,7 +43,9 @@ def _by_factors(across: Mapping[str, PairSetRecord], dataset: Dataset) -> dict[s
     recorded, options = made_by.get("factors"), made_by.get("options")
     if not isinstance(recorded, dict) or not isinstance(options, dict):
         return None
-    factors = {str(name): _flat(values) for name, values in recorded.items() if isinstance(values, dict)}
+    factors = {
+        str(name): {**_LEFT_OUT, **_flat(values)} for name, values in recorded.items() if isinstance(values, dict)
+    }
     sides = {name: (_factors(r.reference, factors), _factors(r.query, factors)) for name, r in across.items()}
     known = [values for both in sides.values() for values in both]
     if not known or None in known:
@@ -47,6 +53,8 @@ def _by_factors(across: Mapping[str, PairSetRecord], dataset: Dataset) -> dict[s
     keys = {key for values in known if values is not None for key in values}
     changing = {key for key in keys if len({str(v.get(key)) for v in known if v is not None}) > 1}
     name = str(options.get("sweep"))
+    if len(SWEEPS.get(name, ())) > _ENDS:
+        return None  # no single factor goes one way through all stations
     if name not in SWEEPS or not changing <= set(SWEEPS[name][0]):
         if len(changing) != 1:
             return None
