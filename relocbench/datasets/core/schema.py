@@ -135,7 +135,10 @@ class CameraEntry(Strict):
 
 
 class ClockEntry(Strict):
-    """What the images say of the clock of the poses: an image at time t has the pose at t + offset."""
+    """What the images say of the clock of the poses: an image at time t has the pose at t + offset.
+
+    Of rendered images it is what the renderer knows.
+    """
 
     model_config = ConfigDict(allow_inf_nan=False)
 

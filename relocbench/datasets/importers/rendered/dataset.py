@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _RECORDING_FRAMES = 160
 """default of ``steps`` for recordings, unless a preset sets it"""
 _LATER_OPTIONS = (
-    *("imaging", "months", "route", "views", "min_distance", "min_angle"),
+    *("imaging", "months", "route", "views", "rolling_shutter", "min_distance", "min_angle"),
     *("camera_pairs", "tier", "pairs", "repeating_street"),
     *("depth", "depth_points", "depth_error"),
 )
@@ -72,13 +72,15 @@ class Options(RuleOptions):
         None,
         gt=0,
         le=24,
-        description="age of the street in months in all conditions but the first: other paint, shop fronts and parked "
-        "cars, scaffolds, roadworks, trimmed and felled trees; default: each condition's own",
+        description="age of paint, shops, cars, works and trees in all conditions but the first, in months",
     )
     imaging: Literal["ideal", "varied"] = Field(
         "ideal",
         description="'varied': each traversal has a camera of its own, drawn from the seed: response, white balance, "
         "noise, blur, glare, dirt on the lens, sharpening, compression; 'ideal': all have the same clean camera",
+    )
+    rolling_shutter: float = Field(
+        0.0, ge=0, le=0.1, description="seconds from an image's first row to its last; its pose is the middle row's"
     )
     views: Views = Field(
         "same",
@@ -310,6 +312,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         routes=options.route,
         views=views,
         depth=MapDepth(options.depth, options.depth_points, options.depth_error, options.rings),
+        readout_s=options.rolling_shutter,
     )
     job = Build(writer, options, reporter, run)
     spread = DistanceSpread(

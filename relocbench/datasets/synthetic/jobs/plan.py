@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.schema import CameraEntry, ClockEntry, TraversalFile
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.condition import NamedCondition
 from relocbench.datasets.synthetic.conditions.imaging import Imaging, draw_imaging
@@ -58,6 +58,8 @@ class TraversalPlan:
     """by which ``cameras`` differ from the dataset's rig; None for no difference"""
     depth: MapDepth = EXACT
     """what the drive tells of depth, if it is the map"""
+    readout_s: float = 0.0
+    """time from the first row of an image to the last; 0 for a global shutter"""
 
     @property
     def times(self) -> tuple[int, ...]:
@@ -79,7 +81,16 @@ class TraversalPlan:
             rate_hz=RATE_HZ,
             cameras=entries,
             source=f"rendered, seed {self.place.named_seed}",
+            clock=self._clock(),
         )
+
+    def _clock(self) -> ClockEntry | None:
+        """What is known of the time of images; nothing needs to be said of a global shutter."""
+        if self.readout_s == 0:
+            return None
+        how = "rendered with a rolling shutter; the pose is that of the middle row"
+        known = {"applied_s": 0.0, "offset_s": 0.0, "sigma_s": 0.0, "readout_s": self.readout_s}
+        return ClockEntry.model_validate({**known, "verdict": "one clock", "how": how})
 
     def frames(self, camera: str) -> PosedFrames:
         """All frames of a camera, each of which has depth or points."""
@@ -182,6 +193,7 @@ def make_plans(
     routes: Sequence[RouteName] = ("common",),
     views: Mapping[str, CameraView] | None = None,
     depth: MapDepth = EXACT,
+    readout_s: float = 0.0,
 ) -> list[TraversalPlan]:
     """Plan all traversals, ordered by split, condition, route and number.
 
@@ -192,6 +204,7 @@ def make_plans(
         imaging: of traversals that have a camera of their own, by name.
         views: of traversals that have a view of their own, by name.
         depth: what drives tell of depth.
+        readout_s: time from the first row of an image to the last; 0 for a global shutter.
 
     Raises:
         ConfigError: errors leave hardly any depth, a district has no such route of this length, or two traversals would
@@ -220,7 +233,7 @@ def make_plans(
                     others = moving_cars(path, driven, condition.factors.traffic, path.other_lane_m, rng)
                     cars = tuple(map(tuple, others))
                     plan = (own, identity, split, place, condition, first, cameras, driven, cars, look, view)
-                    plans.append(TraversalPlan(*plan, depth))
+                    plans.append(TraversalPlan(*plan, depth, readout_s))
             advance(1)
     for name, times in Counter(plan.name for plan in plans).items():
         if times > 1:

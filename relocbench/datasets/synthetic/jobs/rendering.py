@@ -15,6 +15,7 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.synthetic.camera.rolling_shutter import Readout
 from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ
@@ -56,6 +57,8 @@ class FrameWork:
     """of the lens of the drive's own view"""
     scan: Scan | None = None
     """at its time, for maps of a lidar"""
+    readout: Readout | None = None
+    """of a rolling shutter"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +123,9 @@ def missing_steps(plan: TraversalPlan, layout: DatasetLayout, seed: int, kinds: 
                 number = scenes.frame_seed(seed, plan.number, i, c)
                 shot = Shot(plan.imaging, i / RATE_HZ, twists[name][i], c) if plan.imaging is not None else None
                 car, bent = (None, 0.0) if plan.view is None else (T_world_rig, plan.view.distortion)
-                frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing, shot, car, bent, scan))
+                readout = Readout(plan.readout_s, twists[name][i]) if plan.readout_s > 0 else None
+                pose = T_world_rig @ T_rig_cam
+                frames.append(FrameWork(camera, pose, number, missing, shot, car, bent, scan, readout))
         if frames:
             found.append(StepWork(plan.moving[i], tuple(frames)))
     return found
@@ -137,9 +142,8 @@ def render_unit(unit: RenderUnit) -> Spent:
         for step in unit.steps:
             renderer = scenes.renderer(unit.place, unit.factors, step.moving)
             for work in step.frames:
-                frame = renderer.render(
-                    work.camera, work.T_world_cam, work.seed, work.T_world_vehicle, work.shot, work.distortion
-                )
+                own = work.T_world_vehicle, work.shot, work.distortion, work.readout
+                frame = renderer.render(work.camera, work.T_world_cam, work.seed, *own)
                 for kind, path in work.missing.items():
                     _WRITERS[kind](path, frame, work, unit)
                 yield sum(path.stat().st_size for path in work.missing.values())

@@ -12,6 +12,7 @@ from relocbench.datasets.synthetic.camera.drops import add_lens_drops
 from relocbench.datasets.synthetic.camera.motion_blur import motion_blur
 from relocbench.datasets.synthetic.camera.photograph import exposure_ev, grey_levels, through_lens
 from relocbench.datasets.synthetic.camera.rectified import RadialLens
+from relocbench.datasets.synthetic.camera.rolling_shutter import Readout, rolling
 from relocbench.datasets.synthetic.camera.shot import Shot
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer import lamps as lighting
@@ -126,6 +127,7 @@ class Renderer:
         T_world_vehicle: Array | None = None,
         shot: Shot | None = None,
         distortion: float = 0.0,
+        readout: Readout | None = None,
     ) -> Frame:
         """Render the image of a pinhole camera; the same arguments give the same bytes.
 
@@ -136,6 +138,7 @@ class Renderer:
                 where it looks.
             shot: the drive's own camera; default: the ideal camera of the factors.
             distortion: of the lens by which the image is taken before it is rectified; see :class:`RadialLens`.
+            readout: of a rolling shutter. The image alone has it; the truth is that of a global shutter.
 
         Raises:
             ConfigError: the camera is not a pinhole camera.
@@ -157,7 +160,7 @@ class Renderer:
 
         image = light.reshape(*shape, 3)
         depth = hits.depth.astype(np.float32).reshape(shape)
-        rgb = self._develop(image, depth, taken, pose, frame_seed, shot)
+        rgb = self._develop(image, depth, taken, pose, frame_seed, shot, readout)
         if lens is not None:
             # The truth is that of the pinhole camera's own rays, since depth cannot be interpolated.
             rgb = lens.rectified(rgb)
@@ -244,7 +247,14 @@ class Renderer:
         return blend_edges(light, edges, known, own, index)
 
     def _develop(
-        self, image: Floats, depth: Floats, camera: Camera, pose: Array, frame_seed: int, shot: Shot | None
+        self,
+        image: Floats,
+        depth: Floats,
+        camera: Camera,
+        pose: Array,
+        frame_seed: int,
+        shot: Shot | None,
+        readout: Readout | None,
     ) -> Image:
         """Apply the weather between scene and lens, then the camera, each with its own random stream.
 
@@ -252,6 +262,8 @@ class Renderer:
         """
         f = self.factors
         falling, drops, noise = (np.random.default_rng([frame_seed & (2**64 - 1), k]) for k in range(3))
+        if readout is not None:
+            image, depth = rolling(image, depth, camera, readout)
         if shot is not None:
             image = motion_blur(image, depth, camera, shot.twist, shot.imaging.exposure_ms / 1e3)
         if f.rain_mm_h > 0 or f.snowfall_mm_h > 0:
