@@ -45,11 +45,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from archives import pack, unpack
-from districts import COUNT, NEXT_PHRASE, PHRASE, District, districts
+from districts import COUNT, NEXT_PHRASE, PHRASE
 
 from baselines.gn_net.method import ALONG, TURNS_DEG
 from baselines.gn_net.tracker import ONE_START
 from relocbench.arrays import Array
+from relocbench.datasets.importers.edition.districts import District, districts
 from relocbench.evaluation.common.results import all_results
 from relocbench.evaluation.tables.records import ALL, read_errors
 from relocbench.metrics import (

@@ -12,7 +12,7 @@ import typer
 from relocbench.cli.options import chosen
 
 if TYPE_CHECKING:
-    from relocbench.datasets.core.schema import Strict
+    from relocbench.evaluation.common.options import EvaluationOptions
     from relocbench.progress import Reporter
 
 
@@ -41,7 +41,7 @@ class Report(Protocol):
         ...
 
 
-Options = TypeVar("Options", bound="Strict")
+Options = TypeVar("Options", bound="EvaluationOptions")
 Reported = TypeVar("Reported", bound=Report)
 
 
@@ -51,7 +51,9 @@ def run_evaluation(
     evaluate: Callable[[Options, Reporter], Reported],
     show: Callable[[Reported, Reporter], None],
 ) -> None:
-    """Evaluate, and print one JSON object, or tables, what crashed, and where the results are.
+    """Evaluate on a dataset, or on each of an edition or of one of its tiers.
+
+    Prints one JSON object, or tables, what crashed, and where the results are.
 
     Args:
         arguments: of the command, as ``locals()`` has them at its beginning.
@@ -60,19 +62,31 @@ def run_evaluation(
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
+    from relocbench.datasets.core.edition_folder import datasets_of
 
     quiet = arguments["quiet"]
     progress = reporter(quiet)
-    report = evaluate(merged(options, arguments["config"], chosen(arguments)), progress)
-    if arguments["json"]:
-        print_json(report.to_dict(), report.counts())
-    else:
-        show(report, progress)
-        for label, message in (*report.crashed, *getattr(report, "suspicions", ())):
-            print(f"{label}: {message}", file=sys.stderr)
-        if not quiet:
-            print(f"results: {report.results}", file=sys.stderr)
-    for _, message in report.left_out:
+    given = merged(options, arguments["config"], chosen(arguments))
+    reports = []
+    for dataset in datasets_of(given.dataset):
+        report = evaluate(given.model_copy(update={"dataset": dataset}), progress)
+        reports.append(report)
+        if not arguments["json"]:
+            show(report, progress)
+            for label, message in (*report.crashed, *getattr(report, "suspicions", ())):
+                print(f"{label}: {message}", file=sys.stderr)
+            if not quiet:
+                print(f"results: {report.results}", file=sys.stderr)
+    if arguments["json"] and len(reports) == 1:
+        print_json(reports[0].to_dict(), reports[0].counts())
+    elif arguments["json"]:
+        counts = [report.counts() for report in reports]
+        together = {
+            name: sum(each.get(name, 0) for each in counts) for name in dict.fromkeys(n for c in counts for n in c)
+        }
+        print_json({"datasets": [report.to_dict() for report in reports]}, together)
+    left_out = dict.fromkeys(message for report in reports for _, message in report.left_out)
+    for message in left_out:
         print(f"error: {message}; the other methods ran", file=sys.stderr)
-    if report.left_out:
+    if left_out:
         raise typer.Exit(2)

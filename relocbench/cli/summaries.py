@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.core.edition_folder import EditionFolder
     from relocbench.datasets.core.recording_folder import RecordingFolder
     from relocbench.datasets.cross_view import CrossViewSet
     from relocbench.datasets.inspect.summary import PairSetInventory, Spread
@@ -90,6 +91,21 @@ def print_places(made: CrossViewSet) -> None:
     print_table("Folders", ["folder", "classes", "images", "conditions"], rows)
     for note in made.notes:
         print(f"note: {note}")
+
+
+def print_edition(edition: EditionFolder) -> None:
+    """What was built of an edition, and whether it asks what everybody is asked."""
+    from relocbench.cli.console import print_table
+
+    file = edition.file
+    rows = []
+    for tier, pairs in edition.pairs.items():
+        questions, expected = file.tiers[tier].questions, edition.expected.get(tier)
+        same = "none published" if expected is None else "as published" if questions == expected else "NOT AS PUBLISHED"
+        rows.append([tier, str(file.districts), str(pairs), questions[:12], same])
+    print_table(f"{file.edition}, split {file.split}", ["tier", "districts", "pairs", "questions", ""], rows)
+    for tier in edition.pairs:
+        print(f"relocbench evaluate -d {edition.root / tier} -m METHOD")
 
 
 def print_recording(recorded: RecordingFolder) -> None:

@@ -12,7 +12,8 @@ from repository import ROOT
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 import archives
 import cross_weather
-from districts import District
+
+from relocbench.datasets.importers.edition.districts import District
 
 WEATHER = ROOT / "leaderboard" / "weather"
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")

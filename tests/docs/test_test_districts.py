@@ -7,6 +7,7 @@ import sys
 import pytest
 from repository import ROOT
 
+from relocbench.datasets.importers.edition.districts import CONDITIONS as DRAWN_FROM
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
@@ -17,18 +18,18 @@ def test_the_page_has_the_phrase_the_seeds_and_the_conditions() -> None:
     page = (ROOT / "docs" / "test-districts.md").read_text()
     assert f"> {districts.PHRASE}\n" in page
     assert f"> {districts.NEXT_PHRASE}\n" in page
-    for each in districts.districts():
+    for each in districts.districts(districts.PHRASE, districts.COUNT):
         assert f"| {each.number} | {each.seed} | {', '.join(each.conditions)} |" in page
 
 
 def test_a_district_has_three_conditions_that_exist_and_a_seed_of_its_own() -> None:
-    found = list(districts.districts())
+    found = list(districts.districts(districts.PHRASE, districts.COUNT))
     assert len({each.seed for each in found}) == districts.COUNT
-    assert sorted(districts.CONDITIONS) == sorted(CONDITIONS)
+    assert sorted(DRAWN_FROM) == sorted(CONDITIONS)
     assert all(len(set(each.conditions)) == 3 for each in found)
 
 
 @pytest.mark.parametrize("phrase", ["", "another phrase", districts.NEXT_PHRASE])
 def test_another_phrase_gives_other_districts(phrase: str) -> None:
-    ours = {each.seed for each in districts.districts()}
-    assert not ours & {each.seed for each in districts.districts(phrase)}
+    ours = {each.seed for each in districts.districts(districts.PHRASE, districts.COUNT)}
+    assert not ours & {each.seed for each in districts.districts(phrase, districts.COUNT)}

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from relocbench.datasets.core.schema import Strict
     from relocbench.execution import Run
 
-_NO_SOURCE = ("synthetic", "cross-view")
+_NO_SOURCE = ("synthetic", "edition", "cross-view")
 _EXAMPLES = {
     "kitti": "relocbench build-dataset kitti odometry/dataset --sequence 06 --pair-step 1,2,4,8 --out D",
     "tum-rgbd": "relocbench build-dataset tum-rgbd rgbd_dataset_freiburg1_xyz --pair-step 1,2,4 --out D",
@@ -56,10 +56,15 @@ _EXAMPLES = {
     "pair-files": "relocbench build-dataset pair-files summer__winter__cam0.txt --sigma 0.02 --out D",
     "photographs": "relocbench build-dataset photographs streets parks --licence CC0-1.0 --out D",
     "synthetic": "relocbench build-dataset synthetic --preset demo --conditions Sunny,Rain,Snow --out D",
+    "edition": "relocbench build-dataset edition 2026.1 --split validation --tier hard --out E",
     "cross-view": "relocbench build-dataset cross-view --places 60 --drone-views 12 --conditions Sunny,Overcast,Rain "
     "--out D",
 }
-_MADE = {"synthetic": "the dataset, or the recordings,", "cross-view": "the places"}
+_MADE = {
+    "synthetic": "the dataset, or the recordings,",
+    "edition": "a folder for each tier, with a dataset for each district,",
+    "cross-view": "the places",
+}
 """what a kind makes, if it is not a dataset"""
 _SOURCES = {
     "photographs": "Folders of photographs, PNG or JPEG; folders in them are searched too.",
@@ -71,6 +76,8 @@ _SOURCES = {
 }
 """what a kind is made from, if it is not recordings"""
 _OF_FILES = ("poses", "pair-files")
+_NAME = "edition"
+"""the option that is no flag but the word behind the kind"""
 _PANELS = {
     "DatasetOptions": "The dataset",
     "ImportOptions": "The dataset",
@@ -103,6 +110,7 @@ _SETS = {
     "pair-files": "sigma: 0.02",
     "photographs": "changes: [exposure, night]",
     "synthetic": "conditions: [Sunny, Rain]",
+    "edition": "tier: hard",
     "cross-view": "conditions: [Sunny, Rain]",
 }
 """an option of each kind as a YAML file sets it"""
@@ -167,7 +175,7 @@ def _command(kind: str) -> TyperCommand:
                 name,
                 inspect.Parameter.KEYWORD_ONLY,
                 annotation=annotation,
-                default=_DEFAULTS.get(name, inspect.Parameter.empty if name in ("sources", "out") else None),
+                default=_DEFAULTS.get(name, inspect.Parameter.empty if name in ("sources", "out", _NAME) else None),
             )
             for name, annotation in parameters.items()
         ]
@@ -218,6 +226,8 @@ def _annotation(name: str, field: FieldInfo, panel: str) -> Any:
     """A flag for a bool; for the rest a word, or several, that pydantic will understand."""
     flag = "--" + name.replace("_", "-")
     text = field.description or ""
+    if name == _NAME:
+        return Annotated[str, typer.Argument(metavar="NAME", help=text, show_default=False)]
     if field.annotation is bool:
         both = f"{flag}/--no-{flag[2:]}"
         return Annotated[bool | None, typer.Option(both, help=text, show_default=False, rich_help_panel=panel)]
@@ -285,7 +295,7 @@ def _build(kind: str, options: type[Strict], values: dict[str, Any]) -> None:
 def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Run, quiet: bool, as_json: bool) -> None:
     from relocbench.cli.console import print_json, reporter
     from relocbench.cli.counts import of_dataset, of_places, of_recording
-    from relocbench.cli.summaries import print_places, print_recording, print_summary
+    from relocbench.cli.summaries import print_edition, print_places, print_recording, print_summary
     from relocbench.datasets.core.build_options import DatasetOptions
     from relocbench.datasets.importers import importer, place_importer, recorder
     from relocbench.datasets.importers.marks import check_recordings
@@ -298,6 +308,16 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
             print_json({"dataset": str(out), "name": made.name, "fingerprint": made.fingerprint}, of_places(made))
         else:
             print_places(made)
+        return
+    if kind == "edition":
+        from relocbench.datasets.importers.edition.dataset import Options, build_edition
+
+        assert isinstance(chosen, Options)
+        edition = build_edition(chosen, out, reporter(quiet), run)
+        if as_json:
+            print_json(edition.to_dict(), {"pairs": sum(edition.pairs.values())})
+        else:
+            print_edition(edition)
         return
     assert isinstance(chosen, DatasetOptions)
     records = recorder(kind)

@@ -46,6 +46,7 @@ KINDS: dict[str, str] = {
     "pair-files": "relocalization files of nine columns alone, as the truth, without images",
     "photographs": "single photographs, each seen again by a camera that moved: made-up depth, exact truth",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
+    "edition": "a named benchmark: the districts of an edition by tiers of difficulty, rendered from its recipe",
     "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
 }
 """kinds of ``relocbench build-dataset`` with one line of help each"""

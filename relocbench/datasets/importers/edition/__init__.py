@@ -1,0 +1,1 @@
+"""Kind ``edition``: a named, versioned benchmark of rendered districts, by tiers of difficulty."""
