@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import pickle
@@ -61,6 +62,12 @@ def files(dataset: Dataset) -> dict[str, bytes]:
     return {str(p.relative_to(root)): p.read_bytes() for p in root.rglob("*") if p.is_file()}
 
 
+def without_similarity(table: bytes) -> list[dict[str, str]]:
+    rows = list(csv.DictReader(table.decode().splitlines()))
+    assert rows
+    return [{name: value for name, value in row.items() if name != "similarity"} for row in rows]
+
+
 @pytest.mark.thorough
 def test_without_the_option_the_recipe_is_that_of_before(ideal: Dataset) -> None:
     """What ``build.yaml`` holds is what the version before wrote, in any order: the question digest covers it."""
@@ -85,8 +92,16 @@ def test_only_images_change(ideal: Dataset, varied: Dataset) -> None:
     assert before.keys() == after.keys()
     differing = {name for name in before if before[name] != after[name]}
     pictures = {name for name in before if "/images/" in name}
-    assert differing == pictures | {"build.yaml", "dataset.yaml", "manifest.csv"}
+    tables = {name for name in before if name.startswith("pairs/") and name.endswith(".csv")}
+    assert differing <= pictures | tables | {"build.yaml", "dataset.yaml", "manifest.csv"}
+    assert pictures <= differing
     assert len(pictures) == 4
+    for name in ideal.pair_set_names:
+        pairs = zip(ideal.pair_set(name).pairs, varied.pair_set(name).pairs, strict=True)
+        assert all(one.key == other.key for one, other in pairs)
+    for name in tables:
+        # How alike the images of a pair look is measured in them.
+        assert without_similarity(before[name]) == without_similarity(after[name])
     assert any("/depth/" in name for name in before)
     assert any(name.endswith(".parquet") for name in before)
 
