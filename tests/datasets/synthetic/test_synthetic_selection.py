@@ -1,13 +1,16 @@
 """Which pairs a rendered set keeps: those of a tier, some of many, not on the repeating street."""
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.importers.rendered.dataset import Options, build
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.measures import PairMeasures
@@ -43,16 +46,20 @@ def test_a_pair_close_to_a_limit_is_in_no_tier_on_any_processor() -> None:
     assert tier_of(overlap=0.505) == tier_of(scale_change=1.151) == tier_of(5.05) == tier_of(depth_error=0.0149) == ""
 
 
-def test_pairs_of_different_places_stay_and_the_rest_is_spread_evenly() -> None:
+def test_the_pairs_that_are_kept_are_spread_evenly() -> None:
     pairs = [pair(n) for n in range(10)]
-    pairs.append(replace(pair(10), group="elsewhere"))
     none = np.zeros((0, 2))
     of = PairMeasures(0.9, 0.9, 1.0, 0.0, None)
     nothing = none, none[:, 0], none, np.zeros(0, bool), np.zeros(0, np.int8)
-    found = {p.key: PairCorrespondences(*nothing, of) for p in pairs[:10]}
-    kept = Selection("easy", 4).of(pairs, found)
-    assert [p.ref_timestamp_ns for p in kept] == [0, 3, 6, 9, 10]
-    assert [p.ref_timestamp_ns for p in Selection("hard", 4).of(pairs, found)] == [10]
+    found = {p.key: PairCorrespondences(*nothing, of) for p in pairs}
+    assert [p.ref_timestamp_ns for p in Selection("easy", 4).of(pairs, found)] == [0, 3, 6, 9]
+    assert Selection("hard", 4).of(pairs, found) == []
+
+
+@pytest.mark.parametrize("chosen", [{"tier": "easy"}, {"pairs": 3}])
+def test_negative_pairs_are_refused_where_their_images_would_be_in_no_other_pair(chosen: dict[str, object]) -> None:
+    with pytest.raises(ValidationError, match="elsewhere exchanges queries of all pairs"):
+        Options.model_validate({**SMALL, "elsewhere": 2, "elsewhere_distance": 20.0, **chosen})
 
 
 def test_the_repeating_street_is_where_its_houses_are() -> None:
@@ -67,6 +74,26 @@ def test_the_repeating_street_is_where_its_houses_are() -> None:
     assert [p.group for p in sorted_by_street(pairs, there, "group")] == [REPEATING, ""]
     assert [p.ref_timestamp_ns for p in sorted_by_street(pairs, there, "avoid")] == [1]
     assert sorted_by_street(pairs, there, "keep") == pairs
+
+
+@pytest.mark.parametrize("pair_rule", [None, "nearest"])
+def test_negative_pairs_are_made_of_the_pairs_that_the_street_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pair_rule: str | None
+) -> None:
+    def beyond(_place: DistrictSpec, T_world_cam: Array) -> Mask:
+        return np.arange(len(T_world_cam)) >= len(T_world_cam) // 2
+
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.pair_sets.on_repeating_street", beyond)
+    chosen = {"distance": 1.0, "max_distance": 4.0} if pair_rule is None else {"max_distance": 4.0}
+    negative = {"elsewhere": 4, "elsewhere_distance": 6.0, "repeating_street": "avoid", "correspondences": 0}
+    asked = made(
+        tmp_path / "some", **chosen, **negative, pair_rule=pair_rule, steps=24, size="48", speed=10.0
+    ).pair_set("validation-Sunny-0__validation-Overcast-0__front")
+    assert len(asked.negative_pairs) == 4
+    places = [pair for pair in asked.pairs if not pair.is_negative]
+    for one in asked.negative_pairs:
+        assert one.ref_timestamp_ns in {pair.ref_timestamp_ns for pair in places}
+        assert one.query_timestamp_ns in {pair.query_timestamp_ns for pair in places}
 
 
 SMALL = {"preset": "smoke", "conditions": ("Sunny", "Overcast"), "steps": 12, "size": "96x72", "split": "validation"}
@@ -93,6 +120,33 @@ def test_a_set_of_a_tier_holds_some_of_the_pairs_that_it_would_hold_anyway(tmp_p
     next((medium.root / "pairs").glob("*.txt")).unlink()
     made(tmp_path / "medium", distance=4.0, max_distance=12.0, tier="medium", pairs=3)
     assert tree_bytes(medium.root) == before
+
+
+def test_a_set_without_any_pair_of_the_tier_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = Selection.of
+
+    def none_of_the_map(self: Selection, pairs: Sequence[Pair], found: Mapping[PairKey, PairCorrespondences]) -> Any:
+        of_one_drive = pairs[0].ref_timestamp_ns in {pair.query_timestamp_ns for pair in pairs}
+        return [] if of_one_drive else real(self, pairs, found)
+
+    monkeypatch.setattr(Selection, "of", none_of_the_map)
+    dataset = made(tmp_path / "one", distance=1.0, max_distance=3.0, pairs=2)
+    assert dataset.pair_set_names == ["validation-Sunny-0__validation-Overcast-0__front"]
+    for folder in ("pairs", "correspondences"):
+        assert {path.stem for path in (dataset.root / folder).iterdir()} == set(dataset.pair_set_names)
+    before = tree_bytes(dataset.root)
+    made(tmp_path / "one", distance=1.0, max_distance=3.0, pairs=2)
+    assert tree_bytes(dataset.root) == before
+
+
+def test_a_street_that_leaves_no_pair_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def everywhere(_place: DistrictSpec, T_world_cam: Array) -> Mask:
+        return np.ones(len(T_world_cam), dtype=np.bool_)
+
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.pair_sets.on_repeating_street", everywhere)
+    for cameras in ({}, {"cameras": "stereo", "camera_pairs": "across"}):
+        with pytest.raises(DatasetError, match=r"validation-Sunny-0.*: the repeating street has all \d+ pairs"):
+            made(tmp_path / "none", distance=1.0, max_distance=3.0, repeating_street="avoid", **cameras)
 
 
 def test_a_tier_that_no_pair_is_of_is_refused(tmp_path: Path) -> None:

@@ -228,6 +228,13 @@ class Options(RuleOptions):
             raise ValueError("elsewhere applies to sets of one camera only, not to camera_pairs across")
         return self
 
+    @model_validator(mode="after")
+    def _negative_pairs_of_pairs_that_are_asked(self) -> Self:
+        if self.elsewhere and (self.tier is not None or self.pairs is not None):
+            option = "tier" if self.tier is not None else "pairs"
+            raise ValueError(f"elsewhere exchanges queries of all pairs, of which {option} keeps only some")
+        return self
+
     def recorded(self) -> dict[str, Any]:
         """The options without the salt's file, and without later ones at their defaults: as earlier versions."""
         values = super().recorded()

@@ -36,6 +36,7 @@ from relocbench.execution import run_units
 
 _WORTH_WORKERS = 600
 """pairs; fewer are finished before other processes have made their districts"""
+_ON_STREET = "the repeating street has all {} pairs, and --repeating-street avoid leaves none"
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> 
         if unit.layout.pair_file(unit.name).stat().st_size:
             splits.setdefault(unit.split, []).append(unit.name)
         else:
-            unit.layout.pair_file(unit.name).unlink()
+            _remove(unit)
             job.reporter.note(f"{unit.name}: none of {len(unit.pairs)} pairs is {unit.selection.tier}; left out")
     if not splits:
         tier = planned[0].selection.tier
@@ -128,6 +129,13 @@ def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> 
             f"no pair of any set is {tier}; expected other distances, angles or depths", job.writer.layout.root
         )
     return splits
+
+
+def _remove(unit: PairSetUnit) -> None:
+    """Remove what was written of a set; its pairs, which mark it as finished, last."""
+    layout = unit.layout
+    for of in (layout.correspondence_file, layout.pair_table, layout.pair_file):
+        of(unit.name).unlink(missing_ok=True)
 
 
 def _of_camera(
@@ -145,26 +153,27 @@ def _of_camera(
     same = reference is query
     if options.pair_rule is None:
         pairs = drawn_pairs(*frames, spread, _rng(job, reference, query), same_traversal=same)
-        if pairs and options.elsewhere:
-            pairs = with_different_places(pairs, *frames, options, layout.root)
     else:
         pairs = make_pairs(
             *frames,
-            options,
+            options.model_copy(update={"elsewhere": 0}),
             same_traversal=same,
             source="rendered poses",
             where=layout.root,
             sigma_translation_m=0.0,
             sigma_rotation_deg=0.0,
         )
-    pairs = _by_street(reference, query, (camera, camera), pairs, repeating)
     if not pairs:
         nearest = nearest_miss([frames], spread, same_traversal=same)
         raise DatasetError(f"{name}: no keyframe of any query is {spread}; {nearest}", layout.root)
+    drawn, pairs = len(pairs), _by_street(reference, query, (camera, camera), pairs, repeating)
+    if not pairs:
+        raise DatasetError(f"{name}: {_ON_STREET.format(drawn)}", layout.root)
     if len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
-        job.reporter.note(
-            f"{name}: {len(query.times) - len(pairs) + options.elsewhere} of {len(query.times)} queries are in no pair"
-        )
+        job.reporter.note(f"{name}: {len(query.times) - len(pairs)} of {len(query.times)} queries are in no pair")
+    if options.elsewhere:
+        # Those of one place that are left, since a method must not know an image from negative pairs alone.
+        pairs = with_different_places(pairs, *frames, options, layout.root)
     return _unit(job, reference, query, (camera, camera), pairs)
 
 
@@ -191,16 +200,19 @@ def _across_cameras(
                 if overlaps[best] > 0:
                     found[candidates[best][0], of_query].append(candidates[best][1])
             advance(1)
-    found = {cameras: _by_street(reference, query, cameras, pairs, repeating) for cameras, pairs in found.items()}
-    paired, asking = sum(map(len, found.values())), len(query.times) * len(query.cameras)
+    drawn, asking = sum(map(len, found.values())), len(query.times) * len(query.cameras)
     where = f"{reference.name}__{query.name}"
-    if not paired:
+    if not drawn:
         sides = [(reference.frames(a), query.frames(b)) for a, b in found]
         nearest = nearest_miss(sides, spread, same_traversal=same)
         raise DatasetError(
             f"{where}: no keyframe of any camera that sees something of a query is {spread}; {nearest}",
             job.writer.layout.root,
         )
+    found = {cameras: _by_street(reference, query, cameras, pairs, repeating) for cameras, pairs in found.items()}
+    paired = sum(map(len, found.values()))
+    if not paired:
+        raise DatasetError(f"{where}: {_ON_STREET.format(drawn)}", job.writer.layout.root)
     if paired < asking:
         job.reporter.note(f"{where}: {asking - paired} of {asking} queries of all cameras are in no pair")
     return [_unit(job, reference, query, cameras, pairs) for cameras, pairs in found.items() if pairs]

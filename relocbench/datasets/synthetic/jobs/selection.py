@@ -37,24 +37,21 @@ class Selection:
         return self.tier is None and self.most is None
 
     def of(self, pairs: Sequence[Pair], found: Mapping[PairKey, PairCorrespondences]) -> list[Pair]:
-        """The pairs that are kept, in their order; pairs of different places are always kept.
+        """The pairs that are kept, in their order.
 
         Args:
             found: by the key of a pair, what was measured of it.
         """
-        places = [pair for pair in pairs if not pair.is_negative]
+        kept = list(pairs)
         if self.tier is not None:
-            places = [
-                pair
-                for pair, tier in zip(places, clear_tiers(places, [found[p.key].measures for p in places]), strict=True)
-                if tier == TIERS.index(self.tier)
-            ]
-        if self.most is not None and len(places) > self.most:
-            by_time = sorted(places, key=lambda pair: pair.query_timestamp_ns)
+            tiers_of = clear_tiers(pairs, [found[pair.key].measures for pair in pairs])
+            kept = [pair for pair, tier in zip(pairs, tiers_of, strict=True) if tier == TIERS.index(self.tier)]
+        if self.most is not None and len(kept) > self.most:
+            by_time = sorted(kept, key=lambda pair: pair.query_timestamp_ns)
             rows = np.linspace(0, len(by_time) - 1, self.most).round().astype(int)
-            places = [by_time[row] for row in rows]
-        kept = {pair.key for pair in places}
-        return [pair for pair in pairs if pair.is_negative or pair.key in kept]
+            keys = {by_time[row].key for row in rows}
+            kept = [pair for pair in kept if pair.key in keys]
+        return kept
 
 
 def clear_tiers(pairs: Sequence[Pair], measures: Sequence[PairMeasures]) -> Indices:
@@ -97,7 +94,7 @@ def sorted_by_street(pairs: Sequence[Pair], repeats: Mapping[int, bool], rule: R
     """
     if rule == "keep":
         return list(pairs)
-    there = [not p.is_negative and (repeats[p.ref_timestamp_ns] or repeats[p.query_timestamp_ns]) for p in pairs]
+    there = [repeats[p.ref_timestamp_ns] or repeats[p.query_timestamp_ns] for p in pairs]
     if rule == "avoid":
         return [pair for pair, is_there in zip(pairs, there, strict=True) if not is_there]
     return [replace(p, group=REPEATING) if is_there else p for p, is_there in zip(pairs, there, strict=True)]
