@@ -46,6 +46,9 @@ def load_yaml_values(
     value, places = _load(path, what, error)
     if not isinstance(value, dict):
         raise error(f"expected {what} with keys and values", path)
+    for key in value:
+        if not isinstance(key, str):
+            raise error(f"a key is {key}, expected a name", path, yaml_line(places, (key,)))
     return value, places
 
 

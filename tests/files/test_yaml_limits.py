@@ -92,6 +92,13 @@ def test_text_that_is_not_utf_8_is_refused(data: bytes, tmp_path: Path) -> None:
         load_yaml_values(tmp_path / "thing.yaml", "a thing")
 
 
+@pytest.mark.parametrize("key", ["1", "2.5", "null", "true", "2024-01-01"])
+def test_a_key_that_is_no_name_is_refused_with_its_line(key: str, tmp_path: Path) -> None:
+    (tmp_path / "thing.yaml").write_text(f"a: 1\n{key}: 2\n")
+    with refused(RelocbenchError, "thing.yaml", 2, "a key is"):
+        load_yaml_values(tmp_path / "thing.yaml", "a thing")
+
+
 def test_a_file_over_the_limit_is_not_read_on(tmp_path: Path) -> None:
     path = tmp_path / "thing.yaml"
     with path.open("wb") as stream:
