@@ -136,20 +136,20 @@ def main() -> int:
         counts[kind][verdict] += 1
         say(f"{kind:10s} {name:34s} {verdict:14s} {reason}")
 
-    firsts: list[tuple[str, Pair]] = []
+    firsts: list[tuple[str, str, Pair]] = []
     for part in arguments.parts.split(","):
         pairs = pairs_of(part, seeds, arguments.data)
-        firsts += [(f"{part} {name}", pair) for name, pair in pairs[:2]]
+        firsts += [(part, name, pair) for name, pair in pairs[:2]]
         for k, (name, pair) in enumerate(pairs):
             judged = Judged(pair, part == "kitti 00")
             count("search", f"{part} {name}", judged)
             if k < 2 and np.isfinite(pair.T_a_b).all():
                 for how, start in perturbed(pair, k, 1.0 if judged.scale.factor <= 2 else 1 / judged.scale.factor):
                     count("perturbed", f"{part} {name} {how}", judged, start)
-    for (one, a), (other, b) in zip(firsts, firsts[1:] + firsts[:1], strict=True):
-        if one.rsplit(" ", 1)[0] != other.rsplit(" ", 1)[0]:
+    for (one, first, a), (other, second, b) in zip(firsts, firsts[1:] + firsts[:1], strict=True):
+        if one != other:  # two pairs of one part may show the same place
             judged = Judged(Pair(a.a, b.b, np.full((4, 4), np.nan)))
-            count("impostors", f"{one} - {other}", judged)
+            count("impostors", f"{one} {first} - {other} {second}", judged)
     table = {kind: dict(sorted(counter.items())) for kind, counter in counts.items()}
     for kind, row in table.items():
         say(f"{kind:10s} " + ", ".join(f"{verdict} {n}" for verdict, n in row.items()))
