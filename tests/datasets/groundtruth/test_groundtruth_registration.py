@@ -323,18 +323,23 @@ def test_only_what_one_of_two_poses_explains_decides_between_them() -> None:
 def test_different_parts_of_a_street_that_repeats_itself_are_ambiguous() -> None:
     o = DriveRegistrationOptions()
 
-    def chosen(odd: tuple[float, ...], query_at: float, guess_m: float) -> SearchResult:
+    def chosen(odd: tuple[float, ...], query_at: float, guess_m: float, confirmed: bool = True) -> SearchResult:
         street = _periodic_but(odd)
         drives = clouds.Drive(street, 1, 60.0, 110.0), clouds.Drive(street, 2, query_at, query_at + 50.0)
         ref, query = (PreparedDrive(drive, drive.nodes) for drive in drives)
         T = invert(drives[0].T_street_node[4]) @ clouds.pose(guess_m) @ invert(clouds.pose(query_at + 8.0))
         guess = (4, 4, T @ drives[1].T_street_node[4])
-        return choose_hypothesis(ref, query, [guess], o.hypotheses, o.register, o.shift)
+        said = {"possible": lambda guess: True, "confirmed": lambda guess: confirmed}
+        return choose_hypothesis(ref, query, [guess], o.hypotheses, o.register, o.shift, **said)
 
     elsewhere = chosen((), 132.0, 68.0)
     assert elsewhere.best is None
     assert elsewhere.ambiguous
     assert chosen((75.0, 96.0, 111.0), 60.0, 68.0).best is not None
+    # What decides between neighbouring houses may repeat itself too, in a longer period.
+    longer = chosen((75.0, 105.0, 135.0, 165.0), 120.0, 68.0, confirmed=False)
+    assert longer.best is None
+    assert "the street repeats itself every" in longer.reason
 
 
 @pytest.mark.thorough

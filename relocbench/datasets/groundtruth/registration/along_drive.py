@@ -18,6 +18,7 @@ from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.odometry.length import LARGEST_STRETCH, LengthRatio
 from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions, pose_difference
 from relocbench.datasets.groundtruth.registration.hypotheses import (
+    CONFIRMED_M,
     HypothesisOptions,
     SearchResult,
     choose_hypothesis,
@@ -322,14 +323,27 @@ class _DriveRegistration:
     def _choose(self, candidates: list[Guess]) -> SearchResult:
         o = self.options
         starts = with_alternatives(self.ref, self.query, candidates, o.shift, 4 * o.hypotheses.most_tried)
-        return self._best_of([s for s in starts if self._possible(s)], o.shift, self._possible)
+        return self._best_of([s for s in starts if self._possible(s)], o.shift, self._possible, self._confirmed)
 
     def _possible(self, guess: Guess) -> bool:
         return self.prior is None or self.prior.allows(*guess)
 
-    def _best_of(self, guesses: list[Guess], shift: ShiftOptions, possible: Callable[[Guess], bool]) -> SearchResult:
+    def _confirmed(self, guess: Guess) -> bool:
+        if self.prior is None:
+            return False
+        ref, query, T_ref_query = guess
+        off = T_ref_query[:2, 3] - self.prior.between(ref, query).T_ref_query[:2, 3]
+        return bool(np.linalg.norm(off) <= CONFIRMED_M)
+
+    def _best_of(
+        self,
+        guesses: list[Guess],
+        shift: ShiftOptions,
+        possible: Callable[[Guess], bool],
+        confirmed: Callable[[Guess], bool] = lambda guess: True,
+    ) -> SearchResult:
         o = self.options
-        return choose_hypothesis(self.ref, self.query, guesses, o.hypotheses, o.register, shift, possible)
+        return choose_hypothesis(self.ref, self.query, guesses, o.hypotheses, o.register, shift, possible, confirmed)
 
     def _unregistered(self, node: int, reason: str) -> Registration:
         nearest = -1 if self.prior is None else self.prior.nearest(node)

@@ -4,7 +4,9 @@ At one place a wrong pose may look as good as the right one, or better. Predicte
 of road, a wrong one meets a gap, a crossing or a facade that is not there. Two drives along different parts of a street
 whose facades repeat meet none of these. The pose that is chosen is therefore compared with every other that holds, and
 with those that are shifted along the street until facades lie on facades again: of what only one of the two explains,
-it must explain nearly all. If it does not, no pose is chosen.
+it must explain nearly all. If it does not, no pose is chosen. Lamps and trees that decide between poses a few metres
+apart may themselves repeat in a longer period, beyond what two drives have in common. Where a shifted pose holds all
+the way, something else must therefore say roughly where the drives are.
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ _MOST_VARIED = 8
 _COARSE = IcpOptions(scale_error_sigma=0.0)
 _RIVALS_M = 12.0
 """how far along the street rivals of a pose are looked for, more than facades repeat in"""
+CONFIRMED_M = _RIVALS_M / 2
+"""a pose this near to where GNSS puts it is nearer than any that is farther from it than rivals are looked for"""
 _SETTLED_APART_M = 0.5
 """poses after a coarse registration that differ by no more are one"""
 
@@ -155,6 +159,7 @@ def choose_hypothesis(
     register_options: RegisterOptions,
     shift: ShiftOptions | None = None,
     possible: Callable[[Guess], bool] = lambda guess: True,
+    confirmed: Callable[[Guess], bool] = lambda guess: True,
 ) -> SearchResult:
     """The registration of the guess that holds over ``follow_m`` of road, or the reason why none does.
 
@@ -163,6 +168,8 @@ def choose_hypothesis(
     Args:
         shift: how far along the street rivals of the chosen pose are looked for; None: only the guesses are its rivals.
         possible: whether a rival is possible, by what else is known of the drives.
+        confirmed: whether what else is known puts a pose within :data:`CONFIRMED_M`, as it must on a street that
+            repeats itself.
     """
     promising = promising_guesses(ref, query, guesses, options)
     tried = [register(ref, query, (r, q), T, register_options) for r, q, T in promising]
@@ -186,8 +193,8 @@ def choose_hypothesis(
     if covered < least:
         return SearchResult(None, f"too little in common: {covered:.0f} m of road, at least {least:.0f} m needed")
     rivals = [followed[n][2] for _, n in surviving[1:]]
-    if shift is not None:
-        rivals += _shifted(ref, query, best, shift, possible, register_options)
+    shifted = [] if shift is None else _shifted(ref, query, best, shift, possible, register_options)
+    rivals += shifted
     for rival in rivals:
         if not (_is_better(ref, query, [best], rival, options, register_options)
                 or _is_better(ref, query, along, rival, options, register_options)):  # fmt: skip
@@ -195,6 +202,12 @@ def choose_hypothesis(
             apart = float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
             reason = f"ambiguous: two poses {apart:.1f} m apart hold over {options.follow_m:.0f} m of road"
             return SearchResult(None, reason, ambiguous=True)
+    if not confirmed((best.ref, best.query, best.T_ref_query)):
+        for rival in shifted:
+            if follow(ref, query, rival, options, register_options)[0] is not None:
+                period = pose_difference(best.T_ref_query, rival.T_ref_query)[0]
+                reason = f"ambiguous: the street repeats itself every {period:.1f} m, and no GNSS puts the drives there"
+                return SearchResult(None, reason, ambiguous=True)
     return SearchResult(best)
 
 
