@@ -48,7 +48,8 @@ def load_yaml_values(
         raise error(f"expected {what} with keys and values", path)
     for key in value:
         if not isinstance(key, str):
-            raise error(f"a key is {key}, expected a name", path, yaml_line(places, (key,)))
+            written = yaml.safe_dump(key).splitlines()[0]
+            raise error(f"a key is {written}, expected a name", path, yaml_line(places, (written,)))
     return value, places
 
 
