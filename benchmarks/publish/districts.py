@@ -19,6 +19,7 @@ PHRASE = "eleven umbrellas crossed the bridge before the lamps were lit"
 NEXT_PHRASE = "nine ferries waited while the lighthouse keeper learned to whistle"
 """of districts that nobody was asked yet: those of the next publication"""
 COUNT = 12
+__all__ = ("COUNT", "NEXT_PHRASE", "PHRASE", "districts")
 
 
 def main() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -153,7 +154,7 @@ def test_a_table_keeps_what_nine_columns_cannot_and_rejected_pairs_stay_out_of_t
 
 
 def test_measures_are_kept_where_they_are_known_and_hidden_with_the_truth(tmp_path: Path) -> None:
-    measures = {"scale_change": 1.25, "overlap_query": 0.75, "depth_error": 0.02, "similarity": -0.25}
+    measures: dict[str, Any] = {"scale_change": 1.25, "overlap_query": 0.75, "depth_error": 0.02, "similarity": -0.25}
     known = [replace(p, overlap=0.5, **measures) for p in PAIRS]
     pair_file, table = write(tmp_path, known)
     assert table.read_text().splitlines()[0] == ",".join(TABLE_COLUMNS + MEASURE_COLUMNS)

@@ -93,7 +93,7 @@ def test_a_spline_is_that_of_scipy() -> None:
 
 def seen_as(keyframe: Keyframe, image: Image) -> Reference:
     """The keyframe as a dataset has it."""
-    return Reference("", None, image, keyframe.camera, depth=keyframe.depth())
+    return Reference("", None, image, keyframe.camera, depth=keyframe.depth().astype(np.float32))
 
 
 @pytest.mark.thorough

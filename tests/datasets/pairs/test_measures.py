@@ -22,7 +22,7 @@ ASIDE = make_transform(np.eye(3), [-SHIFT * DEPTH / FOCAL, 0.0, 0.0])
 def texture(seed: int = 0) -> Image:
     noise = np.random.default_rng(seed).uniform(0, 255, (HEIGHT, WIDTH + SHIFT)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 2)
-    return np.asarray(cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8))
+    return np.asarray(255 * (smooth - smooth.min()) / np.ptp(smooth)).astype(np.uint8)
 
 
 def keyframe(image: Image, **depth: object) -> Reference:
@@ -56,7 +56,7 @@ def test_a_camera_that_comes_nearer_sees_less_of_the_keyframe_and_is_seen_as_a_w
     found = measure(keyframe(LEFT), LEFT, make_transform(np.eye(3), [0.0, 0.0, -DEPTH / 2]))
     # Its own wall is half as far away, so this pose sees one that is not there: only what the keyframe tells counts.
     assert found.overlap == 0.0
-    view = DepthView(CAMERA, WALL / 2)
+    view = DepthView(CAMERA, np.full_like(WALL, DEPTH / 2))
     nearer = pair_correspondences(
         keyframe(LEFT), make_transform(np.eye(3), [0.0, 0.0, -DEPTH / 2]), view, 50, np.random.default_rng(0)
     ).measures

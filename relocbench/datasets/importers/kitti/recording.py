@@ -115,8 +115,8 @@ def read_kitti(
     frames = 1 + max(max(numbers) for numbers in (scans, *found.values()))
     track: Trajectory | None = None
     if odometry == "poses":
-        times, *posed = files.times_and_poses(rate_hz, frames, report)
-        track = _motion(files, *posed, times)
+        times, poses, breaks = files.times_and_poses(rate_hz, frames, report)
+        track = _motion(files, poses, breaks, times)
     else:
         _, times = files.times(rate_hz, frames, report)
     missing = 1 + max(scans) - min(scans) - len(scans)

@@ -14,7 +14,6 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.core.build_options import ImageSize, ImportOptions, RuleOptions, width_height
 from relocbench.datasets.core.salt import SALT_FILE, salted
-from relocbench.datasets.importers.rendered.asked import asked
 from relocbench.datasets.importers.rendered.scopes import (
     refuse_what_has_no_effect,
     without_effect_on_datasets,
@@ -274,7 +273,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.synthetic.drives.routes import check_routes
     from relocbench.datasets.synthetic.jobs.pair_sets import plan_pair_sets, write_pair_sets
     from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread
-    from relocbench.datasets.synthetic.jobs.plan import drive_cameras, drive_views, make_plans
+    from relocbench.datasets.synthetic.jobs.plan import drive_cameras, drive_views, evaluated_drives, make_plans
     from relocbench.datasets.synthetic.jobs.rendering import render_all
     from relocbench.datasets.synthetic.jobs.selection import Selection
     from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
@@ -327,7 +326,13 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     )
     # A rule that no pair meets is refused before anything is written.
     selection, across = Selection(options.tier, options.pairs), options.camera_pairs == "across"
-    pair_sets = plan_pair_sets(job, asked(plans, options), spread, selection, options.repeating_street, across=across)
+    drives = evaluated_drives(
+        plans,
+        all_are_references=options.reference == "all",
+        traversals=options.traversals,
+        pair_rule=options.pair_rule,
+    )
+    pair_sets = plan_pair_sets(job, drives, spread, selection, options.repeating_street, across=across)
     for plan in plans:
         writer.traversal(plan.file(), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
     render_all(job, plans, options.extras)

@@ -239,3 +239,38 @@ def make_plans(
         if times > 1:
             raise ConfigError(f"two traversals would be called '{name}'; give the condition another name")
     return plans
+
+
+def evaluated_drives(
+    plans: Sequence[TraversalPlan], *, all_are_references: bool, traversals: int, pair_rule: str | None
+) -> list[tuple[TraversalPlan, TraversalPlan]]:
+    """The (reference, query) traversals of every pair set.
+
+    The reference's condition is also a query condition: in its second traversal, or else in the reference itself.
+
+    Args:
+        all_are_references: or the first traversal of each split alone.
+        traversals: in each condition.
+
+    Raises:
+        ConfigError: the rule needs a second traversal.
+    """
+    found = []
+    for split in dict.fromkeys(plan.split for plan in plans):
+        members = [plan for plan in plans if plan.split == split]
+        references = members if all_are_references else members[:1]
+        for reference in references:
+            for query in members:
+                itself = reference is query
+                alone = traversals == 1
+                if pair_rule == "step":
+                    wanted = itself
+                elif pair_rule == "nearest":
+                    wanted = not itself
+                else:
+                    wanted = not itself or alone
+                if wanted:
+                    found.append((reference, query))
+    if not found:
+        raise ConfigError("--pair-rule nearest needs a second traversal; name more conditions or raise --traversals")
+    return found
