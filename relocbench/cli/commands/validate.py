@@ -20,7 +20,8 @@ def validate(
         Path,
         typer.Argument(
             metavar="PATH",
-            help="A dataset; a results folder, or one dataset or method in it; a prediction file, or a folder of them.",
+            help="A dataset, an edition or one of its tiers; a results folder, or one dataset or method in it; a "
+            "prediction file, or a folder of them.",
             show_default=False,
         ),
     ],
@@ -68,8 +69,10 @@ def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) ->
 
     if not path.exists():
         raise RelocbenchError("no such file or folder; expected a dataset, results or predictions", path)
+    from relocbench.datasets.checks.faults import Findings
     from relocbench.datasets.checks.validation import is_dataset_folder, validate_dataset
     from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.core.edition_folder import datasets_of
     from relocbench.datasets.cross_view import is_cross_view
     from relocbench.datasets.cross_view.checking import validate_cross_view
     from relocbench.evaluation.tracking.validation import validate_prediction_files
@@ -88,6 +91,9 @@ def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) ->
         if against is not None:
             raise RelocbenchError("is a dataset; --dataset is for predictions and results", path)
         return "dataset", validate_dataset(path, reporter, quick=quick)
+    districts = [folder for folder in datasets_of(path) if folder != path]
+    if districts:
+        return "edition", Findings.joined(validate_dataset(folder, reporter, quick=quick) for folder in districts)
     if is_results_folder(path):
         return "results", validate_all_results(path, against, reporter)
     if any(path.glob("*.txt")):

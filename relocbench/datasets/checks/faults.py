@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,6 +60,12 @@ class Findings:
 
     faults: list[Finding] = field(default_factory=list)
     notes: list[Finding] = field(default_factory=list)
+
+    @classmethod
+    def joined(cls, parts: Iterable[Findings]) -> Findings:
+        """All findings of several checks."""
+        each = list(parts)
+        return cls([f for part in each for f in part.faults], [f for part in each for f in part.notes])
 
     def fault(self, message: str, path: Path | None = None, line: int | None = None) -> None:
         self.faults.append(Finding(message, path, line))

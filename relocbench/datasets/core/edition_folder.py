@@ -13,7 +13,8 @@ from typing import Any
 
 from pydantic import Field
 
-from relocbench.datasets.core.schema import Strict
+from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.core.schema import Name, Strict
 from relocbench.errors import DatasetError
 from relocbench.files import dump_yaml, load_yaml, write_text
 
@@ -25,7 +26,7 @@ class TierRecord(Strict):
 
     questions: str
     """digest of the content ids of its datasets: who has the same was asked the same"""
-    datasets: dict[str, str]
+    datasets: dict[Name, str]
     """number of the district -> content id"""
 
 
@@ -35,7 +36,7 @@ class EditionFile(Strict):
     edition: str
     split: str
     districts: int
-    tiers: dict[str, TierRecord] = Field(default_factory=dict)
+    tiers: dict[Name, TierRecord] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -74,11 +75,26 @@ def datasets_of(folder: Path) -> list[Path]:
     """The datasets of an edition or of one of its tiers; of any other folder itself.
 
     Raises:
-        DatasetError: with file and line: a damaged ``edition.yaml``.
+        DatasetError: with file and line: a damaged ``edition.yaml``, one without a finished tier, or a dataset that is
+            missing.
     """
-    whole, part = read_edition(folder), read_edition(folder.parent)
-    if whole is not None:
-        return [folder / tier / number for tier, record in whole.tiers.items() for number in record.datasets]
-    if part is not None and folder.name in part.tiers:
-        return [folder / number for number in part.tiers[folder.name].datasets]
-    return [folder]
+    if DatasetLayout(folder).dataset_yaml.exists():
+        return [folder]
+    root, part = folder, ""
+    edition = read_edition(folder)
+    if edition is None:
+        root, part = folder.resolve().parent, folder.resolve().name
+        edition = read_edition(root)
+    if edition is None or (part and part not in edition.tiers):
+        return [folder]
+    again = f"run `relocbench build-dataset edition {edition.edition}` again"
+    if not edition.tiers:
+        raise DatasetError(f"no tier is finished; {again}", root / FILE)
+    tiers = (
+        [(folder, edition.tiers[part])] if part else [(folder / name, edition.tiers[name]) for name in edition.tiers]
+    )
+    found = [of / number for of, record in tiers for number in record.datasets]
+    for path in found:
+        if not DatasetLayout(path).dataset_yaml.exists():
+            raise DatasetError(f"{path} is missing or not finished; {again}", root / FILE)
+    return found

@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.edition_folder import datasets_of
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
@@ -183,8 +184,9 @@ def _opened(folder: Path) -> Dataset | CrossViewSet:
 
 
 def _inside(folder: Path) -> list[Dataset | CrossViewSet]:
-    """The datasets in a folder. Raises DatasetError where there is none."""
-    opened = [_opened(path) for path in sorted(folder.iterdir()) if _looks_like_set(path)]
+    """The datasets in a folder, or of an edition. Raises DatasetError where there is none."""
+    inside = [path for path in datasets_of(folder) if path != folder] or sorted(folder.iterdir())
+    opened = [_opened(path) for path in inside if _looks_like_set(path)]
     if not opened:
         raise DatasetError("expected a dataset, or a folder with datasets in it", folder)
     return opened

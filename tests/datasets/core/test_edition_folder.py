@@ -1,0 +1,64 @@
+"""A folder of an edition where a dataset is expected: its districts, or one clear line."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import relocbench
+from small_dataset import make_small_dataset
+
+from relocbench.datasets.core.edition_folder import EditionFile, TierRecord, datasets_of, write_edition
+
+
+@pytest.fixture
+def edition(tmp_path: Path) -> Path:
+    """Of one tier with two districts."""
+    root = tmp_path / "edition"
+    for number, seed in (("01", 0), ("02", 1)):
+        make_small_dataset(root / "easy" / number, name=f"district-{number}", seed=seed)
+    record = TierRecord(questions="none", datasets={"01": "one", "02": "two"})
+    write_edition(root, EditionFile(edition="small", split="validation", districts=2, tiers={"easy": record}))
+    return root
+
+
+def test_a_tier_is_known_from_inside_and_a_dataset_beside_another_file_of_this_name_is_itself(
+    edition: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(edition / "easy")
+    assert datasets_of(Path()) == [Path("01"), Path("02")]
+    (edition / "easy" / "edition.yaml").write_text("second printing")
+    assert datasets_of(edition / "easy" / "01") == [edition / "easy" / "01"]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("tiers: {}", "no tier is finished; run `relocbench build-dataset edition small` again"),
+        ("tiers: {easy: {questions: q, datasets: {'03': c}}}", "03 is missing or not finished; run"),
+        ("tiers: {easy: {questions: q, datasets: {'../../other': c}}}", "edition.yaml:4"),
+        ("tiers: {../other: {questions: q, datasets: {}}}", "edition.yaml:4"),
+    ],
+)
+def test_an_edition_that_is_not_whole_is_refused_before_anything_is_asked(
+    edition: Path, text: str, complaint: str
+) -> None:
+    (edition / "edition.yaml").write_text(f"edition: small\nsplit: validation\ndistricts: 2\n{text}\n")
+    refused = relocbench("evaluate", "-d", edition, "-m", "identity", "--out", edition.parent / "results")
+    assert refused.status == 2
+    assert complaint in refused.complaint
+    assert not (edition.parent / "results").exists()
+
+
+def test_every_district_of_an_edition_is_validated(edition: Path) -> None:
+    assert relocbench("validate", edition, "--quick").out.splitlines()[-1] == f"{edition}: no fault (edition)"
+    shutil.rmtree(edition / "easy" / "02" / "traversals")
+    found = relocbench("validate", edition / "easy", "--quick")
+    assert found.status == 2
+    assert str(edition / "easy" / "02") in found.out
+
+
+def test_results_on_a_whole_edition_are_scored_again_with_its_datasets(edition: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    assert relocbench("evaluate", "-d", edition, "-m", "identity", "--out", results, "--workers", "0").status == 0
+    board = relocbench("leaderboard", results, "-d", edition, "--out", tmp_path / "board")
+    assert board.status == 0, board.err
