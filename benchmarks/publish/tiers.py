@@ -1,0 +1,155 @@
+"""What methods find by tier of difficulty, beside the bound that true matches set.
+
+``python benchmarks/publish/tiers.py E/hard E/medium --results R`` reads districts of an edition (or any datasets) and
+the results on them. A row is a method: the share of the pairs of a tier that it finds within 0.25 m and 2 degrees,
+across conditions, the mean over districts with its 95 % interval over districts (Student's t). Pairs on the street
+whose houses repeat themselves stand apart. ``true matches`` is what perfect matching leaves: PnP on the dataset's own
+visible correspondences, whose pixels in the query are off by 1 px (one sigma, in each direction) and whose depths by
+the error that the map states. The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.stats import t as student
+
+from relocbench.arrays import Array
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.edition_folder import datasets_of
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
+from relocbench.datasets.pairs.visibility import lift
+from relocbench.datasets.synthetic.jobs.selection import REPEATING
+from relocbench.evaluation.common.dataset_lookup import DatasetLookup
+from relocbench.geometry import make_transform, so3_exp
+from relocbench.leaderboard.tracking.load import load_results
+from relocbench.metrics import CORRECT, pose_errors, within
+from relocbench.metrics.pose.tiers import TIERS, tiers
+
+BOUND = "true matches"
+_PIXEL_SIGMA = 1.0
+_RANSAC_PX = 4.0
+
+Found = dict[tuple[str, str], dict[str, list[bool]]]
+"""(method, column) -> district -> whether each pair is found"""
+
+
+def true_matches(dataset: Dataset, pair_set: PairSet, pair: Pair, rng: np.random.Generator) -> Array | None:
+    """``T_query_ref`` (4, 4) by PnP on the pair's visible correspondences with errors; None where PnP fails."""
+    points = read_correspondences(dataset.layout.correspondence_file(pair_set.name), pair.key)
+    seen = np.flatnonzero(points.visible)
+    if len(seen) < 6:
+        return None
+    keyframe = dataset.traversal(pair_set.reference).camera(pair_set.reference_camera, pair.ref_timestamp_ns)
+    query = pair_set.query_traversal.camera(pair_set.query_camera, pair.query_timestamp_ns)
+    depth = points.depth_ref[seen] * (1 + (pair.depth_error or 0.0) * rng.normal(size=len(seen)))
+    world, _ = lift(keyframe, points.uv_ref[seen], depth)
+    pixels = points.uv_query[seen] + _PIXEL_SIGMA * rng.normal(size=(len(seen), 2))
+    rays, _ = query.unproject(pixels)
+    flat = np.ascontiguousarray(rays[:, :2])
+    limit = _RANSAC_PX / query.fx
+    done, turn, shift, inliers = cv2.solvePnPRansac(
+        world, flat, np.eye(3), None, reprojectionError=limit, iterationsCount=1000, confidence=0.9999
+    )
+    if not done or inliers is None or len(inliers) < 6:
+        return None
+    rows = inliers.ravel()
+    turn, shift = cv2.solvePnPRefineLM(world[rows], flat[rows], np.eye(3), None, turn, shift)
+    return make_transform(so3_exp(np.ravel(turn)), np.ravel(shift))
+
+
+def columns_of(pairs: list[Pair]) -> Iterator[tuple[Pair, str]]:
+    """Each pair with the column that it counts in: its tier, or the repeating street."""
+
+    def column(name: str) -> Array:
+        return np.array([getattr(pair, name) for pair in pairs], dtype=np.float64)
+
+    measures = ("overlap", "overlap_query", "scale_change", "angle_deg", "depth_error")
+    for pair, tier in zip(pairs, tiers(*map(column, measures)), strict=True):
+        if tier >= 0:
+            yield pair, REPEATING if pair.group == REPEATING else TIERS[tier]
+
+
+def bound(dataset: Dataset, name: str, found: Found) -> None:
+    """Add what true matches find of a dataset's pairs across conditions."""
+    for set_name in dataset.pair_set_names:
+        pair_set = dataset.pair_set(set_name)
+        if pair_set.reference == pair_set.query:
+            continue
+        for pair, column in columns_of(pair_set.pairs):
+            T = true_matches(dataset, pair_set, pair, np.random.default_rng(pair.key))
+            assert pair.T_query_ref is not None
+            right = False
+            if T is not None:
+                right = bool(within(pose_errors(T[None], pair.T_query_ref[None]), *CORRECT)[0])
+            found[BOUND, column].setdefault(name, []).append(right)
+
+
+def methods(folders: list[Path], results: Path, found: Found) -> None:
+    """Add what the methods of a results folder found of the datasets' pairs across conditions."""
+    for entry in load_results(results, datasets=DatasetLookup(results, folders)):
+        for set_name, record in entry.pair_sets.items():
+            if record.reference == record.query:
+                continue
+            for method in entry.methods:
+                rows = method.errors[set_name]
+                for row, tier, right in zip(rows, rows.scores.tiers, within(rows.errors, *CORRECT), strict=True):
+                    if tier >= 0:
+                        column = REPEATING if row.group == REPEATING else TIERS[tier]
+                        found[method.label, column].setdefault(entry.record.name, []).append(bool(right))
+
+
+def share(by_district: dict[str, list[bool]]) -> tuple[float, float | None]:
+    """The mean over districts in percent, and half the width of its interval; None with one district."""
+    means = 100 * np.array([np.mean(rights) for rights in by_district.values()])
+    if len(means) < 2:
+        return float(means.mean()), None
+    half = student.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means))
+    return float(means.mean()), float(half)
+
+
+def text(mean: float, half: float | None) -> str:
+    return f"{mean:.1f}" if half is None else f"{mean:.1f} ± {half:.1f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path, help="tiers of an edition, or datasets")
+    parser.add_argument("--results", type=Path, help="folder of `relocbench evaluate`")
+    options = parser.parse_args()
+    folders = [dataset for folder in options.folders for dataset in datasets_of(folder)]
+    found: Found = defaultdict(dict)
+    for folder in folders:
+        dataset = Dataset(folder)
+        bound(dataset, dataset.name, found)
+    if options.results is not None:
+        methods(folders, options.results, found)
+    columns = [name for name in (*TIERS, REPEATING) if (BOUND, name) in found]
+    pairs = {name: sum(map(len, found[BOUND, name].values())) for name in columns}
+    heads = " | ".join(f"{name.replace('_', ' ')}, {pairs[name]} pairs" for name in columns)
+    print(f"| method | {heads} |\n|---|{'---|' * len(columns)}", file=sys.stderr)
+    table: dict[str, dict[str, list[float | None]]] = {}
+    for method in dict.fromkeys(method for method, _ in found):
+        values = {name: share(found[method, name]) for name in columns if found.get((method, name))}
+        table[method] = {name: [round(mean, 2), half and round(half, 2)] for name, (mean, half) in values.items()}
+        cells = [
+            ""
+            if name not in values
+            else f"{values[name][0]:.1f}" + (f" ± {half:.1f}" if (half := values[name][1]) else "")
+            for name in columns
+        ]
+        print(f"| {method} | {' | '.join(cells)} |", file=sys.stderr)
+    print(json.dumps({"benchmark": "tiers", "districts": len(folders), "pairs": pairs, "found": table}))
+
+
+if __name__ == "__main__":
+    main()
