@@ -78,6 +78,31 @@ def test_pair_sets_of_one_condition_share_a_column_and_count_the_same(tmp_path: 
     assert found.lines[0].share == pytest.approx((1 + 0.25) / 2)
 
 
+@pytest.mark.parametrize("first", ["new", "old"])
+def test_errors_of_an_earlier_version_have_no_share_of_a_tier(first: str, tmp_path: Path) -> None:
+    results = MadeResults(tmp_path, {SNOW: 3})
+    results.write_dataset()
+    results.add("a", {SNOW: good_of(3)})
+    results.add("b", {SNOW: good_of(3)})
+    board = results.board().datasets[0]
+    overlaps = [0.9, 0.9, 0.3]
+    methods = []
+    for method, is_new in zip(board.entry.methods, (first == "new", first == "old"), strict=True):
+        known = [{"overlap_query": 0.9, "depth_error": 0.0, "scale_change": 1.0}, {}][not is_new]
+        rows = [
+            replace(row, overlap=share, angle_deg=1.0, **known)
+            for row, share in zip(method.errors[SNOW], overlaps, strict=True)
+        ]
+        methods.append(replace(method, errors={SNOW: ErrorTable.of(rows)}))
+    found = by_condition([replace(board, entry=replace(board.entry, methods=tuple(methods)))])
+    shares = {line.label: [own.share for own in line.found] for line in found.lines}
+    if first == "new":
+        assert [(column.tier, column.pairs) for column in found.columns] == [("", 3), ("easy", 2), ("medium", 1)]
+        assert shares == {"a": [1.0, 1.0, 1.0], "b": [1.0, None, None]}
+    else:
+        assert [column.tier for column in found.columns] == [""]
+
+
 @pytest.mark.parametrize(
     ("distances", "expected"),
     [

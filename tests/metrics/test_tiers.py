@@ -11,7 +11,7 @@ from relocbench.metrics.pose.tiers import LIMITS, LOOKS, TIERS, looks, tiers
 NAN = float("nan")
 
 
-def tier(overlap: float, back: float = NAN, scale: float = 1.0, angle: float = 0.0, depth: float = NAN) -> str:
+def tier(overlap: float, back: float = NAN, scale: float = 1.0, angle: float = 0.0, depth: float = 0.0) -> str:
     index = tiers(*(np.array([value]) for value in (overlap, back, scale, angle, depth)))[0]
     return "" if index < 0 else TIERS[index]
 
@@ -27,7 +27,12 @@ def test_a_pair_is_as_hard_as_the_hardest_of_its_measures() -> None:
 def test_what_is_not_known_makes_no_tier_and_an_unknown_error_of_depth_limits_nothing() -> None:
     assert tier(NAN, 0.9) == tier(0.9, scale=NAN) == tier(0.9, angle=NAN) == ""
     assert tier(0.0, scale=NAN) == "extreme"
-    assert tier(0.9, depth=NAN) == "easy"
+    assert tier(0.9, 0.9, depth=NAN) == tier(0.9, NAN, depth=0.0) == "easy"
+
+
+def test_pairs_of_datasets_that_were_built_before_these_measures_have_no_tier() -> None:
+    assert tier(0.9, NAN, depth=NAN) == ""
+    assert tier(0.0, NAN, depth=NAN) == "extreme"
 
 
 @given(
@@ -53,7 +58,14 @@ def test_recall_is_given_for_each_tier_that_has_pairs() -> None:
     error = np.array([0.0, 1.0, 0.0, np.inf])
     errors = PoseErrors(error, error, error)
     overlap, ones = np.array([0.9, 0.9, 0.3, 0.05]), np.ones(4)
-    scores = PairScores(errors, overlap=overlap, scale_change=ones, angle_deg=ones, similarity=np.array([1, 0, 0, 0.6]))
+    scores = PairScores(
+        errors,
+        overlap=overlap,
+        overlap_query=overlap,
+        scale_change=ones,
+        angle_deg=ones,
+        similarity=np.array([1, 0, 0, 0.6]),
+    )
     summary = summarize_scores(scores)
     name = "recall_{}@(0.25m,2deg)"
     assert [summary[name.format(t)] for t in TIERS] == [0.5, 1.0, None, 0.0]

@@ -250,6 +250,8 @@ def _found(label: str, column: Column) -> ConditionRecall:
         tier = TIERS.index(column.tier)
         of_tier = [right[table.scores.tiers == tier] for right, table in zip(rights, known, strict=True)]
         together = np.concatenate(of_tier)
+        if len(together) != column.pairs:  # errors that an earlier version computed, of which no tier is known
+            return ConditionRecall(None, np.zeros(0, dtype=np.bool_))
         return ConditionRecall(float(np.mean(together)), together)
     keys = np.concatenate([table.keys for table in known])
     order = np.lexsort((keys[:, 0], keys[:, 1]))

@@ -45,6 +45,9 @@ LEAST_SIMILARITY = {"alike": 0.8, "changed": 0.5}
 def tiers(overlap: Array, overlap_query: Array, scale_change: Array, angle_deg: Array, depth_error: Array) -> Indices:
     """The tier (N,) of pairs as an index into :data:`TIERS`; -1 where overlap, scale or angle are not known.
 
+    Of a pair that shares something, every dataset knows the overlap seen from the query or the error of depth. Where
+    both are missing, it was built when neither was measured, and its pairs have no tier.
+
     Args:
         overlap, overlap_query: (N,) shares of each image that the other camera sees; the second counts where known.
         scale_change: (N,) 1 or more; NaN counts as unknown, except where nothing is shared, which is ``extreme``.
@@ -59,7 +62,8 @@ def tiers(overlap: Array, overlap_query: Array, scale_change: Array, angle_deg: 
         inside = (shared >= limits.least_overlap) & (scale_change <= limits.most_scale_change)
         inside &= (angle_deg <= limits.most_angle_deg) & ~(depth_error > limits.most_depth_error)
         out[inside] = index
-    unknown = np.isnan(shared) | np.isnan(angle_deg) | (np.isnan(scale_change) & (shared > 0))
+    before = np.isnan(overlap_query) & np.isnan(depth_error)
+    unknown = np.isnan(shared) | np.isnan(angle_deg) | ((np.isnan(scale_change) | before) & (shared > 0))
     out[unknown] = -1
     return out
 
