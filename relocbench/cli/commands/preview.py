@@ -47,7 +47,7 @@ def preview(
         ),
     ] = 0,
     depths: Annotated[
-        bool, typer.Option("--depths", help="Show one condition, and what each kind of --depth knows of it.")
+        bool, typer.Option("--map-depths", help="Show one condition, and what each kind of --depth knows of it.")
     ] = False,
     seed: Annotated[
         int, typer.Option(min=0, metavar="N", help="Seed of the district and of drawn cameras and views.")
@@ -85,7 +85,7 @@ def preview(
     shown = previewed(conditions, everything=all_, swept=sweep, steps=sweep_steps, cameras=drawn_cameras, seed=seed)
     if depths and (len(shown) != 1 or drawn_views):
         told = f"{len(shown)} conditions" if len(shown) != 1 else f"--drawn-views {drawn_views}"
-        raise ConfigError(f"--depths shows what maps know in one condition and one view, got {told}")
+        raise ConfigError(f"--map-depths shows what maps know in one condition and one view, got {told}")
     with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
         view: Any = {"seed": seed, "split": split, "at_m": at, "size": pixels, "reporter": reporter(quiet)}
         sheet = depth_sheet(*shown.values(), **view) if depths else contact_sheet(shown, **view, views=drawn_views)

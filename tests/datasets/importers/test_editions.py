@@ -64,6 +64,7 @@ def made(out: Path, **options: object) -> edition_folder.EditionFolder:
     return build_edition(Options.model_validate({"edition": "small", **options}), out, Silent(), Run(1))
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("small")
 def test_an_edition_built_tier_by_tier_asks_the_same_as_one_built_at_once(tmp_path: Path) -> None:
     whole = made(tmp_path / "whole")
@@ -82,6 +83,7 @@ def test_an_edition_built_tier_by_tier_asks_the_same_as_one_built_at_once(tmp_pa
     assert whole.pairs["medium"] == sum(len(d.pair_set(name).pairs) for d in medium for name in d.pair_set_names)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("small")
 def test_a_folder_of_another_split_or_with_something_else_is_left_alone(tmp_path: Path) -> None:
     made(tmp_path / "one", tier="easy", districts=1)

@@ -197,7 +197,7 @@ def test_the_boreas_layout_is_written_by_one_command_and_goes_on_where_it_was_cu
         (("--recording", "robotcar", "--rings", "32"), ("--rings", "kitti", "boreas")),
         (("--recording", "boreas", "--motion-distorted"), ("--motion-distorted", "kitti")),
         (("--recording", "boreas", "--recording-cameras", "image_0"), ("image_0", "camera")),
-        (("--rings", "32"), ("--rings", "--recording")),
+        (("--rings", "32"), ("--rings", "--depth lidar", "recordings")),
         (("--recording", "kitti", "--rings", "12"), ("--rings", "16")),
         (("--recording", "kitti", "--image-scale", "2"), ("--image-scale", "1")),
         (("--recording", "kitti", "--recording-cameras", "left"), ("left",)),

@@ -283,7 +283,7 @@ def test_a_preview_shows_what_maps_know(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
     sheet = tmp_path / "sheet.png"
-    words = ("preview", "-c", "Sunny", "--depths", "--size", "96x72", "--out", sheet, "--quiet")
+    words = ("preview", "-c", "Sunny", "--map-depths", "--size", "96x72", "--out", sheet, "--quiet")
     assert relocbench(*words).status == 0
     picture = images.read_image(sheet)
     assert picture.shape == (72, 5 * 96 + 4 * 4, 3)
@@ -292,9 +292,9 @@ def test_a_preview_shows_what_maps_know(tmp_path: Path, monkeypatch: pytest.Monk
     assert 0.05 < points < exact
     assert 0.05 < lidar < exact
     assert 0.05 < stereo < exact
-    told = relocbench("preview", "--all", "--depths", "--out", sheet)
+    told = relocbench("preview", "--all", "--map-depths", "--out", sheet)
     assert told.status == 2
-    assert_names(told.complaint, "", None, "--depths", 10)
+    assert_names(told.complaint, "", None, "--map-depths", 10)
 
 
 def test_points_that_were_not_written_to_their_end_are_noticed(tmp_path: Path) -> None:

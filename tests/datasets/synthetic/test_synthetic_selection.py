@@ -76,6 +76,7 @@ def test_the_repeating_street_is_where_its_houses_are() -> None:
     assert sorted_by_street(pairs, there, "keep") == pairs
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pair_rule", [None, "nearest"])
 def test_negative_pairs_are_made_of_the_pairs_that_the_street_leaves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pair_rule: str | None
@@ -122,6 +123,7 @@ def test_a_set_of_a_tier_holds_some_of_the_pairs_that_it_would_hold_anyway(tmp_p
     assert tree_bytes(medium.root) == before
 
 
+@pytest.mark.thorough
 def test_a_set_without_any_pair_of_the_tier_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = Selection.of
 
