@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -38,6 +39,14 @@ from relocbench.geometry import Camera
 Model = TypeVar("Model", bound=BaseModel)
 
 _PAIR_NUMBERS = ("distance_m", "angle_deg", "overlap", "sigma_translation_m", "sigma_rotation_deg")
+_RANGES = {
+    "overlap": (0.0, 1.0),
+    "overlap_query": (0.0, 1.0),
+    "scale_change": (1.0, math.inf),
+    "depth_error": (0.0, math.inf),
+    "similarity": (-1.0, 1.0),
+}
+"""the least and the greatest value of the measures of a pair"""
 _POINT_COLUMNS = ("u", "v", "inverse_depth", "sigma")
 
 
@@ -190,6 +199,7 @@ def read_pair_table(path: Path, findings: Findings) -> dict[PairKey, TableRow]:
                     numbers[name] = (
                         parse_floats([values[name]], path, number, name, DatasetError)[0] if values[name] else None
                     )
+                    _check_range(name, numbers[name], path, number)
             if values["accepted"] not in ("true", "false"):
                 findings.fault(f"accepted is '{values['accepted']}', expected true or false", path, number)
             rows[ref, query] = TableRow(
@@ -202,6 +212,14 @@ def read_pair_table(path: Path, findings: Findings) -> dict[PairKey, TableRow]:
                 number,
             )
     return rows
+
+
+def _check_range(name: str, value: float | None, path: Path, line: int) -> None:
+    """Raise DatasetError if a measure of a pair is one that no pair has."""
+    low, high = _RANGES.get(name, (-math.inf, math.inf))
+    if value is not None and not low <= value <= high:
+        wanted = f"at least {low:g}" if high == math.inf else f"{low:g} to {high:g}"
+        raise DatasetError(f"{name} is {value:g}, expected {wanted}", path, line)
 
 
 def _pair_table(path: Path, findings: Findings) -> Iterator[tuple[int, dict[str, str], str]]:
