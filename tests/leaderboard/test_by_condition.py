@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def test_errors_of_an_earlier_version_have_no_share_of_a_tier(first: str, tmp_pa
     overlaps = [0.9, 0.9, 0.3]
     methods = []
     for method, is_new in zip(board.entry.methods, (first == "new", first == "old"), strict=True):
-        known = [{"overlap_query": 0.9, "depth_error": 0.0, "scale_change": 1.0}, {}][not is_new]
+        known: dict[str, Any] = [{"overlap_query": 0.9, "depth_error": 0.0, "scale_change": 1.0}, {}][not is_new]
         rows = [
             replace(row, overlap=share, angle_deg=1.0, **known)
             for row, share in zip(method.errors[SNOW], overlaps, strict=True)

@@ -16,7 +16,6 @@ from refusals import assert_names, refused
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
-from relocbench.datasets.importers.rendered.asked import asked
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.pairs.visibility import warp
@@ -28,7 +27,7 @@ from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent, duration
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
-from relocbench.datasets.synthetic.jobs.plan import make_plans
+from relocbench.datasets.synthetic.jobs.plan import evaluated_drives, make_plans
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate, extra_path
 from relocbench.datasets.synthetic.renderer.render import Renderer
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
@@ -364,12 +363,12 @@ def test_traffic_is_rendered_marked_as_changed_and_never_matched(tmp_path: Path)
 def test_pair_sets_are_those_that_were_asked_for() -> None:
     conditions = conditions_of(("Neutral", "Rain"), {}, None, 2)
 
-    def count(traversals: int, **options: object) -> int:
+    def count(traversals: int, reference: str = "first", pair_rule: str | None = None) -> int:
         plans = make_plans(
             ("test",), conditions, traversals, 3, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent()
         )
-        chosen = synthetic.Options.model_validate({**SMOKE, "traversals": traversals, **options})
-        return len(asked(plans, chosen))
+        every = reference == "all"
+        return len(evaluated_drives(plans, all_are_references=every, traversals=traversals, pair_rule=pair_rule))
 
     assert count(1) == 2
     assert count(1, reference="all") == 4

@@ -11,15 +11,13 @@ from command_line import relocbench
 from refusals import assert_names
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.importers.rendered.asked import asked
-from relocbench.datasets.importers.rendered.dataset import Options
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.drives.routes import RouteName
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
-from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
+from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, evaluated_drives, make_plans
 from relocbench.geometry import apply, invert, make_transform, so3_exp
 from relocbench.progress import Silent
 
@@ -87,10 +85,10 @@ def test_each_condition_is_driven_on_each_route_and_the_first_drive_is_the_map()
         "test-Rain-0", "test-Rain-return-0", "test-Rain-other-lane-0",
     ]  # fmt: skip
     assert len({plan.times[0] for plan in plans.values()}) == 6
-    options = Options.model_validate({"preset": "smoke", "route": ("return", "common")})
     first = list(planned("return", "common").values())
-    assert {reference.name for reference, _ in asked(first, options)} == {"test-Neutral-return-0"}
-    assert len(asked(first, options)) == 4
+    drives = evaluated_drives(first, all_are_references=False, traversals=1, pair_rule=None)
+    assert {reference.name for reference, _ in drives} == {"test-Neutral-return-0"}
+    assert len(drives) == 4
 
 
 def test_a_drive_does_not_depend_on_the_other_routes() -> None:
