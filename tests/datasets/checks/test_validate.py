@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import shlex
@@ -152,25 +153,22 @@ def test_a_pair_file_and_its_table_must_say_the_same(dataset: Dataset) -> None:
 
 
 def test_a_measure_that_no_pair_has_is_a_fault(dataset: Dataset) -> None:
+    wrong = {
+        "overlap": ("7", "expected 0 to 1"),
+        "overlap_query": ("-0.1", "expected 0 to 1"),
+        "scale_change": ("0.9", "expected at least 1"),
+        "depth_error": ("-1", "expected at least 0"),
+        "similarity": ("1.5", "expected -1 to 1"),
+    }
     table = dataset.layout.pair_table(ACROSS)
-    lines = table.read_text().splitlines()
-    where = lines[0].split(",").index("overlap")
-    lines[0] += ",scale_change,overlap_query,depth_error,similarity"
-    wrong = [
-        ("0.5", "1,-0.1,0,1", "overlap_query is -0.1, expected 0 to 1"),
-        ("0.5", "0.9,0,0,1", "scale_change is 0.9, expected at least 1"),
-        ("0.5", "2,1,-1,-1", "depth_error is -1, expected at least 0"),
-        ("0.5", ",,,1.5", "similarity is 1.5, expected -1 to 1"),
-        ("7", "1,1,0,-1", "overlap is 7, expected 0 to 1"),
-    ]
-    for number, (overlap, measures, _) in enumerate(wrong, start=1):
-        fields = lines[number].split(",")
-        fields[where] = overlap
-        lines[number] = ",".join([*fields, measures])
-    lines[len(wrong) + 1 :] = [f"{line},1,1,0,0" for line in lines[len(wrong) + 1 :]]
-    table.write_text("\n".join(lines) + "\n")
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    for row, (name, (value, _)) in zip(rows, wrong.items(), strict=False):
+        row[name] = value
+    table.write_text("\n".join([",".join(rows[0]), *(",".join(row.values()) for row in rows)]) + "\n")
     faults = {f.line: f.message for f in check(dataset.root).faults if f.path == table and f.line is not None}
-    assert faults == {number: message for number, (_, _, message) in enumerate(wrong, start=2)}
+    assert faults == {
+        line: f"{name} is {value}, {expected}" for line, (name, (value, expected)) in enumerate(wrong.items(), start=2)
+    }
 
 
 def test_truth_that_disagrees_with_its_stated_source_is_a_fault(tmp_path: Path) -> None:
