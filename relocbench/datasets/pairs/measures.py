@@ -166,5 +166,7 @@ def _grey(image: Image) -> Image:
 def _sampled(grey: Image, u: Array, v: Array, step: int) -> Array:
     """Grey levels at pixels (N, K), each the mean over ``step`` x ``step`` pixels around it."""
     smooth = grey if step == 1 else cv2.blur(grey, (step, step))
-    out = cv2.remap(smooth.astype(np.float32), u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
+    # The mean over an even number of pixels is that of a place half a pixel before the one where it is stored.
+    x, y = (np.asarray(k + 0.5 * (step % 2 == 0), np.float32) for k in (u, v))
+    out = cv2.remap(smooth.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return out.astype(np.float64)

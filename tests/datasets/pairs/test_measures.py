@@ -6,7 +6,7 @@ import pytest
 
 from relocbench.arrays import Array, Image
 from relocbench.datasets.pairs.correspondences import pair_correspondences
-from relocbench.datasets.pairs.measures import PairMeasures, similarity
+from relocbench.datasets.pairs.measures import PairMeasures, _sampled, similarity
 from relocbench.datasets.pairs.visibility import DepthView
 from relocbench.geometry import Camera, make_transform
 from relocbench.tracking import KeyframePoints, Reference
@@ -95,3 +95,11 @@ def test_large_images_are_compared_at_the_size_of_small_ones() -> None:
     found = similarity(reference, camera, grey[1], ASIDE, pixels, np.full(len(u), DEPTH))
     assert found is not None
     assert found > 0.8
+
+
+def test_grey_levels_are_means_around_their_pixel_for_any_size_of_image_and_no_darker_at_its_border() -> None:
+    ramp = np.tile(np.arange(0, 200, 2, dtype=np.uint8), (60, 1))
+    for step in range(1, 6):
+        here, at_border = _sampled(ramp, np.array([[30.0, 99.4]]), np.array([[30.0, 30.0]]), step)[0]
+        assert here == pytest.approx(60.0)
+        assert at_border == pytest.approx(198.0, abs=step)
