@@ -63,12 +63,15 @@ def run_evaluation(
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.datasets.core.edition_folder import datasets_of
+    from relocbench.errors import ConfigError
 
     quiet = arguments["quiet"]
     progress = reporter(quiet)
     given = merged(options, arguments["config"], chosen(arguments))
-    reports = []
-    for dataset in datasets_of(given.dataset):
+    reports, datasets = [], datasets_of(given.dataset)
+    if len(datasets) > 1 and getattr(given, "predictions", None) is not None:
+        raise ConfigError(f"--predictions are of one dataset; name one of the {len(datasets)}, such as {datasets[0]}")
+    for dataset in datasets:
         report = evaluate(given.model_copy(update={"dataset": dataset}), progress)
         reports.append(report)
         if not arguments["json"]:

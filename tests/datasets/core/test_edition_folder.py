@@ -62,3 +62,13 @@ def test_results_on_a_whole_edition_are_scored_again_with_its_datasets(edition: 
     assert relocbench("evaluate", "-d", edition, "-m", "identity", "--out", results, "--workers", "0").status == 0
     board = relocbench("leaderboard", results, "-d", edition, "--out", tmp_path / "board")
     assert board.status == 0, board.err
+
+
+def test_predictions_of_one_dataset_are_refused_for_several(edition: Path) -> None:
+    results = edition.parent / "results"
+    refused = relocbench("evaluate", "-d", edition, "--predictions", edition, "-m", "mine", "--out", results)
+    assert refused.status == 2
+    assert (
+        f"--predictions are of one dataset; name one of the 2, such as {edition / 'easy' / '01'}" in refused.complaint
+    )
+    assert not results.exists()
