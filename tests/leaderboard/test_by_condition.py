@@ -100,6 +100,7 @@ def test_errors_of_an_earlier_version_have_no_share_of_a_tier(first: str, tmp_pa
     if first == "new":
         assert [(column.tier, column.pairs) for column in found.columns] == [("", 3), ("easy", 2), ("medium", 1)]
         assert shares == {"a": [1.0, 1.0, 1.0], "b": [1.0, None, None]}
+        assert [column.tier for column in found.usual.columns] == [""]
     else:
         assert [column.tier for column in found.columns] == [""]
 

@@ -149,8 +149,8 @@ class ByCondition:
 
     @property
     def usual(self) -> ByCondition:
-        """Without the columns of finer thresholds."""
-        kept = [i for i, column in enumerate(self.columns) if not column.is_finer]
+        """The columns of conditions alone, without finer thresholds and without tiers."""
+        kept = [i for i, column in enumerate(self.columns) if not column.is_finer and not column.tier]
         lines = tuple(replace(line, found=tuple(line.found[i] for i in kept)) for line in self.lines)
         return ByCondition(tuple(self.columns[i] for i in kept), lines)
 

@@ -151,6 +151,7 @@ def test_a_street_that_leaves_no_pair_is_named(tmp_path: Path, monkeypatch: pyte
             made(tmp_path / "none", distance=1.0, max_distance=3.0, repeating_street="avoid", **cameras)
 
 
+@pytest.mark.thorough
 def test_a_tier_that_no_pair_is_of_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no pair of any set is extreme"):
         made(tmp_path / "none", distance=0.5, max_distance=1.0, max_angle=2.0, tier="extreme")
