@@ -46,7 +46,7 @@ def preview(
             help="Show each condition in N drawn views too, as --views varied has them but for the size.",
         ),
     ] = 0,
-    depths: Annotated[
+    map_depths: Annotated[
         bool, typer.Option("--map-depths", help="Show one condition, and what each kind of --depth knows of it.")
     ] = False,
     seed: Annotated[
@@ -83,13 +83,13 @@ def preview(
     except ValueError as bad:
         raise ConfigError(f"--size {quoted(size)}: {bad}") from None
     shown = previewed(conditions, everything=all_, swept=sweep, steps=sweep_steps, cameras=drawn_cameras, seed=seed)
-    if depths and (len(shown) != 1 or drawn_views):
+    if map_depths and (len(shown) != 1 or drawn_views):
         told = f"{len(shown)} conditions" if len(shown) != 1 else f"--drawn-views {drawn_views}"
         raise ConfigError(f"--map-depths shows what maps know in one condition and one view, got {told}")
     with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
         view: Any = {"seed": seed, "split": split, "at_m": at, "size": pixels, "reporter": reporter(quiet)}
-        sheet = depth_sheet(*shown.values(), **view) if depths else contact_sheet(shown, **view, views=drawn_views)
+        sheet = depth_sheet(*shown.values(), **view) if map_depths else contact_sheet(shown, **view, views=drawn_views)
         stream.write(jpeg_bytes(sheet) if out.suffix.lower() in (".jpg", ".jpeg") else png_bytes(sheet))
     if json:
-        pictures = 1 + len(get_args(DepthKind)) if depths else len(shown) * (drawn_views + 1)
+        pictures = 1 + len(get_args(DepthKind)) if map_depths else len(shown) * (drawn_views + 1)
         print_json({"file": out}, {"pictures": pictures, "files_written": 1})

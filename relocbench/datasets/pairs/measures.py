@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from relocbench.arrays import Array, Image
+from relocbench.datasets.core.images import as_grey
 from relocbench.datasets.pairs.visibility import ReferencePoints, lift, warp
 from relocbench.geometry import Camera, apply
 from relocbench.tracking import Reference
@@ -128,7 +129,7 @@ def similarity(
     """
     if len(depth) < _FEWEST:
         return None
-    grey_ref, grey_query = _grey(reference.image), _grey(query_image)
+    grey_ref, grey_query = as_grey(reference.image), as_grey(query_image)
     step_ref = max(1, round(grey_ref.shape[1] / _WIDTH))
     step_query = max(1, round(grey_query.shape[1] / _WIDTH))
     rows = np.linspace(0, len(depth) - 1, min(len(depth), _PATCHES)).astype(np.int64)
@@ -157,10 +158,6 @@ def similarity(
     norm = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     correlations = np.where(norm > 0, np.sum(a * b, axis=1) / np.maximum(norm, 1e-12), 0.0)
     return round(float(np.median(correlations)), 4)
-
-
-def _grey(image: Image) -> Image:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
 def _sampled(grey: Image, u: Array, v: Array, step: int) -> Array:
