@@ -7,10 +7,13 @@ learning rates, the loss, how weights are written and validated, and what its mo
 from __future__ import annotations
 
 import math
+import sys
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import cv2
@@ -345,7 +348,7 @@ def batches_in_order(batches: Dataset[Batch], first: int, last: int, workers: in
         batch_size=None,
         sampler=range(first, last),
         num_workers=workers,
-        worker_init_fn=_one_thread,
+        worker_init_fn=_begin_worker,
         prefetch_factor=_PREFETCH if workers else None,
         multiprocessing_context="spawn" if workers else None,
         pin_memory=pin_memory,
@@ -354,6 +357,13 @@ def batches_in_order(batches: Dataset[Batch], first: int, last: int, workers: in
     return iter(loader)
 
 
-def _one_thread(_: int) -> None:
-    """Leave the cores to the training; the loader limits torch's threads in the same way."""
+def _begin_worker(_: int) -> None:
+    """Leave the cores to the training (the loader limits torch's threads in the same way), and its end to itself."""
     cv2.setNumThreads(1)
+    hook = sys.excepthook
+
+    def unless_its_reader_ended(kind: type[BaseException], value: BaseException, trace: TracebackType | None) -> None:
+        if threading.current_thread() is threading.main_thread() or not issubclass(kind, (ConnectionError, EOFError)):
+            hook(kind, value, trace)
+
+    sys.excepthook = unless_its_reader_ended  # multiprocessing's thread that hands tensors over calls it
