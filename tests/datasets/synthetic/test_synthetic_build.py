@@ -20,7 +20,7 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import condition_named
-from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.datasets.synthetic.conditions.presets import References, conditions_of
 from relocbench.datasets.synthetic.drives.drive import Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.rig import RIGS
 from relocbench.datasets.synthetic.drives.traffic import moving_cars
@@ -363,17 +363,17 @@ def test_traffic_is_rendered_marked_as_changed_and_never_matched(tmp_path: Path)
 def test_pair_sets_are_those_that_were_asked_for() -> None:
     conditions = conditions_of(("Neutral", "Rain"), {}, None, 2)
 
-    def count(traversals: int, reference: str = "first", pair_rule: str | None = None) -> int:
+    def count(traversals: int, reference: References = "first", pair_rule: str | None = None) -> int:
         plans = make_plans(
             ("test",), conditions, traversals, 3, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent()
         )
-        every = reference == "all"
-        return len(evaluated_drives(plans, all_are_references=every, traversals=traversals, pair_rule=pair_rule))
+        return len(evaluated_drives(plans, references=reference, traversals=traversals, pair_rule=pair_rule))
 
     assert count(1) == 2
     assert count(1, reference="all") == 4
+    assert count(1, reference="others") == 2
     assert count(2) == 3
-    assert count(2, reference="all") == 12
+    assert count(2, reference="all") == count(2, reference="others") == 12
     assert count(2, reference="all", pair_rule="step") == 4
     assert count(1, pair_rule="nearest") == 1
 

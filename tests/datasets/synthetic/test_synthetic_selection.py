@@ -147,7 +147,7 @@ def test_a_street_that_leaves_no_pair_is_named(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.pair_sets.on_repeating_street", everywhere)
     for cameras in ({}, {"cameras": "stereo", "camera_pairs": "across"}):
-        with pytest.raises(DatasetError, match=r"validation-Sunny-0.*: the repeating street has all \d+ pairs"):
+        with pytest.raises(DatasetError, match="all pairs stand on the repeating street"):
             made(tmp_path / "none", distance=1.0, max_distance=3.0, repeating_street="avoid", **cameras)
 
 

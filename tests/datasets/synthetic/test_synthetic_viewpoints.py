@@ -86,7 +86,7 @@ def test_each_condition_is_driven_on_each_route_and_the_first_drive_is_the_map()
     ]  # fmt: skip
     assert len({plan.times[0] for plan in plans.values()}) == 6
     first = list(planned("return", "common").values())
-    drives = evaluated_drives(first, all_are_references=False, traversals=1, pair_rule=None)
+    drives = evaluated_drives(first, references="first", traversals=1, pair_rule=None)
     assert {reference.name for reference, _ in drives} == {"test-Neutral-return-0"}
     assert len(drives) == 4
 

@@ -24,6 +24,7 @@ from relocbench.datasets.synthetic.conditions.presets import (
     PRESETS,
     SPLITS,
     ExtraKind,
+    References,
     RepeatingStreet,
     conditions_of,
     refuse_imaging,
@@ -124,9 +125,9 @@ class Options(RuleOptions):
         description="'step': frame i with frame i + k of the same traversal; 'nearest': each query with the nearest "
         "keyframe; default: a keyframe at a random distance with mean --distance",
     )
-    reference: Literal["first", "all"] = Field(
+    reference: References = Field(
         "first",
-        description="'first': the first traversal of each split is the reference of all; 'all': each is a reference",
+        description="'first': a split's first traversal is the map of all; 'all': each; 'others': each, of others only",
     )
     correspondences: int = Field(
         500, ge=0, description="ground-truth correspondences kept for each pair, spread over the image; 0 for none"
@@ -328,7 +329,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     selection, across = Selection(options.tier, options.pairs), options.camera_pairs == "across"
     drives = evaluated_drives(
         plans,
-        all_are_references=options.reference == "all",
+        references=options.reference,
         traversals=options.traversals,
         pair_rule=options.pair_rule,
     )

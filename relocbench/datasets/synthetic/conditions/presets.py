@@ -24,6 +24,8 @@ from relocbench.errors import ConfigError
 
 ExtraKind = Literal["normals", "instance", "semantic", "changed"]
 """further images that can be written beside a dataset"""
+References = Literal["first", "all", "others"]
+"""which drives are maps, and of which others"""
 RepeatingStreet = Literal["keep", "group", "avoid"]
 """what becomes of pairs on the street whose houses repeat themselves"""
 SPLITS = ("train", "validation", "test")

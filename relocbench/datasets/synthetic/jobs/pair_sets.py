@@ -36,7 +36,7 @@ from relocbench.execution import run_units
 
 _WORTH_WORKERS = 600
 """pairs; fewer are finished before other processes have made their districts"""
-_ON_STREET = "the repeating street has all {} pairs, and --repeating-street avoid leaves none"
+_ON_STREET = "all pairs stand on the repeating street, and --repeating-street avoid leaves none"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +81,11 @@ def plan_pair_sets(
         across: whether each query is paired with the keyframe of whichever camera sees most of the same. There is a
             set for each two cameras that have such pairs.
 
+    A set whose pairs all stand on the repeating street, if these are to be avoided, is left out with a note.
+
     Raises:
-        DatasetError: a pair set would be empty, or the road is too short for pairs of different places.
+        DatasetError: a set has no pair within the bounds, none is left of any set, or the road is too short for pairs
+            of different places.
     """
     units = [
         unit
@@ -90,9 +93,12 @@ def plan_pair_sets(
         for unit in (
             _across_cameras(job, reference, query, spread, repeating)
             if across
-            else [_of_camera(job, reference, query, camera, spread, repeating) for camera in reference.cameras]
+            else (_of_camera(job, reference, query, camera, spread, repeating) for camera in reference.cameras)
         )
+        if unit.pairs
     ]
+    if not units:
+        raise DatasetError(_ON_STREET, job.writer.layout.root)
     return [replace(unit, selection=selection) for unit in units]
 
 
@@ -166,12 +172,12 @@ def _of_camera(
     if not pairs:
         nearest = nearest_miss([frames], spread, same_traversal=same)
         raise DatasetError(f"{name}: no keyframe of any query is {spread}; {nearest}", layout.root)
-    drawn, pairs = len(pairs), _by_street(reference, query, (camera, camera), pairs, repeating)
+    pairs = _by_street(reference, query, (camera, camera), pairs, repeating)
     if not pairs:
-        raise DatasetError(f"{name}: {_ON_STREET.format(drawn)}", layout.root)
-    if len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
+        job.reporter.note(f"{name}: {_ON_STREET}; left out")
+    elif len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
         job.reporter.note(f"{name}: {len(query.times) - len(pairs)} of {len(query.times)} queries are in no pair")
-    if options.elsewhere:
+    if options.elsewhere and pairs:
         # Those of one place that are left, since a method must not know an image from negative pairs alone.
         pairs = with_different_places(pairs, *frames, options, layout.root)
     return _unit(job, reference, query, (camera, camera), pairs)
@@ -200,9 +206,9 @@ def _across_cameras(
                 if overlaps[best] > 0:
                     found[candidates[best][0], of_query].append(candidates[best][1])
             advance(1)
-    drawn, asking = sum(map(len, found.values())), len(query.times) * len(query.cameras)
+    asking = len(query.times) * len(query.cameras)
     where = f"{reference.name}__{query.name}"
-    if not drawn:
+    if not any(found.values()):
         sides = [(reference.frames(a), query.frames(b)) for a, b in found]
         nearest = nearest_miss(sides, spread, same_traversal=same)
         raise DatasetError(
@@ -212,8 +218,8 @@ def _across_cameras(
     found = {cameras: _by_street(reference, query, cameras, pairs, repeating) for cameras, pairs in found.items()}
     paired = sum(map(len, found.values()))
     if not paired:
-        raise DatasetError(f"{where}: {_ON_STREET.format(drawn)}", job.writer.layout.root)
-    if paired < asking:
+        job.reporter.note(f"{where}: {_ON_STREET}; left out")
+    elif paired < asking:
         job.reporter.note(f"{where}: {asking - paired} of {asking} queries of all cameras are in no pair")
     return [_unit(job, reference, query, cameras, pairs) for cameras, pairs in found.items() if pairs]
 

@@ -14,7 +14,7 @@ from relocbench.datasets.core.schema import CameraEntry, ClockEntry, TraversalFi
 from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.condition import NamedCondition
 from relocbench.datasets.synthetic.conditions.imaging import Imaging, draw_imaging
-from relocbench.datasets.synthetic.conditions.presets import SPLITS
+from relocbench.datasets.synthetic.conditions.presets import SPLITS, References
 from relocbench.datasets.synthetic.conditions.views import CameraView, Views, draw_view
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.rig import RIGS, Rig
@@ -242,35 +242,36 @@ def make_plans(
 
 
 def evaluated_drives(
-    plans: Sequence[TraversalPlan], *, all_are_references: bool, traversals: int, pair_rule: str | None
+    plans: Sequence[TraversalPlan], *, references: References, traversals: int, pair_rule: str | None
 ) -> list[tuple[TraversalPlan, TraversalPlan]]:
     """The (reference, query) traversals of every pair set.
 
-    The reference's condition is also a query condition: in its second traversal, or else in the reference itself.
+    The reference's condition is also a query condition: in its second traversal, or else in the reference itself; with
+    "others", in a second traversal alone.
 
     Args:
-        all_are_references: or the first traversal of each split alone.
+        references: the first traversal of each split alone, or all of them.
         traversals: in each condition.
 
     Raises:
-        ConfigError: the rule needs a second traversal.
+        ConfigError: rule or references need a second traversal.
     """
     found = []
     for split in dict.fromkeys(plan.split for plan in plans):
         members = [plan for plan in plans if plan.split == split]
-        references = members if all_are_references else members[:1]
-        for reference in references:
+        for reference in members[:1] if references == "first" else members:
             for query in members:
                 itself = reference is query
                 alone = traversals == 1
                 if pair_rule == "step":
                     wanted = itself
-                elif pair_rule == "nearest":
+                elif pair_rule == "nearest" or references == "others":
                     wanted = not itself
                 else:
                     wanted = not itself or alone
                 if wanted:
                     found.append((reference, query))
     if not found:
-        raise ConfigError("--pair-rule nearest needs a second traversal; name more conditions or raise --traversals")
+        option = "--pair-rule nearest" if pair_rule == "nearest" else "--reference others"
+        raise ConfigError(f"{option} needs a second traversal; name more conditions or raise --traversals")
     return found
