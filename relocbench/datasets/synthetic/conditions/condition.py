@@ -59,9 +59,9 @@ class Factors(Strict):
     gamma: float = Field(2.2, gt=0)
     vignetting: float = Field(0.15, ge=0, le=1)
     """share of light lost in the image's corners"""
-    read_noise: float = Field(0.6, ge=0)
+    read_noise: float = Field(0.3, ge=0)
     """standard deviation in the dark, grey levels of 255"""
-    shot_noise: float = Field(0.02, ge=0)
+    shot_noise: float = Field(0.006, ge=0)
     """standard deviation at full scale, relative to the signal"""
     street_lamps: bool = False
     headlights: bool = False
