@@ -13,9 +13,6 @@ all of them; how far keyframes are, and how far off wrong answers; and how many 
 which nothing else counts. Districts count alike, and so do the pair sets of a district, which are one series by the
 step of the drive; intervals are at least as wide as the spread of the districts demands (``docs/statistics.md``).
 
-``--next`` asks the districts of the phrase of the next publication, whose errors are best packed into a folder of their
-own: a run that is cut off loses the district in hand.
-
 Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made. With ``--errors``
 predictions and errors are also packed into a folder, an archive for each method in each district, and what has one is
 not asked again. ``--only-print`` makes nothing and prints what is there: the published page follows from the published
@@ -45,7 +42,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from archives import pack, unpack
-from districts import COUNT, NEXT_PHRASE, PHRASE
+from districts import COUNT, PHRASE
 
 from baselines.gn_net.method import ALONG, TURNS_DEG
 from baselines.gn_net.tracker import ONE_START
@@ -292,7 +289,6 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--split", default="test", choices=("test", "validation"))
     parser.add_argument("--districts", type=int, default=COUNT, help="number of districts")
     parser.add_argument("--first", type=int, default=1, help="number of the first district that is asked")
-    parser.add_argument("--next", action="store_true", help="the districts of the next publication's phrase")
     parser.add_argument("--steps", type=int, default=STEPS, help="images of each drive")
     parser.add_argument("--elsewhere", type=int, default=ELSEWHERE, help="pairs of different places a pair set")
     parser.add_argument("--workers", "-j", type=int, default=2)
@@ -310,7 +306,7 @@ def _options() -> argparse.Namespace:
         parser.error("--summary needs --errors FOLDER")
     options.settings = options.settings or ([] if options.methods else list(SETTINGS))
     options.methods = options.methods or list(METHODS)
-    options.phrase = VALIDATION_PHRASE if options.split != "test" else NEXT_PHRASE if options.next else PHRASE
+    options.phrase = PHRASE if options.split == "test" else VALIDATION_PHRASE
     return options
 
 

@@ -3,7 +3,7 @@
 Who chooses seeds by hand can choose those on which a method looks well. The phrase of ``docs/test-districts.md`` was
 written down before the methods that are tested on it were finished, and the districts follow from it.
 
-    python benchmarks/publish/districts.py [--next]
+    python benchmarks/publish/districts.py
 
 The last line is JSON.
 """
@@ -16,20 +16,17 @@ import json
 from relocbench.datasets.importers.edition.districts import districts
 
 PHRASE = "eleven umbrellas crossed the bridge before the lamps were lit"
-NEXT_PHRASE = "nine ferries waited while the lighthouse keeper learned to whistle"
-"""of districts that nobody was asked yet: those of the next publication"""
 COUNT = 12
-__all__ = ("COUNT", "NEXT_PHRASE", "PHRASE", "districts")
+__all__ = ("COUNT", "PHRASE", "districts")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--next", action="store_true", help="those of the phrase that was asked nothing yet")
-    phrase = NEXT_PHRASE if parser.parse_args().next else PHRASE
-    found = list(districts(phrase, COUNT))
+    parser.parse_args()
+    found = list(districts(PHRASE, COUNT))
     for district in found:
         print(f"district {district.number:2d}: seed {district.seed}, {', '.join(district.conditions)}")
-    print(json.dumps({"benchmark": "districts", "phrase": phrase, "seeds": [d.seed for d in found]}))
+    print(json.dumps({"benchmark": "districts", "phrase": PHRASE, "seeds": [d.seed for d in found]}))
 
 
 if __name__ == "__main__":

@@ -95,7 +95,7 @@ def print_board(board: Board) -> None:
     for dataset in board.datasets:
         for table in dataset.totals or dataset.pair_sets:
             _print_table(board, dataset, table)
-    _print_over(board.over)
+    print_over(board.over)
 
 
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
@@ -117,7 +117,7 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
         print(why)
 
 
-def _print_over(tables: Sequence[OverDatasets[Any]]) -> None:
+def print_over(tables: Sequence[OverDatasets[Any]]) -> None:
     """The tables over all datasets together."""
     from relocbench.cli.console import print_table
     from relocbench.leaderboard.common.over_datasets import over_lines, shown_columns
@@ -145,4 +145,4 @@ def print_by_query(display: Display[Any, Any], board: TaskBoard[Any, Any, Any, A
             print_table(f"{of.title}: {table.name} ({table.queries} queries)", heads, rows)
             if why := about_ranks(table.rows, board.metric, f"{table.queries} queries"):
                 print(why)
-    _print_over(board.over)
+    print_over(board.over)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -50,6 +50,7 @@ def run_evaluation(
     options: type[Options],
     evaluate: Callable[[Options, Reporter], Reported],
     show: Callable[[Reported, Reporter], None],
+    show_together: Callable[[Sequence[Reported], Reporter], None] | None = None,
 ) -> None:
     """Evaluate on a dataset, or on each of an edition or of one of its tiers.
 
@@ -58,7 +59,8 @@ def run_evaluation(
     Args:
         arguments: of the command, as ``locals()`` has them at its beginning.
         options: their type.
-        show: prints the tables.
+        show: prints the tables of a dataset.
+        show_together: prints those of several instead, where there are some.
     """
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
@@ -75,11 +77,14 @@ def run_evaluation(
         report = evaluate(given.model_copy(update={"dataset": dataset}), progress)
         reports.append(report)
         if not arguments["json"]:
-            show(report, progress)
+            if len(datasets) == 1 or show_together is None:
+                show(report, progress)
             for label, message in (*report.crashed, *getattr(report, "suspicions", ())):
                 print(f"{label}: {message}", file=sys.stderr)
             if not quiet:
                 print(f"results: {report.results}", file=sys.stderr)
+    if len(datasets) > 1 and show_together is not None and not arguments["json"]:
+        show_together(reports, progress)
     if arguments["json"] and len(reports) == 1:
         print_json(reports[0].to_dict(), reports[0].counts())
     elif arguments["json"]:

@@ -7,6 +7,7 @@ import sys
 import pytest
 from repository import ROOT
 
+from relocbench.datasets.importers.edition.dataset import recipe
 from relocbench.datasets.importers.edition.districts import CONDITIONS as DRAWN_FROM
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
 
@@ -17,7 +18,7 @@ import districts
 def test_the_page_has_the_phrase_the_seeds_and_the_conditions() -> None:
     page = (ROOT / "docs" / "test-districts.md").read_text()
     assert f"> {districts.PHRASE}\n" in page
-    assert f"> {districts.NEXT_PHRASE}\n" in page
+    assert f"> {recipe('2026.1').phrases['test']}\n" in page
     for each in districts.districts(districts.PHRASE, districts.COUNT):
         assert f"| {each.number} | {each.seed} | {', '.join(each.conditions)} |" in page
 
@@ -29,7 +30,7 @@ def test_a_district_has_three_conditions_that_exist_and_a_seed_of_its_own() -> N
     assert all(len(set(each.conditions)) == 3 for each in found)
 
 
-@pytest.mark.parametrize("phrase", ["", "another phrase", districts.NEXT_PHRASE])
+@pytest.mark.parametrize("phrase", ["", "another phrase", *recipe("2026.1").phrases.values()])
 def test_another_phrase_gives_other_districts(phrase: str) -> None:
     ours = {each.seed for each in districts.districts(districts.PHRASE, districts.COUNT)}
     assert not ours & {each.seed for each in districts.districts(phrase, districts.COUNT)}

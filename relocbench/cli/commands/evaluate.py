@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from relocbench.datasets.core.pair_set import PairSet
     from relocbench.evaluation.common.results import MethodResults
     from relocbench.evaluation.tracking.evaluate import Report
+    from relocbench.leaderboard.tracking.model import DatasetEntry
     from relocbench.progress import Reporter
 
 
@@ -65,7 +67,7 @@ def evaluate(
     arguments = locals()
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 
-    run_evaluation(arguments, EvaluateOptions, evaluate_methods, _print_report)
+    run_evaluation(arguments, EvaluateOptions, evaluate_methods, _print_report, _print_together)
 
 
 ELSEWHERE_COLUMNS = ("answered_share", "confident_share", "confident_high")
@@ -75,19 +77,14 @@ ELSEWHERE_COLUMNS = ("answered_share", "confident_share", "confident_high")
 def _print_report(report: Report, progress: Reporter) -> None:
     """The matrix of what was scored, then a table for each pair set, in the order of the dataset's splits."""
     from relocbench.cli.boards import print_matrix
-    from relocbench.evaluation.common.dataset_lookup import Truth
-    from relocbench.evaluation.common.results import DatasetResults
     from relocbench.leaderboard.tracking.by_condition import by_condition
     from relocbench.leaderboard.tracking.doubt import check_truth
-    from relocbench.leaderboard.tracking.load import load_methods
     from relocbench.leaderboard.tracking.model import DatasetBoard
 
     dataset, folders = report.dataset, report.folders
-    scored = [one.name for one in report.pair_sets if any(one.name in f.score_record().pair_sets for f in folders)]
+    scored = _scored(report)
     if scored:
-        entry = load_methods(DatasetResults(folders[0].root.parent), [f.label for f in folders], scored)
-        truth = Truth(dataset, copy=False)
-        entry = replace(entry, truth=truth, truth_checks=check_truth(dataset, scored, progress))
+        entry = replace(_entry(report, scored), truth_checks=check_truth(dataset, scored, progress))
         print_matrix(by_condition([DatasetBoard(entry, ())]))
     for pair_set in report.pair_sets:
         name = f"{dataset.name}: {pair_set.name}"
@@ -99,6 +96,33 @@ def _print_report(report: Report, progress: Reporter) -> None:
             _print_elsewhere(name, pair_set.name, folders)
         if report.matching:
             _print_matching(name, pair_set.name, folders)
+
+
+def _print_together(reports: Sequence[Report], progress: Reporter) -> None:
+    """What is found on all datasets together, each of which counts once; the tables of one are a leaderboard's."""
+    from relocbench.cli.boards import print_over
+    from relocbench.leaderboard.tracking.write import compare
+
+    entries = [_entry(report, scored) for report in reports if (scored := _scored(report))]
+    if entries:
+        print_over(compare(entries, reporter=progress).over)
+
+
+def _scored(report: Report) -> list[str]:
+    """The pair sets on which some method has scores."""
+    records = [folder.score_record() for folder in report.folders]
+    return [one.name for one in report.pair_sets if any(one.name in record.pair_sets for record in records)]
+
+
+def _entry(report: Report, scored: Sequence[str]) -> DatasetEntry:
+    """The results on these pair sets with their truth."""
+    from relocbench.evaluation.common.dataset_lookup import Truth
+    from relocbench.evaluation.common.results import DatasetResults
+    from relocbench.leaderboard.tracking.load import load_methods
+
+    labels = [folder.label for folder in report.folders]
+    folder = DatasetResults(report.folders[0].root.parent)
+    return load_methods(folder, labels, scored, Truth(report.dataset, copy=False))
 
 
 def _print_scores(name: str, pair_set: PairSet, folders: list[MethodResults]) -> None:

@@ -56,12 +56,14 @@ def load_results(
     return [_entry(of, split) for of in loaded]
 
 
-def load_methods(folder: DatasetResults, labels: Collection[str], pair_sets: Collection[str]) -> DatasetEntry:
-    """The results of some methods on some pair sets of a dataset, as they were just scored. Raises PredictionError."""
+def load_methods(
+    folder: DatasetResults, labels: Collection[str], pair_sets: Collection[str], truth: Truth
+) -> DatasetEntry:
+    """The results of some methods on some pair sets of a dataset, scored anew. Raises PredictionError."""
     trackers, record = Trackers(), folder.record
     units = {name: of for name, of in trackers.units(record).items() if name in pair_sets}
-    methods = tuple(trackers.read(m, record, units, None) for m in folder.methods() if m.label in labels)
-    return _entry(Loaded(record, methods, units), None)
+    methods = tuple(trackers.read(m, record, units, truth) for m in folder.methods() if m.label in labels)
+    return _entry(Loaded(record, methods, units, truth=truth), None)
 
 
 def _entry(loaded: Loaded[DatasetRecord, PairSetRecord, Method, Truth], split: str | None) -> DatasetEntry:

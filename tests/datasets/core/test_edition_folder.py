@@ -57,9 +57,15 @@ def test_every_district_of_an_edition_is_validated(edition: Path) -> None:
     assert str(edition / "easy" / "02") in found.out
 
 
-def test_results_on_a_whole_edition_are_scored_again_with_its_datasets(edition: Path, tmp_path: Path) -> None:
+def test_results_on_a_whole_edition_are_shown_together_and_scored_again_with_its_datasets(
+    edition: Path, tmp_path: Path
+) -> None:
     results = tmp_path / "results"
-    assert relocbench("evaluate", "-d", edition, "-m", "identity", "--out", results, "--workers", "0").status == 0
+    evaluated = relocbench("evaluate", "-d", edition, "-m", "identity", "--out", results, "--workers", "0")
+    assert evaluated.status == 0
+    titles = [line for line in evaluated.out.splitlines() if "(" in line]
+    assert titles
+    assert all(title.startswith("2 datasets, ") for title in titles)
     board = relocbench("leaderboard", results, "-d", edition, "--out", tmp_path / "board")
     assert board.status == 0, board.err
 
