@@ -33,7 +33,7 @@ from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard.tracking.load import load_results
 from relocbench.metrics import CORRECT, pose_errors, within
-from relocbench.metrics.pose.tiers import TIERS, tiers
+from relocbench.metrics.pose.tiers import TIERS, tiers_of
 
 BOUND = "true matches"
 _PIXEL_SIGMA = 1.0
@@ -70,11 +70,7 @@ def true_matches(dataset: Dataset, pair_set: PairSet, pair: Pair, rng: np.random
 def columns_of(pairs: list[Pair]) -> Iterator[tuple[Pair, str]]:
     """Each pair with the column that it counts in: its tier, or the repeating street."""
 
-    def column(name: str) -> Array:
-        return np.array([getattr(pair, name) for pair in pairs], dtype=np.float64)
-
-    measures = ("overlap", "overlap_query", "scale_change", "angle_deg", "depth_error")
-    for pair, tier in zip(pairs, tiers(*map(column, measures)), strict=True):
+    for pair, tier in zip(pairs, tiers_of(pairs), strict=True):
         if tier >= 0:
             yield pair, REPEATING if pair.group == REPEATING else TIERS[tier]
 

@@ -51,6 +51,7 @@ def print_summary(dataset: Dataset) -> None:
             "distance m\nmin / median / max",
             "angle deg\nmedian / max",
             "sigma\nm / deg",
+            "tiers",
             "groups",
         ],
         [_pair_set_row(s) for s in found.pair_sets],
@@ -73,7 +74,7 @@ def _pair_set_row(s: PairSetInventory) -> list[str]:
         _cell(s.distance_m, "least", "median", "greatest", digits=2),
         _cell(s.angle_deg, "median", "greatest", digits=1),
         f"{_cell(s.sigma_translation_m, 'median', digits=3)} / {_cell(s.sigma_rotation_deg, 'median', digits=3)}",
-        ", ".join(f"{group} {count}" for group, count in s.groups.items()),
+        *(", ".join(f"{name} {count}" for name, count in of.items()) for of in (s.tiers, s.groups)),
     ]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.traversal import Traversal
+from relocbench.metrics.pose.tiers import TIERS, tiers_of
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class PairSetInventory:
     pairs: int
     rejected: dict[str, int]
     """reason -> number of rejected pairs"""
+    tiers: dict[str, int]
+    """tier of difficulty -> number of accepted pairs; those whose tier is not known are in none"""
     groups: dict[str, int]
     """group -> number of accepted pairs"""
     elsewhere: int
@@ -141,6 +144,7 @@ def summarize_pair_set(dataset: Dataset, pair_set: PairSet) -> PairSetInventory:
         query_condition=str(dataset.traversal(pair_set.query).condition),
         pairs=len(pairs),
         rejected=dict(Counter(p.reason or "no reason given" for p in pair_set.rejected)),
+        tiers={name: count for i, name in enumerate(TIERS) if (count := int(np.sum(tiers_of(pairs) == i)))},
         groups=dict(Counter(p.group for p in pairs if p.group)),
         elsewhere=len(pair_set.negative_pairs),
         has_truth=pair_set.has_truth,

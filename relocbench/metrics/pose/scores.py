@@ -11,7 +11,7 @@ import numpy as np
 from relocbench.arrays import Array, Indices, Mask
 from relocbench.metrics.pose.errors import PoseErrors
 from relocbench.metrics.pose.sequences import Drive
-from relocbench.metrics.pose.tiers import looks, tiers
+from relocbench.metrics.pose.tiers import MEASURES, looks, tiers
 
 CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence, stretches and runs are judged"""
@@ -87,9 +87,7 @@ class PairScores:
     @cached_property
     def tiers(self) -> Indices:
         """(N,) how hard each pair is, an index into :data:`TIERS`; -1 where that is not known."""
-        return tiers(
-            *(self.column(n) for n in ("overlap", "overlap_query", "scale_change", "angle_deg", "depth_error"))
-        )
+        return tiers(*map(self.column, MEASURES))
 
     @cached_property
     def looks(self) -> Indices:

@@ -7,8 +7,9 @@ two images look, which weather, light and season change, is a second axis.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -36,6 +37,9 @@ LIMITS: dict[str, Limits] = {
     "hard": Limits(0.1, 1.8, 45.0, 0.06),
 }
 """a pair beyond those of ``hard`` is ``extreme``: to give no answer may be right"""
+
+MEASURES = ("overlap", "overlap_query", "scale_change", "angle_deg", "depth_error")
+"""by which pairs are sorted, in the order of :func:`tiers`"""
 
 LOOKS = ("alike", "changed", "different")
 LEAST_SIMILARITY = {"alike": 0.8, "changed": 0.5}
@@ -66,6 +70,27 @@ def tiers(overlap: Array, overlap_query: Array, scale_change: Array, angle_deg: 
     unknown = np.isnan(shared) | np.isnan(angle_deg) | ((np.isnan(scale_change) | before) & (shared > 0))
     out[unknown] = -1
     return out
+
+
+class Measured(Protocol):
+    """A pair with its measures; None where one is not known."""
+
+    @property
+    def overlap(self) -> float | None: ...
+    @property
+    def overlap_query(self) -> float | None: ...
+    @property
+    def scale_change(self) -> float | None: ...
+    @property
+    def angle_deg(self) -> float | None: ...
+    @property
+    def depth_error(self) -> float | None: ...
+
+
+def tiers_of(pairs: Iterable[Measured]) -> Indices:
+    """The tier (N,) of pairs as :func:`tiers` has it."""
+    rows = [[getattr(pair, name) for name in MEASURES] for pair in pairs]
+    return tiers(*np.array(rows, dtype=np.float64).reshape(-1, len(MEASURES)).T)
 
 
 def looks(similarity: Array) -> Indices:

@@ -48,6 +48,7 @@ def test_the_inventory_counts_what_is_there(tmp_path: Path) -> None:
     across = next(s for s in found.pair_sets if s.name == ACROSS)
     assert across.pairs == 5 + 4 - 2
     assert across.rejected == {"too few points agree": 2}
+    assert across.tiers == {"easy": 7}
     assert across.angle_deg is not None
     assert across.angle_deg.greatest == pytest.approx(2.0)
     within = next(s for s in found.pair_sets if s.name == WITHIN)
