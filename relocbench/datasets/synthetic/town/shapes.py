@@ -53,6 +53,11 @@ def _lengths(vectors: Array) -> Array:
     return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, axis=1, keepdims=True)))
 
 
+def at_height(points: Array, z: float) -> Array:
+    """Points (..., 2) of the plane at height z: (..., 3)."""
+    return np.concatenate([points, np.full((*points.shape[:-1], 1), z)], axis=-1)
+
+
 def planar_uv(corners: Array) -> Array:
     """Surface coordinates (T, 3, 2) in metres of triangles (T, 3, 3): u horizontal, v up the slope.
 

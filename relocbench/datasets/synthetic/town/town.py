@@ -13,6 +13,7 @@ from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.town.ageing import Inventory, together
 from relocbench.datasets.synthetic.town.cars import cars
+from relocbench.datasets.synthetic.town.ground import ground
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.network import LANE_M, StreetNetwork, make_network
 from relocbench.datasets.synthetic.town.planting import (
@@ -26,7 +27,7 @@ from relocbench.datasets.synthetic.town.planting import (
 from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.rows import PeriodicFront, Plot, build, plots_of
 from relocbench.datasets.synthetic.town.shapes import poses
-from relocbench.datasets.synthetic.town.streets import Block, bays_of, ground, make_blocks, periodic_street
+from relocbench.datasets.synthetic.town.streets import Block, bays_of, make_blocks, periodic_street
 from relocbench.errors import ConfigError, available
 
 SMALLEST_M = 180.0
