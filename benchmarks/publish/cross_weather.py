@@ -245,7 +245,7 @@ def main() -> None:
             labels = [method.split("=")[0] for method in left]
             settings = [word for text in options.settings if text.split(".")[0] in labels for word in ("--set", text)]
             results = "--out", scratch / "results", "--split", options.split, "-j", options.workers, "-q"
-            _run("evaluate", "-d", dataset, *results, *methods, *settings)
+            run("evaluate", "-d", dataset, *results, *methods, *settings)
             for label in labels if options.errors is not None else ():
                 pack(scratch / "results", dataset.name, label, packed(options.errors, district, label))
         methods = list(dict.fromkeys(method.split("=")[0] for method in options.methods))
@@ -317,7 +317,7 @@ def _build(scratch: Path, district: District, options: argparse.Namespace) -> Pa
     asked = "--split", options.split, "--seed", district.seed, "--reference", "all", "--correspondences", 0
     apart = "--elsewhere", options.elsewhere
     words = "--name", name, "--conditions", ",".join(district.conditions), *drive, *asked, *apart
-    _run("build-dataset", "synthetic", *words, "--out", out, "-j", options.workers, "-q")
+    run("build-dataset", "synthetic", *words, "--out", out, "-j", options.workers, "-q")
     return out
 
 
@@ -342,7 +342,7 @@ def _commit() -> str:
     return subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
 
 
-def _run(*words: object) -> None:
+def run(*words: object) -> None:
     """Run a relocbench command; its messages go to standard error."""
     subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True, stdout=sys.stderr)
 

@@ -5,7 +5,8 @@ the results on them. A row is a method: the share of the pairs of a tier that it
 across conditions, the mean over districts with its 95 % interval over districts (Student's t). Pairs on the street
 whose houses repeat themselves stand apart. ``true matches`` is what perfect matching leaves: PnP on the dataset's own
 visible correspondences, whose pixels in the query are off by 1 px (one sigma, in each direction) and whose depths by
-the error that the map states. The last line is JSON.
+the error that the map states. With ``--evaluate`` the methods are asked first; their settings are those of
+``cross_weather.py``, and rows of ALIKED need its authors' weights. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from cross_weather import SETTINGS, run
 from scipy.stats import t as student
 
 from relocbench.arrays import Array
@@ -36,6 +38,18 @@ from relocbench.metrics import CORRECT, pose_errors, within
 from relocbench.metrics.pose.tiers import TIERS, tiers_of
 
 BOUND = "true matches"
+METHODS = (
+    "identity",
+    "clock",
+    "orb-pnp",
+    "sift-pnp",
+    "dso",
+    "gn-net-one-start=gn-net-from-prior",
+    "gn-net-from-prior",
+    "gn-net",
+    "aliked-pnp",
+    "gn-net-from-aliked-pnp=gn-net-from-prior",
+)
 _PIXEL_SIGMA = 1.0
 _RANSAC_PX = 4.0
 
@@ -104,6 +118,14 @@ def methods(folders: list[Path], results: Path, found: Found) -> None:
                         found[method.label, column].setdefault(entry.record.name, []).append(bool(right))
 
 
+def evaluate(folder: Path, results: Path, workers: int) -> None:
+    """Ask the methods about the datasets of a folder; what is answered already is kept."""
+    labels = [name.split("=")[0] for name in METHODS]
+    words = [word for name in METHODS for word in ("-m", name)]
+    words += [word for each in SETTINGS if each.split(".")[0] in labels for word in ("--set", each)]
+    run("evaluate", "-d", folder, *words, "--out", results, "-j", workers)
+
+
 def share(by_district: dict[str, list[bool]]) -> tuple[float, float | None]:
     """The mean over districts in percent, and half the width of its interval; None with one district."""
     means = 100 * np.array([np.mean(rights) for rights in by_district.values()])
@@ -121,7 +143,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, help="tiers of an edition, or datasets")
     parser.add_argument("--results", type=Path, help="folder of `relocbench evaluate`")
+    parser.add_argument("--evaluate", action="store_true", help="ask the methods first; needs --results")
+    parser.add_argument("--workers", "-j", type=int, default=2)
     options = parser.parse_args()
+    if options.evaluate and options.results is None:
+        parser.error("--evaluate needs --results FOLDER")
+    for folder in options.folders if options.evaluate else ():
+        evaluate(folder, options.results, options.workers)
     folders = [dataset for folder in options.folders for dataset in datasets_of(folder)]
     found: Found = defaultdict(dict)
     for folder in folders:
