@@ -114,9 +114,19 @@ LOOKS: dict[Material, Look] = {
     Material.SHEET: Look(((214, 216, 212), (92, 132, 100), (96, 122, 156), (178, 182, 180)), (150, 152, 148), 0.05),
 }
 
-SPRING: Colour = (118, 158, 62)
-SUMMER: Colour = (72, 94, 44)
-AUTUMN: tuple[Colour, ...] = ((206, 150, 44), (176, 88, 38), (214, 176, 64), (150, 62, 36))
+SPRING: tuple[Colour, ...] = (
+    *((96, 110, 58), (84, 104, 62), (102, 112, 68), (88, 108, 54)),
+    *((106, 114, 62), (86, 100, 66), (96, 104, 56), (110, 96, 72)),
+)
+SUMMER: tuple[Colour, ...] = (
+    *((64, 74, 42), (54, 68, 44), (72, 80, 50), (58, 74, 40)),
+    *((76, 82, 46), (52, 64, 44), (68, 74, 40), (72, 60, 50)),
+)
+AUTUMN: tuple[Colour, ...] = (
+    *((182, 138, 56), (158, 92, 48), (192, 158, 70), (132, 66, 44)),
+    *((150, 118, 64), (112, 104, 56), (172, 120, 48), (120, 80, 56)),
+)
+"""leaves of eight kinds of trees"""
 
 
 class Looks(NamedTuple):
@@ -132,7 +142,7 @@ class Looks(NamedTuple):
     film: Floats
     hollows: Floats
     foliage: Floats
-    """(4, 3) leaf colours of four kinds of tree in the season"""
+    """(8, 3) leaf colours of eight kinds of trees in the season"""
 
 
 def linear(colour: Colour) -> Floats:
@@ -143,10 +153,9 @@ def linear(colour: Colour) -> Floats:
 
 def make_looks(leaf_colour: float) -> Looks:
     """Tables of all looks for a season, given by :attr:`Factors.leaf_colour`."""
-    if leaf_colour <= 0.5:
-        leaves = [linear(SPRING) + (linear(SUMMER) - linear(SPRING)) * np.float32(2 * leaf_colour)] * 4
-    else:
-        leaves = [linear(SUMMER) + (linear(a) - linear(SUMMER)) * np.float32(2 * leaf_colour - 1) for a in AUTUMN]
+    ends = (SPRING, SUMMER) if leaf_colour <= 0.5 else (SUMMER, AUTUMN)
+    part = np.float32(2 * leaf_colour - (leaf_colour > 0.5))
+    leaves = [linear(a) + (linear(b) - linear(a)) * part for a, b in zip(*ends, strict=True)]
     looks = [LOOKS[m] for m in Material]
     return Looks(
         np.stack([np.stack([linear(k.first[i % len(k.first)]) for i in range(CHOICES)]) for k in looks]),

@@ -14,7 +14,7 @@ from relocbench.datasets.synthetic.renderer.vectors import Vector, dot, exp_nega
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.kernels import njit
 
-_LEAF = int(Material.LEAF)
+_LEAF, _HEDGE = int(Material.LEAF), int(Material.HEDGE)
 _BRIGHTEST = 10.0
 _HAZE = 0.00025
 """extinction of clear air, 1/m"""
@@ -76,7 +76,7 @@ def radiance(
             x, y, z = hits.position[i, 0], hits.position[i, 1], hits.position[i, 2]
             nx, ny, nz = hits.normal[i, 0], hits.normal[i, 1], hits.normal[i, 2]
             material = geometry.material[samples.triangle[i]]
-            leafy = material == _LEAF
+            leafy = material in (_LEAF, _HEDGE)
             share, open_sky = sky_share(skylight, x, y, z, nx, ny, nz)
             if leafy:
                 share = 0.6 * share + 0.12
@@ -92,8 +92,9 @@ def radiance(
             if not by_lamp:
                 facing = nx * sky.to_sun[0] + ny * sky.to_sun[1] + nz * sky.to_sun[2]
                 if leafy:
-                    # A leaf transmits a third of the light and is never seen exactly edge-on.
-                    facing = 0.25 + 0.75 * abs(facing) if facing > 0 else 0.3 * abs(facing)
+                    # A leaf transmits a third of the light and is never seen exactly edge-on; its neighbours, of which
+                    # only the largest are there, shade parts of it.
+                    facing = 0.2 + 0.6 * abs(facing) if facing > 0 else 0.24 * abs(facing)
                 facing = max(facing, 0.0) * lit[i]
                 er, eg, eb = er + facing * sky.sun[0], eg + facing * sky.sun[1], eb + facing * sky.sun[2]
             if setting.lamps_on:

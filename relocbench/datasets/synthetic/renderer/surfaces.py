@@ -130,13 +130,18 @@ def _paint(
     choice = (dice >> 16) % CHOICES
     r, g, b = looks.first[material, choice, 0], looks.first[material, choice, 1], looks.first[material, choice, 2]
     if material in (_LEAF, _HEDGE):
-        kind = scramble(np.int64(geometry.instance[triangle]), seed) & 3
-        turned = 1.0 if material == _LEAF else 0.5
+        # The variant's bits are those of vegetation.place_of: clump, leaf, and how deep in the crown it is.
+        tree = np.int64(scramble(np.int64(geometry.instance[triangle]), seed))
+        clump = np.int64(scramble(variant >> 4, seed + 1))
+        turned = 1.0 if material == _LEAF else 0.3
+        kind = tree & 7
         r += (looks.foliage[kind, 0] - r) * turned
         g += (looks.foliage[kind, 1] - g) * turned
         b += (looks.foliage[kind, 2] - b) * turned
-        hue = 0.72 + 0.56 * ((dice >> 4) & 255) / 255.0
-        r, g, b = r * hue, g * hue, b * hue
+        light = (0.8 + 0.4 * ((tree >> 8) & 255) / 255.0) * (0.82 + 0.36 * (clump & 255) / 255.0)
+        light *= (0.84 + 0.32 * ((dice >> 4) & 255) / 255.0) * (1.0 - 0.19 * (variant & 3))
+        yellow = 0.1 * (((tree >> 16) & 255) / 255.0 - 0.5) + 0.12 * (((clump >> 8) & 255) / 255.0 - 0.5)
+        r, g, b = r * light * (1.0 + 1.6 * yellow), g * light, b * light * (1.0 - yellow)
     return material, dice, shift, tone, (float(r), float(g), float(b))
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Floats, Indices
 from relocbench.datasets.synthetic.town import furniture
 from relocbench.datasets.synthetic.town.ageing import Rows, no_rows
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
@@ -16,7 +16,19 @@ from relocbench.datasets.synthetic.town.polylines import edge_frame, inside, off
 from relocbench.datasets.synthetic.town.rows import PERIOD_M, Plot
 from relocbench.datasets.synthetic.town.shapes import Shape, instances, poses, quads, single
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
-from relocbench.datasets.synthetic.town.vegetation import TREE_TYPES, hedge_shapes, tree_shapes
+from relocbench.datasets.synthetic.town.vegetation import (
+    LOOK_STEP,
+    STREET_TYPES,
+    TREE_TYPES,
+    evergreen,
+    hedge_shapes,
+    tree_shapes,
+)
+
+_APART = 3.0
+"""how far trees differ in when they shed: the time from the first to the last tree, in times that one tree takes"""
+_LAST = 1 - 1e-6
+"""largest rank, so that all leaves are there in summer"""
 
 
 @dataclass(eq=False)
@@ -57,7 +69,7 @@ class Planting:
             return
         core, leaves = hedge_shapes(length, height, int(self.rng.integers(2**31)))
         transform = poses(start[0], start[1], KERB_M, np.arctan2(*(end - start)[::-1]))
-        name, look = np.array([next(self.names)]), self.rng.integers(1, 2**31, 1)
+        name, look = np.array([next(self.names)]), self._looks(1)
         self.static.append(instances(core, transform, name, look, Semantic.HEDGE))
         self.foliage.append(instances(leaves, transform, name, look, Semantic.HEDGE))
 
@@ -82,13 +94,32 @@ class Planting:
             rows = np.array([t[:4] for t in self.trees if (t[4], t[5]) == (kind, coarse)])
             transforms = poses(rows[:, 0], rows[:, 1], KERB_M, rows[:, 2], rows[:, 3])
             numbers = np.array([next(self.names) for _ in rows])
-            looks = self.rng.integers(1, 2**31, len(rows))
+            looks = self._looks(len(rows))
             if not coarse:
                 self.near.append(Rows(numbers, transforms, np.full(len(numbers), kind)))
             wood, leaves = tree_shapes(kind, coarse)
             self.static.append(instances(wood, transforms, numbers, looks, Semantic.TREE))
-            self.foliage.append(instances(leaves, transforms, numbers, looks, Semantic.TREE))
+            crowns = instances(leaves, transforms, numbers, looks, Semantic.TREE)
+            if evergreen(kind):
+                self.static.append(replace(crowns, rank=np.zeros_like(crowns.rank)))
+            else:
+                self.foliage.append(replace(crowns, rank=self._shed_in_turn(crowns.rank.reshape(len(rows), -1))))
         return self.static, self.foliage
+
+    def _looks(self, count: int) -> Indices:
+        """Variants (count,) of plants."""
+        return self.rng.integers(1, 2**31 // LOOK_STEP, count) * LOOK_STEP
+
+    def _shed_in_turn(self, rank: Floats) -> Floats:
+        """Ranks (N leaves,) from those within each tree (N, leaves), so that some trees are bare before others.
+
+        With x = rank + w t for a tree's own t in (0, 1), the new rank is the share of leaves with a smaller x, so that
+        a share f of all leaves is present when the foliage is f.
+        """
+        x = rank + _APART * self.rng.random(len(rank))[:, None]
+        rising, falling = x**2 / (2 * _APART), 1 - (1 + _APART - x) ** 2 / (2 * _APART)
+        share = np.where(x < 1, rising, np.where(x < _APART, (x - 0.5) / _APART, falling))
+        return np.asarray(share.ravel().clip(max=_LAST), dtype=np.float32)
 
 
 def _kerb_section(network: StreetNetwork, block: Block, i: int) -> tuple[Array, Array, Array, float, float]:
@@ -118,7 +149,7 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
                 if s > start:
                     planting.lamp(origin + s * d + 0.45 * inward, -inward, variant=1)
             continue
-        kind = kind_of.setdefault(side.variant, int(rng.integers(TREE_TYPES)))
+        kind = kind_of.setdefault(side.variant, int(rng.integers(STREET_TYPES)))
         leafy = side.pavement_m > 3.5 and side.variant % 4 != 0
         gap = 8.0 + side.variant % 5
         taken = []
@@ -249,7 +280,7 @@ def plant_square(planting: Planting, block: Block) -> None:
     middle = block.pavement.mean(0)
     planting.add(furniture.fountain(), middle, np.array([1.0, 0.0]), Semantic.FURNITURE)
     inner = offset_loop(block.pavement, [6.0] * len(block.pavement))
-    kind = int(rng.integers(TREE_TYPES))
+    kind = int(rng.integers(STREET_TYPES))
     for k in range(len(inner)):
         a, b = inner[k], inner[(k + 1) % len(inner)]
         d, toward, length = edge_frame(a, b)

@@ -1,15 +1,19 @@
-"""Trees with trunk, branches and individual leaves, and hedges."""
+"""Trees with branches of three orders and individual leaves in clumps, evergreens, and hedges."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Shape, join, quads, triangle_shape, tube
+from relocbench.datasets.synthetic.town.shapes import Shape, join, triangle_shape, tube
+
+LOOK_STEP = 1 << 9
+"""variants of plants are multiples of this: what lies below is the place of a leaf; see :func:`place_of`"""
+_SHADES = 4
 
 
 @dataclass(frozen=True)
@@ -22,20 +26,25 @@ class _Habit:
     spread: float
     """radius of the crown"""
     branches: int
-    leaves: int
     leaf: float
-    """length of a spray of leaves"""
+    """length of a leaf"""
+    rise: float
+    """slope of the branches where they begin, rise over run"""
+    evergreen: bool = False
 
 
 _HABITS = (
-    _Habit(2.8, 8.0, 2.3, 9, 800, 0.44),
-    _Habit(3.0, 9.5, 2.7, 10, 950, 0.48),
-    _Habit(2.6, 6.5, 2.0, 8, 700, 0.38),
-    _Habit(2.2, 11.0, 1.5, 13, 800, 0.45),
-    _Habit(3.2, 8.5, 3.0, 9, 950, 0.5),
-    _Habit(1.8, 5.0, 1.8, 7, 600, 0.35),
+    _Habit(2.8, 8.6, 2.6, 9, 0.25, 0.9),
+    _Habit(3.0, 10.5, 3.1, 10, 0.27, 0.7),
+    _Habit(2.6, 7.0, 2.3, 8, 0.22, 0.6),
+    _Habit(2.2, 12.0, 1.7, 14, 0.24, 2.2),
+    _Habit(3.2, 9.5, 3.5, 9, 0.28, 0.45),
+    _Habit(1.8, 5.4, 2.0, 7, 0.2, 0.8),
+    _Habit(1.2, 11.0, 2.4, 20, 0.26, -0.25, evergreen=True),
 )
 TREE_TYPES = len(_HABITS)
+STREET_TYPES = 6
+"""the first of them are planted along streets"""
 
 
 def crown(kind: int) -> tuple[float, float, float]:
@@ -44,77 +53,151 @@ def crown(kind: int) -> tuple[float, float, float]:
     return habit.trunk, habit.height, habit.spread
 
 
+def evergreen(kind: int) -> bool:
+    """Whether one of TREE_TYPES keeps its leaves in winter."""
+    return _HABITS[kind].evergreen
+
+
 @cache
 def tree_shapes(kind: int, coarse: bool = False) -> tuple[Shape, Shape]:
     """Wood and leaves of one of TREE_TYPES; z up, origin at the base of the trunk.
 
-    The coarse version, for trees far from any street, has fewer but larger leaves and no twigs.
+    The coarse version, for trees far from any street, has fewer but larger leaves and fewer twigs.
     """
     habit = _HABITS[kind]
-    if coarse:
-        habit = replace(habit, leaves=habit.leaves // 5, leaf=2.2 * habit.leaf)
     rng = np.random.default_rng([7919, kind])
-    wood, tips = _wood(habit, rng, coarse)
-    return wood, _leaves(habit, tips, rng)
+    wood, clumps = _wood(habit, rng, coarse)
+    return wood, _leaves(habit, clumps, rng, coarse)
 
 
 def _wood(habit: _Habit, rng: np.random.Generator, coarse: bool) -> tuple[Shape, Array]:
-    """Trunk, branches and twigs, and the points (P, 3) around which leaves grow."""
-    levels = np.linspace(0, habit.height * 0.88, 8)
-    sway = np.cumsum(rng.normal(0, 0.07, (8, 2)), axis=0) * np.minimum(levels / habit.trunk, 1)[:, None]
+    """Trunk, branches, side branches and twigs, and the points (P, 3) around which leaves grow."""
+    levels = np.linspace(0, habit.height * 0.9, 8)
+    sway = np.cumsum(rng.normal(0, 0.09, (8, 2)), axis=0) * np.minimum(levels / habit.trunk, 1)[:, None]
+    if habit.evergreen:
+        sway *= 0.2
     trunk = np.column_stack([sway - sway[0], levels])
-    girth = 0.02 + (0.10 + 0.008 * habit.height) * (1 - levels / habit.height)
-    girth[0] *= 1.35
+    girth = 0.02 + (0.09 + 0.009 * habit.height) * (1 - levels / habit.height)
+    girth[0] *= 1.4
     parts = [tube(trunk, girth, 5 if coarse else 9, Material.BARK)]
-    tips = [trunk[-1]]
+    feet, tips, thick, clumps = [], [], [], [trunk[-1]]
     for k in range(habit.branches):
-        z = habit.trunk + (habit.height * 0.8 - habit.trunk) * (k + 0.3 * rng.random()) / habit.branches
-        angle = 2.4 * k + rng.normal(0, 0.3)
+        z = habit.trunk + (habit.height * 0.85 - habit.trunk) * (k + 0.4 * rng.random()) / habit.branches
+        angle = 2.4 * k + rng.normal(0, 0.35)
         level = (z - habit.trunk) / (habit.height - habit.trunk)
-        reach = habit.spread * (1.05 - 0.75 * level**1.5) * rng.uniform(0.8, 1.0)
+        taper = 1.0 - 0.93 * level if habit.evergreen else 1.0 - 0.68 * level**1.5
+        reach = habit.spread * taper * rng.uniform(0.72, 1.05)
         foot = np.array([np.interp(z, levels, trunk[:, 0]), np.interp(z, levels, trunk[:, 1]), z])
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
-        branch = foot + np.outer([0, 0.35, 0.7, 1.0], out * reach)
-        branch[:, 2] += np.array([0, 0.22, 0.5, 0.85]) * reach * rng.uniform(0.5, 0.8)
-        thick = 0.05 + 0.05 * (1 - level)
-        parts.append(tube(branch, thick * np.array([1, 0.75, 0.5, 0.25]), 3 if coarse else 5, Material.BARK))
-        tips += [branch[2], branch[3]]
-        for t in (0.35, 0.55, 0.75, 0.9):
-            start = branch[0] + (branch[3] - branch[0]) * t
-            start[2] = np.interp(t, [0, 0.35, 0.7, 1.0], branch[:, 2])
-            bend = angle + rng.choice([-1, 1]) * rng.uniform(0.5, 1.2)
-            length = reach * rng.uniform(0.3, 0.5)
-            rise = rng.uniform(0.3, 0.8)
-            twig = start + np.outer([0, 0.5, 1.0], np.array([np.cos(bend), np.sin(bend), rise]) * length)
-            if not coarse:
-                parts.append(tube(twig, thick * np.array([0.4, 0.28, 0.1]), 3, Material.BARK))
-            tips += [twig[1], twig[2]]
-    return join(parts), np.array(tips)
+        branch = foot + np.outer([0, 0.3, 0.65, 1.0], out * reach)
+        climb = np.array([0, 0.42, 0.8, 1.05]) * rng.uniform(0.75, 1.2)
+        branch[:, 2] += climb * reach * habit.rise * (1 if habit.rise < 0 else (0.5 + 0.7 * level))
+        branch[1:3] += rng.normal(0, 0.05 * reach, (2, 3))
+        base = 0.028 + 0.016 * reach * (1 - 0.4 * level)
+        parts.append(tube(branch, base * np.array([1, 0.75, 0.5, 0.2]), 3 if coarse else 5, Material.BARK))
+        clumps.append(branch[3])
+        for t in np.linspace(0.28, 0.97, 4 if coarse else 7) + rng.normal(0, 0.03):
+            start = np.array([np.interp(t, [0, 0.3, 0.65, 1.0], branch[:, i]) for i in range(3)])
+            bend = angle + rng.choice([-1, 1]) * rng.uniform(0.4, 1.3)
+            length = habit.spread * rng.uniform(0.2, 0.42) * (1.15 - 0.5 * t) * (taper if habit.evergreen else 1.0)
+            up = rng.uniform(-0.35, 0.1) if habit.evergreen else rng.uniform(0.1, 1.1)
+            feet.append(start)
+            tips.append(start + np.array([np.cos(bend), np.sin(bend), up]) * length)
+            thick.append(base * (0.5 - 0.3 * t))
+    side = np.array(feet), np.array(tips)
+    parts.append(spikes(*side, np.array(thick)))
+    clumps += [*(0.45 * side[0] + 0.55 * side[1]), *side[1]]
+    if not coarse:
+        parts.append(_twigs(side, rng))
+    return join(parts), np.array(clumps)
 
 
-def _leaves(habit: _Habit, tips: Array, rng: np.random.Generator) -> Shape:
-    """Sprays of leaves scattered around the twigs."""
-    centre = tips[rng.integers(len(tips), size=habit.leaves)]
-    centre = centre + rng.normal(0, 0.17 * habit.spread, centre.shape)
+def _twigs(side: tuple[Array, Array], rng: np.random.Generator) -> Shape:
+    """Five twigs on each of the side branches from (N, 3) to (N, 3), the last one at its end."""
+    foot, tip = side
+    along = tip - foot
+    length = np.linalg.norm(along, axis=1)
+    starts, ends = [], []
+    for t in (0.3, 0.5, 0.7, 0.88, 0.98):
+        start = foot + t * along
+        turned = along / length[:, None] + rng.normal(0, 0.65, along.shape) + np.array([0, 0, 0.35])
+        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+        starts.append(start)
+        ends.append(start + turned * (length * rng.uniform(0.4, 0.75, len(length)))[:, None])
+    return spikes(np.concatenate(starts), np.concatenate(ends), np.full(5 * len(foot), 0.009))
+
+
+def spikes(feet: Array, tips: Array, radius: Array) -> Shape:
+    """Closed three-sided spikes of wood from (N, 3) to (N, 3), with radii (N,) at their feet."""
+    along = tips - feet
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    along = along / length
+    start = np.where(np.abs(along[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(along, start)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(along, side)
+    ring = [feet + radius[:, None] * (np.cos(a) * side + np.sin(a) * other) for a in 2 * np.pi * np.arange(3) / 3]
+    corners = np.stack([*ring, tips], axis=1)
+    rows = 4 * np.arange(len(feet))[:, None, None] + np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3], [0, 2, 1]])
+    width = 2 * radius
+    zero = np.zeros_like(width)
+    low = np.stack([zero, width, width / 2], axis=1)
+    high = np.stack([zero, zero, length[:, 0]], axis=1)
+    uv = np.repeat(np.stack([low, high], axis=-1)[:, None], 4, axis=1)
+    uv[:, 3, 2, 1] = width
+    return triangle_shape(corners.reshape(-1, 3), rows.reshape(-1, 3), Material.BARK, uv.reshape(-1, 3, 2))
+
+
+def _leaves(habit: _Habit, clumps: Array, rng: np.random.Generator, coarse: bool) -> Shape:
+    """Leaves scattered around the side branches, darker where they are deep in the crown."""
+    each, length = (9, 1.9 * habit.leaf) if coarse else (25, 1.05 * habit.leaf)
+    chosen = np.repeat(np.arange(len(clumps)), each)
+    size = np.maximum(0.085 * habit.spread, 0.16) * rng.uniform(0.8, 1.6, (len(clumps), 1))
+    scattered = rng.normal(0, 1, (len(chosen), 3)).clip(-1.8, 1.8)
+    centre = clumps[chosen] + (size * np.array([1.15, 1.15, 0.8]))[chosen] * scattered
     centre[:, 2] = np.maximum(centre[:, 2], habit.trunk - 0.1)
-    return leaf_quads(centre, habit.leaf, Material.LEAF, rng)
+    middle = np.array([0, 0, 0.45 * habit.trunk + 0.5 * habit.height])
+    extent = np.array([habit.spread, habit.spread, (habit.height - habit.trunk) / 2])
+    outward = (centre - middle) / extent
+    depth = 1.05 - np.linalg.norm(outward, axis=1) - 0.25 * outward[:, 2]
+    shade = np.clip(depth * _SHADES, 0, _SHADES - 1).astype(int)
+    material = Material.HEDGE if habit.evergreen else Material.LEAF
+    return leaf_triangles(centre, length, material, rng, outward, chosen, shade)
 
 
-def leaf_quads(centre: Array, length: float, material: Material, rng: np.random.Generator) -> Shape:
-    """A kite of ``length`` at each centre (N, 3), with random orientation and ranks spread evenly over (0, 1)."""
+def place_of(clump: Array, shade: Array, rng: np.random.Generator) -> Array:
+    """Variants (N,) of leaves below LOOK_STEP: five bits for the clump, two for the leaf, two for how deep it is."""
+    return (clump % 32) * 16 + rng.integers(0, 4, len(clump)) * 4 + shade
+
+
+def leaf_triangles(
+    centre: Array,
+    length: float,
+    material: Material,
+    rng: np.random.Generator,
+    outward: Array,
+    clump: Array,
+    shade: Array,
+) -> Shape:
+    """A leaf of ``length`` at each centre (N, 3), which tends to face ``outward`` (N, 3) and up.
+
+    Ranks are spread evenly over (0, 1). ``clump`` and ``shade`` (N,) go into the variant; see :func:`place_of`.
+    """
     count = len(centre)
-    along = rng.normal(0, 1, (count, 3))
+    along = rng.normal(0, 1, (count, 3)) + np.array([0, 0, -0.3])
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    facing = rng.normal(0, 1, (count, 3)) + np.array([0, 0, 0.8])
+    facing = rng.normal(0, 0.8, (count, 3)) + outward + np.array([0, 0, 0.6])
     across = np.cross(facing, along)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    size = length * rng.uniform(0.7, 1.25, (count, 1))
-    local = np.array([[-0.5, 0.0], [0.08, -0.32], [0.5, 0.0], [0.08, 0.32]])
-    in_plane = local[None, :, :1] * along[:, None] + local[None, :, 1:] * across[:, None]
-    corners = centre[:, None] + size[:, None] * in_plane
+    size = length * rng.uniform(0.7, 1.3, (count, 1))
+    local = np.array([[0.55, 0.0], [-0.45, 0.33], [-0.3, -0.4]])
+    corners = centre[:, None] + size[:, None] * (
+        local[None, :, :1] * along[:, None] + local[None, :, 1:] * across[:, None]
+    )
     uv = size[:, None] * local[None]
     rank = (rng.permutation(count) + 0.5) / count
-    return quads(corners, material, uv, variant=rng.integers(0, 16, count), rank=rank)
+    rows = np.arange(3 * count).reshape(-1, 3)
+    return triangle_shape(corners.reshape(-1, 3), rows, material, uv, place_of(clump, shade, rng), rank)
 
 
 def hedge_shapes(length: float, height: float, seed: int) -> tuple[Shape, Shape]:
@@ -124,16 +207,22 @@ def hedge_shapes(length: float, height: float, seed: int) -> tuple[Shape, Shape]
     x = np.linspace(0, length, columns)
     section = np.array([[-0.3, 0.0], [-0.33, 0.5], [-0.28, 0.95], [0.28, 0.95], [0.33, 0.5], [0.3, 0.0]])
     ring = np.tile(section, (columns, 1, 1)) * np.array([1.0, height])
-    ring[:, 1:5] += rng.normal(0, 0.025, (columns, 4, 2))
+    ring[:, 1:5] += rng.normal(0, 0.035, (columns, 4, 2))
     vertices = np.concatenate([np.broadcast_to(x[:, None, None], (columns, 6, 1)), ring], axis=2).reshape(-1, 3)
     i, j = np.meshgrid(np.arange(columns - 1), np.arange(6), indexing="ij")
     a, b = i * 6 + j, i * 6 + (j + 1) % 6
     rows = np.stack([np.stack([a, a + 6, b + 6], -1), np.stack([a, b + 6, b], -1)], axis=2).reshape(-1, 3)
     fan = np.array([[0, k, k + 1] for k in range(1, 5)])
-    core = triangle_shape(vertices, np.concatenate([rows, fan, fan[:, ::-1] + (columns - 1) * 6]), Material.HEDGE)
-    count = int(55 * length * height)
+    core = triangle_shape(
+        vertices, np.concatenate([rows, fan, fan[:, ::-1] + (columns - 1) * 6]), Material.HEDGE, variant=_SHADES - 1
+    )
+    count = int(150 * length * height)
     side = rng.integers(0, 3, count)
     y = np.where(side == 1, rng.uniform(-0.33, 0.33, count), np.where(side == 0, -0.34, 0.34))
-    z = np.where(side == 1, 0.98, rng.uniform(0.05, 0.98, count)) * height
-    centre = np.stack([rng.uniform(0, length, count), y, z], axis=1) + rng.normal(0, 0.03, (count, 3))
-    return core, leaf_quads(centre, 0.16, Material.HEDGE, rng)
+    z = np.where(side == 1, 0.98, rng.uniform(0.03, 0.98, count)) * height
+    along = rng.uniform(0, length, count)
+    centre = np.stack([along, y, z], axis=1) + rng.normal(0, 0.04, (count, 3))
+    outward = np.stack([np.zeros(count), np.sign(y) * (side != 1), 1.0 * (side == 1)], axis=1)
+    clump = (along / 0.5).astype(int) * 3 + side
+    low = np.clip(2.2 * (1 - z / height), 0, 2).astype(int)
+    return core, leaf_triangles(centre, 0.12, Material.HEDGE, rng, outward, clump, low)
