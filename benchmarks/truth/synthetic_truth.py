@@ -39,7 +39,8 @@ from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
-from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.mesh import Mesh
+from relocbench.datasets.synthetic.town.moving import moves
 from relocbench.datasets.synthetic.town.town import compose
 from relocbench.execution import Run, default_workers
 from relocbench.geometry import Camera, apply, invert
@@ -236,7 +237,7 @@ def check_pair(tally: Tally, dataset: Dataset, pair_set: PairSet, pair: Pair, re
     if pair.T_query_ref is None or np.abs(pair.T_query_ref - T_query_ref).max() > _WRITTEN_TO:
         raise RuntimeError(f"{pair_set.name} {pair.key}: the pair's pose is not that of its traversals")
     depth, triangle = ref.cast(rows.uv_ref)
-    tally.on_moving_cars += int(np.sum(ref.mesh.semantic[triangle] == Semantic.MOVING_CAR))
+    tally.on_moving_cars += int(np.sum(moves(ref.mesh.semantic[triangle])))
     points = ref.lift(rows.uv_ref, depth)
     expected, z = query.project(points)
 
@@ -251,8 +252,7 @@ def check_pair(tally: Tally, dataset: Dataset, pair_set: PairSet, pair: Pair, re
 
     def seen(pixels: Array, at: Array) -> Mask:
         found, which = query.cast(pixels)
-        moves = query.mesh.semantic[which] == Semantic.MOVING_CAR
-        return np.asarray((np.abs(found - at) <= _SAME_POINT * at) & ~moves)
+        return np.asarray((np.abs(found - at) <= _SAME_POINT * at) & ~moves(query.mesh.semantic[which]))
 
     visible = seen(expected, z)
     differs = np.flatnonzero(visible != rows.visible)
@@ -264,7 +264,7 @@ def check_pair(tally: Tally, dataset: Dataset, pair_set: PairSet, pair: Pair, re
     tally.add("flag_wrong", visible != rows.visible, edge)
     tally.visible += int(visible.sum())
     tally.hidden += int((~visible).sum())
-    tally.hidden_by_car += int(np.sum(query.mesh.semantic[query.cast(expected[~visible])[1]] == Semantic.MOVING_CAR))
+    tally.hidden_by_car += int(np.sum(moves(query.mesh.semantic[query.cast(expected[~visible])[1]])))
 
     pixels, start = rows.uv_query[rows.visible], rows.uv_ref[rows.visible]
 

@@ -5,7 +5,6 @@ Drives along it are recorded in the layout that a test needs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,11 @@ import numpy as np
 from small_street import SolidTexture, StraightRoad, Street, quads, street_mesh
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs.recording import LayoutName, Recorded, record
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, merge
 
 
-def fenced_street_mesh(street: Street, factors: Factors, moving: Sequence[MovingCar]) -> Mesh:
+def fenced_street_mesh(street: Street, factors: Factors) -> Mesh:
     """Walls 2 to 3 m high between the road and the houses, turned by 30 to 60 degrees one way or the other."""
     rng = np.random.default_rng([street.seed, 1])
     corners = []
@@ -32,7 +30,7 @@ def fenced_street_mesh(street: Street, factors: Factors, moving: Sequence[Moving
             top = rng.uniform(2.0, 3.0)
             corners.append([(*a, 0.0), (*b, 0.0), (*b, top), (*a, top)])
     fences = quads(np.array(corners, dtype=np.float64), Material.PLASTER, 5000)
-    return merge([street_mesh(street, factors, moving), fences])
+    return merge([street_mesh(street, factors), fences])
 
 
 def record_fenced(

@@ -93,7 +93,7 @@ def _recorded(out: Path, number: int, frames: int, rings: int, azimuths: int) ->
 
 
 def street_scene() -> LidarScene:
-    return LidarScene(fenced_street_mesh(Street(), Factors(), ()))
+    return LidarScene(fenced_street_mesh(Street(), Factors()))
 
 
 def errors_of(

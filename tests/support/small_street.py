@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -10,9 +11,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
-from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.geometry import Camera
 
@@ -60,7 +59,7 @@ class Street:
         return np.zeros((0, 3))
 
 
-def street_mesh(street: Street, factors: Factors, moving: Sequence[MovingCar]) -> Mesh:
+def street_mesh(street: Street, factors: Factors) -> Mesh:
     rng = np.random.default_rng(street.seed)
     ground = np.array([[(-60, -60, 0), (240, -60, 0), (240, 60, 0), (-60, 60, 0)]], dtype=np.float64)
     parts = [quads(ground, Material.ASPHALT)]
@@ -68,10 +67,6 @@ def street_mesh(street: Street, factors: Factors, moving: Sequence[MovingCar]) -
         near, height = rng.uniform(6.0, 9.0, size=2), rng.uniform(4.0, 9.0, size=2)
         parts.append(box((x, near[0], 0), (x + 6, 20, height[0]), Material.BRICK, 1 + 2 * k))
         parts.append(box((x, -20, 0), (x + 6, -near[1], height[1]), Material.PLASTER, 2 + 2 * k))
-    if moving:
-        names = 2**31 + np.arange(len(moving))
-        looks = np.array([v for _, v in moving])
-        parts.append(cars(np.stack([t for t, _ in moving]), looks, names, Semantic.MOVING_CAR))
     return merge(parts)
 
 
@@ -92,15 +87,19 @@ class StraightRoad:
 class SolidTexture:
     """Renders what a ray meets as a smooth pattern in space, so that stereo finds the same pattern in both images."""
 
-    surroundings = None
-
-    def __init__(self, mesh: Mesh, factors: Factors, lamps: Array, seed: int, surroundings: object = None) -> None:
+    def __init__(self, mesh: Mesh, factors: Factors, lamps: Array, seed: int) -> None:
+        self._mesh = mesh
         self._scene = LidarScene(mesh)
         rng = np.random.default_rng(seed)
         self._waves = rng.normal(size=(3, 24)) * 3.0
         phases = rng.uniform(0, 2 * np.pi, size=(3, 24))
         # sin(a + b) = sin(a) cos(b) + cos(a) sin(b): one sine and one cosine of a wave serve all three channels.
         self._mixing = np.concatenate([np.cos(phases), np.sin(phases)], axis=1).T.astype(np.float32)
+
+    def with_moving(self, mesh: Mesh) -> SolidTexture:
+        other = copy(self)
+        other._scene = LidarScene(merge([self._mesh, mesh]))
+        return other
 
     def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> SimpleNamespace:
         v, u = np.mgrid[: camera.height, : camera.width]

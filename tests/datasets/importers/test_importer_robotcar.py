@@ -56,7 +56,7 @@ def test_depth_is_that_of_the_surfaces(robotcar_street: RobotCarStreet, robotcar
     traversal = robotcar_built.dataset.traversal(robotcar_street.reference.name)
     truth, camera = robotcar_street.truth(robotcar_street.reference), traversal.camera("stereo_left")
     factors = CONDITIONS["Sunny"].factors
-    renderer = SolidTexture(fenced_street_mesh(Street(), factors, ()), factors, np.zeros((0, 3)), 0)
+    renderer = SolidTexture(fenced_street_mesh(Street(), factors), factors, np.zeros((0, 3)), 0)
     wrong, share = [], []
     times = traversal.keyframe_timestamps("stereo_left")
     assert len(times) >= 12

@@ -150,17 +150,17 @@ def test_moving_cars_keep_to_their_lanes_and_out_of_our_way() -> None:
     cars = moving_cars(Straight(), driven, 2.0, 3.2, np.random.default_rng(1))
     count = [len(present) for present in cars]
     assert min(count) >= 10
-    ours = {(variant, bool(T[0, 0] > 0)) for present in cars for T, variant in present}
+    ours = {(variant, bool(T[0, 0] > 0)) for present in cars for T, variant, _ in present}
     assert {forward for _, forward in ours} == {True, False}
     for T_world_rig, present in zip(driven.T_world_rig, cars, strict=True):
-        for T_world_car, _ in present:
+        for T_world_car, *_ in present:
             assert T_world_car[1, 3] == (0.0 if T_world_car[0, 0] > 0 else 3.2)
             x, y, _ = T_world_car[:3, 3] - T_world_rig[:3, 3]
             assert abs(y) > 2 or abs(x) > 10
     overtaken = moving_cars(Straight(), driven, 2.0, -3.2, np.random.default_rng(1))
     assert min(len(present) for present in overtaken) >= 8
-    assert {(T[0, 0] > 0, T[1, 3]) for present in overtaken for T, _ in present} == {(True, -3.2)}
-    first, second = ({v: T for T, v in present} for present in cars[:2])
+    assert {(T[0, 0] > 0, T[1, 3]) for present in overtaken for T, *_ in present} == {(True, -3.2)}
+    first, second = ({v: T for T, v, _ in present} for present in cars[:2])
     steps = [np.linalg.norm(first[v][:3, 3] - second[v][:3, 3]) for v in first.keys() & second.keys()]
     assert max(steps) < 2.0
 

@@ -150,7 +150,7 @@ def test_there_is_no_match_without_texture_where_one_camera_sees_and_beside_edge
 def test_errors_of_scanned_points_have_their_sigma_and_none_is_hidden(
     seed: int, rings: int, yaw_deg: float, weather: str
 ) -> None:
-    street = LidarScene(street_mesh(Street(seed % 5), Factors(), []))
+    street = LidarScene(street_mesh(Street(seed % 5), Factors()))
     pole = LidarScene(box((8.0, -1.0, 0.0), (8.4, -0.6, 4.0), Material.METAL, 9))
     around = Surroundings(street, pole, condition_named(weather).factors)
     turn = np.radians(yaw_deg)

@@ -117,7 +117,7 @@ def test_recorded_mosaics_hold_the_rendered_colours(reading: RobotCarReading, tr
         stamp, path = next(iter(reading.files(camera, ".png").items()))
         values = robotcar_layout.RobotCarLayout(reading.root, 0, 2, SCALE).cameras[camera]
         pose = truth.rig(stamp * 1000) @ truth.T_rig[camera]
-        renderer = SolidTexture(street_mesh(Street(), TRAFFIC, ()), TRAFFIC, np.zeros((0, 3)), Street().seed)
+        renderer = SolidTexture(street_mesh(Street(), TRAFFIC), TRAFFIC, np.zeros((0, 3)), Street().seed)
         frame = renderer.render(values.camera, pose, 0)
         mosaicked = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         assert mosaicked is not None
@@ -148,7 +148,7 @@ def test_scans_hold_541_beams_half_a_degree_apart(reading: RobotCarReading) -> N
 
 def nearest_surface(points: Array) -> Array:
     """Distance of points (N, 3) from the street, found by short rays along all axes."""
-    scene = LidarScene(street_mesh(Street(), TRAFFIC, ()))
+    scene = LidarScene(street_mesh(Street(), TRAFFIC))
     out = np.full(len(points), np.inf)
     for axis in np.vstack([np.eye(3), -np.eye(3)]):
         out = np.minimum(out, scene.hits(points - 1e-3 * axis, np.broadcast_to(axis, points.shape)).range)
@@ -452,7 +452,7 @@ def test_the_kitti_importer_reads_a_recording_and_agrees_with_the_truth(
         np.testing.assert_allclose(pair.T_query_ref, expected, atol=1e-6)
     traversal = dataset.traversal("kitti_00")
     camera = KittiLayout(root, "00", 4, 0.35).cameras["image_0"].camera
-    renderer = SolidTexture(street_mesh(Street(), Factors(), ()), Factors(), np.zeros((0, 3)), 0)
+    renderer = SolidTexture(street_mesh(Street(), Factors()), Factors(), np.zeros((0, 3)), 0)
     errors = []
     for time_ns, pose in T_world_cam.items():
         measured = traversal.depth("image_0", time_ns)

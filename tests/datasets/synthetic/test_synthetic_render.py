@@ -321,9 +321,8 @@ def test_a_moving_car_darkens_the_road_under_it_and_leaves_the_rest_of_the_light
     car = block(low, high, Material.CONCRETE, 11)
     moving = replace(car, semantic=np.full(len(car), Semantic.MOVING_CAR, dtype=np.uint8))
     overcast = Factors.model_validate({**CLEAR.model_dump(), "cloud_cover": 1.0})
-    lamps = np.array([[6.0, 3.0, 5.5]])
     still = renderer(overcast)
-    with_car = Renderer(merge([street(), moving]), overcast, lamps, 3, still.surroundings)
+    with_car = still.with_moving(moving)
     T = pose(x=-3.0, y=-0.5)
     before, after = still.render(CAMERA, T, 1), with_car.render(CAMERA, T, 1)
     changed = np.abs(grey(after) - grey(before)) > 2

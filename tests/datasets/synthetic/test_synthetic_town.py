@@ -18,6 +18,7 @@ from relocbench.datasets.synthetic.town.buildings import DEPTH_M, draw_house, ho
 from relocbench.datasets.synthetic.town.cars import CAR_TYPES, car_shape
 from relocbench.datasets.synthetic.town.furniture import bench, bin_shape, bollard, fountain
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
+from relocbench.datasets.synthetic.town.moving import Moving
 from relocbench.datasets.synthetic.town.network import make_network
 from relocbench.datasets.synthetic.town.shapes import Shape, boxes, ear_clip, join, quads, triangle_shape, tube
 from relocbench.datasets.synthetic.town.streets import KERB_M
@@ -409,9 +410,9 @@ def test_parked_cars_stand_in_their_bays(district: District, crowded: Mesh) -> N
 
 def test_moving_cars_are_added_where_they_are(district: District) -> None:
     pose = district.network.drive(100.0, 0).pose(40.0)
-    mesh = compose(district, Factors(parked_share=0.0, foliage=0.0), [(pose, 5), (pose, 6)])
+    mesh = compose(district, Factors(parked_share=0.0, foliage=0.0), [Moving(pose, 5), Moving(pose, 6)])
     moving = mesh.semantic == Semantic.MOVING_CAR
-    assert set(mesh.instance[moving].tolist()) == {2**31, 2**31 + 1}
+    assert set(mesh.instance[moving].tolist()) == {2**31 + 5, 2**31 + 6}
     assert set(mesh.variant[mesh.material == Material.CAR_PAINT].tolist()) == {5, 6}
     points = mesh.vertices[mesh.triangles[moving]].reshape(-1, 3)
     assert np.linalg.norm((points - pose[:3, 3])[:, :2], axis=1).max() < 3.0

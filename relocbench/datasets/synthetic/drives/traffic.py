@@ -6,10 +6,8 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, Drive, Route
+from relocbench.datasets.synthetic.town.moving import Moving
 from relocbench.geometry import invert
-
-MovingCar = tuple[Array, int]
-"""``T_world_car`` (4, 4) and the seed of the car's look"""
 
 _NEAREST_M = 14.0
 """least distance between the centres of our car and another one in the same lane"""
@@ -19,7 +17,7 @@ _OWN_LANE_M = 2.2
 
 def moving_cars(
     route: Route, drive: Drive, per_100_m: float, lane_m: float, rng: np.random.Generator
-) -> list[list[MovingCar]]:
+) -> list[list[Moving]]:
     """The moving cars at every step of a drive.
 
     Cars ahead and behind keep their distance to ours, apart from a slow variation. Oncoming cars use the other lane at
@@ -37,7 +35,7 @@ def moving_cars(
     starts = (np.arange(count) + rng.uniform(0.0, 0.4, size=count)) * section
     speed = rng.uniform(7.0, 10.0)
     looks = rng.integers(2**31, size=(2, count)).tolist()
-    cars: list[list[MovingCar]] = [[] for _ in time]
+    cars: list[list[Moving]] = [[] for _ in time]
     gaps = starts - drive.along[0]
     waves = np.sin(2 * np.pi * (time[:, None] / 20.0 + rng.uniform(0, 1, size=count)))
     for k in range(count):
@@ -46,14 +44,14 @@ def moving_cars(
         overtaken = (starts[k] + speed / 2 * time) % route.length
         for i in range(len(time)):
             if lane_m < 0:
-                cars[i].append((route.pose(float(overtaken[i]), lane_m), looks[0][k]))
+                cars[i].append(Moving(route.pose(float(overtaken[i]), lane_m), looks[0][k]))
                 continue
             # Cars in our lane have the route's pose; oncoming ones are turned round in the other lane.
             if abs(same_lane[i] - drive.along[i]) >= _NEAREST_M and 0 <= same_lane[i] <= route.length:
-                cars[i].append((route.pose(float(same_lane[i])), looks[0][k]))
-            cars[i].append((route.pose(float(oncoming[i]), lane_m, np.pi), looks[1][k]))
+                cars[i].append(Moving(route.pose(float(same_lane[i])), looks[0][k]))
+            cars[i].append(Moving(route.pose(float(oncoming[i]), lane_m, np.pi), looks[1][k]))
     return [
-        [car for car in present if not _in_the_way(T_world_rig, car[0])]
+        [car for car in present if not _in_the_way(T_world_rig, car.T_world_thing)]
         for T_world_rig, present in zip(drive.T_world_rig, cars, strict=True)
     ]
 

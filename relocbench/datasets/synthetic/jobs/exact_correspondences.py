@@ -15,9 +15,9 @@ from relocbench.arrays import Array, Image, Mask
 from relocbench.datasets.pairs.correspondences import FARTHEST_M, PairCorrespondences, exact_pair, sampled_pixels
 from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
+from relocbench.datasets.synthetic.town.moving import Moving
 from relocbench.geometry import Camera, apply, invert
 from relocbench.tracking import Reference
 
@@ -39,19 +39,19 @@ class View:
     factors: Factors
     camera: Camera
     T_world_cam: Array
-    moving: tuple[MovingCar, ...] = ()
+    moving: tuple[Moving, ...] = ()
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, Mask]:
         """Distances (N,) along unit rays (N, 3) to the first surface, inf if none, and whether it moves (N,)."""
         distance = scenes.static_scene(self.place, self.factors).hits(origins, directions).range
-        cars = scenes.moving_scene(self.place, self.factors, self.moving)
-        if cars is None:
+        others = scenes.moving_scene(self.moving)
+        if others is None:
             return distance, np.zeros(len(distance), dtype=bool)
-        to_car = cars.hits(origins, directions).range
-        return np.minimum(distance, to_car), to_car < distance
+        to_other = others.hits(origins, directions).range
+        return np.minimum(distance, to_other), to_other < distance
 
     def depth(self, pixels: Array) -> tuple[Array, Mask]:
-        """Depth along z (N,) of pixels (N, 2), inf if there is none, and whether they show a moving car (N,)."""
+        """Depth along z (N,) of pixels (N, 2), inf if there is none, and whether they show what moves (N,)."""
         origins, directions, lengths = scenes.pixel_rays(self.camera, self.T_world_cam, pixels)
         distance, moves = self.cast(origins, directions)
         return distance / lengths, moves
@@ -73,9 +73,9 @@ class View:
         off = np.abs(np.where(met, hits.range, 0.0) - far)
         across = _ROUNDINGS * float(np.spacing(np.float32(self.place.extent_m)))
         seen = met & (off * slant <= across) & (off <= _TOLERANCE_M + _RELATIVE_TOLERANCE * far)
-        cars = scenes.moving_scene(self.place, self.factors, self.moving)
-        if cars is not None:
-            seen &= hits.range <= cars.hits(origins, directions).range
+        others = scenes.moving_scene(self.moving)
+        if others is not None:
+            seen &= hits.range <= others.hits(origins, directions).range
         return np.asarray(seen)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.latest import latest
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -23,7 +22,7 @@ from relocbench.datasets.synthetic.map_depth.scanned import (
 )
 from relocbench.datasets.synthetic.map_depth.triangulated import triangulated_points, triangulated_up_to
 from relocbench.datasets.synthetic.renderer.render import Frame
-from relocbench.datasets.synthetic.town.mesh import Semantic
+from relocbench.datasets.synthetic.town.moving import Moving, moves
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
@@ -54,7 +53,7 @@ class Scan:
 
     place: DistrictSpec
     factors: Factors
-    moving: tuple[MovingCar, ...]
+    moving: tuple[Moving, ...]
     T_world_rig: Array
     seed: int
 
@@ -84,13 +83,13 @@ class Keyframe:
     def points(self, known: MapDepth) -> KeyframePoints:
         """The points of a map that has points in place of depth images."""
         if self.scan is None:
-            static = self.frame.semantic != Semantic.MOVING_CAR
+            static = ~moves(self.frame.semantic)
             near = self.frame.rgb, self.frame.depth, static, self.camera
             return triangulated_points(*near, known.points, known.error_px, self._rng)
         scan = self.scan
         around = Surroundings(
             scenes.static_scene(scan.place, scan.factors),
-            scenes.moving_scene(scan.place, scan.factors, scan.moving),
+            scenes.moving_scene(scan.moving),
             scan.factors,
         )
 

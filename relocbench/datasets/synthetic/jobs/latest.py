@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
+from relocbench.datasets.synthetic.town.mesh import Mesh
+from relocbench.datasets.synthetic.town.moving import Moving, moving_mesh
 
 Value = TypeVar("Value")
 _latest: dict[str, tuple[Hashable, Any]] = {}
@@ -15,9 +16,8 @@ _latest: dict[str, tuple[Hashable, Any]] = {}
 class Reusable(Protocol):
     """A renderer, such as :class:`relocbench.datasets.synthetic.renderer.render.Renderer`."""
 
-    @property
-    def surroundings(self) -> Any:
-        """What another renderer of the same town with other moving cars can reuse."""
+    def with_moving(self, mesh: Mesh) -> Self:
+        """A renderer of the same scene with what moves at one moment, in place of the one made before."""
         ...
 
 
@@ -38,18 +38,13 @@ def forget_all() -> None:
     _latest.clear()
 
 
-def latest_renderer(
-    scene: Hashable, moving: Sequence[MovingCar], make: Callable[[Sequence[MovingCar], Any], AnyRenderer]
-) -> AnyRenderer:
-    """The renderer of a district in a condition (``scene``) with the moving cars of one moment.
+def latest_renderer(scene: Hashable, moving: Sequence[Moving], make: Callable[[], AnyRenderer]) -> AnyRenderer:
+    """The renderer of a district in a condition (``scene``) with what moves at one moment.
 
-    ``make`` gets the moving cars, and the surroundings of the scene without them or None.
+    ``make`` makes that of the scene without anything that moves.
     """
-
-    def made() -> AnyRenderer:
-        if not moving:
-            return make((), None)
-        return make(moving, latest("surroundings", scene, lambda: make((), None).surroundings))
-
-    positions = tuple((T_world_car.tobytes(), variant) for T_world_car, variant in moving)
-    return latest("renderer", (scene, positions), made)
+    still = latest("renderer", scene, make)
+    if not moving:
+        return still
+    key = scene, tuple((T_world_thing.tobytes(), *look) for T_world_thing, *look in moving)
+    return latest("renderer with what moves", key, lambda: still.with_moving(moving_mesh(moving)))

@@ -19,12 +19,13 @@ from relocbench.datasets.synthetic.conditions.views import CameraView, Views, dr
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.rig import RIGS, Rig
 from relocbench.datasets.synthetic.drives.routes import ROUTES, RouteName, route
-from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
+from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.keyframe_depth import check_reach
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.map_depth.kinds import EXACT, MapDepth
 from relocbench.datasets.synthetic.map_depth.matched import stored_sigma
+from relocbench.datasets.synthetic.town.moving import Moving
 from relocbench.errors import ConfigError, available
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
@@ -50,8 +51,8 @@ class TraversalPlan:
     """condition of the split's reference traversal"""
     cameras: Cameras
     drive: Drive
-    moving: tuple[tuple[MovingCar, ...], ...]
-    """the moving cars at each step"""
+    moving: tuple[tuple[Moving, ...], ...]
+    """what moves, at each step"""
     imaging: Imaging | None = None
     """the drive's own camera, or None for the ideal one"""
     view: CameraView | None = None

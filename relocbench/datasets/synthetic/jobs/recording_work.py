@@ -15,18 +15,16 @@ import numpy as np
 
 from relocbench.arrays import Array, Image
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.jobs.latest import Reusable, forget_all, latest, latest_renderer
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, SensorMotion, TrueTrajectory, cars_at
 from relocbench.datasets.synthetic.lidar import lidar
-from relocbench.datasets.synthetic.town.cars import cars
-from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.mesh import Mesh
+from relocbench.datasets.synthetic.town.moving import Moving, moving_mesh
 from relocbench.files import atomic_write
 from relocbench.geometry import Camera
 
 _CAR_RADIUS_M = 3.5
-_MOVING_INSTANCE = 2**31
 
 
 class RecordableDistrict(Protocol):
@@ -52,22 +50,22 @@ class FrameRenderer(Reusable, Protocol):
     def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> Picture: ...
 
 
-RendererFactory = Callable[[Mesh, Factors, Array, int, Any], FrameRenderer]
-"""called with mesh, factors, lamps (N, 3), the seed of the surfaces' patterns, and surroundings or None"""
-Composer = Callable[[Any, Factors, Sequence[MovingCar]], Mesh]
-"""called with district, factors and moving cars"""
+RendererFactory = Callable[[Mesh, Factors, Array, int], FrameRenderer]
+"""called with mesh, factors, lamps (N, 3) and the seed of the surfaces' patterns"""
+Composer = Callable[[Any, Factors], Mesh]
+"""called with district and factors"""
 
 
-def town_renderer(mesh: Mesh, factors: Factors, lamps: Array, seed: int, surroundings: Any) -> FrameRenderer:
+def town_renderer(mesh: Mesh, factors: Factors, lamps: Array, seed: int) -> FrameRenderer:
     from relocbench.datasets.synthetic.renderer.render import Renderer
 
-    return Renderer(mesh, factors, lamps, seed, surroundings)
+    return Renderer(mesh, factors, lamps, seed)
 
 
-def town_compose(district: Any, factors: Factors, moving: Sequence[MovingCar]) -> Mesh:
+def town_compose(district: Any, factors: Factors) -> Mesh:
     from relocbench.datasets.synthetic.town.town import compose
 
-    return compose(district, factors, moving)
+    return compose(district, factors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +130,10 @@ def write_images(unit: Unit) -> Spent:
     return Spent.on(starmap(write, unit.work))
 
 
-def _renderer(drive: DriveContext, present: Sequence[MovingCar]) -> FrameRenderer:
-    def make(cars: Sequence[MovingCar], around: Any) -> FrameRenderer:
+def _renderer(drive: DriveContext, present: Sequence[Moving]) -> FrameRenderer:
+    def make() -> FrameRenderer:
         town = _district(drive)
-        mesh = drive.compose(town, drive.factors, cars)
-        return drive.make_renderer(mesh, drive.factors, town.lamps, town.seed, around)
+        return drive.make_renderer(drive.compose(town, drive.factors), drive.factors, town.lamps, town.seed)
 
     return latest_renderer((drive.district, drive.factors), present, make)
 
@@ -146,7 +143,7 @@ def write_scans(unit: Unit) -> Spent:
     scene = latest(
         "scene",
         (drive.district, drive.factors),
-        lambda: lidar.LidarScene(drive.compose(_district(drive), drive.factors, ())),
+        lambda: lidar.LidarScene(drive.compose(_district(drive), drive.factors)),
     )
     others = latest("cars", (drive.district, drive.seed), lambda: _moving_objects(drive.tracks))
 
@@ -165,8 +162,7 @@ def write_scans(unit: Unit) -> Spent:
 
 def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:
     """The moving cars, each with its mesh in its own frame."""
-    objects = []
-    for k, track in enumerate(tracks):
-        mesh = cars(np.eye(4)[None], np.array([track.variant]), np.array([_MOVING_INSTANCE + k]), Semantic.MOVING_CAR)
-        objects.append(lidar.MovingObject(lidar.LidarScene(mesh), track, _CAR_RADIUS_M))
-    return objects
+    return [
+        lidar.MovingObject(lidar.LidarScene(moving_mesh([Moving(np.eye(4), track.variant)])), track, _CAR_RADIUS_M)
+        for track in tracks
+    ]

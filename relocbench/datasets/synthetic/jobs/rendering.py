@@ -19,7 +19,6 @@ from relocbench.datasets.synthetic.camera.rolling_shutter import Readout
 from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import estimates, scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.jobs.keyframe_depth import Keyframe, Scan
@@ -27,6 +26,7 @@ from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.map_depth.kinds import EXACT, MapDepth
 from relocbench.datasets.synthetic.renderer.render import Frame
+from relocbench.datasets.synthetic.town.moving import Moving
 from relocbench.execution import chunks
 from relocbench.files import write_bytes
 from relocbench.geometry import Camera
@@ -65,7 +65,7 @@ class FrameWork:
 class StepWork:
     """The images of one moment."""
 
-    moving: tuple[MovingCar, ...]
+    moving: tuple[Moving, ...]
     frames: tuple[FrameWork, ...]
 
 

@@ -11,11 +11,10 @@ import numpy as np
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.salt import without_salt
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs.latest import latest, latest_renderer
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
-from relocbench.datasets.synthetic.renderer.render import Frame, Renderer, Surroundings
-from relocbench.datasets.synthetic.town.mesh import Semantic
+from relocbench.datasets.synthetic.renderer.render import Frame, Renderer
+from relocbench.datasets.synthetic.town.moving import Moving, moving_mesh
 from relocbench.datasets.synthetic.town.town import District, compose, make_district
 from relocbench.geometry import Camera
 
@@ -39,13 +38,13 @@ def district(place: DistrictSpec) -> District:
     return latest("district", place, lambda: make_district(place.seed, place.split, place.extent_m))
 
 
-def renderer(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar] = ()) -> Renderer:
-    """The renderer of a district in a condition, with the moving cars of one moment."""
+def renderer(place: DistrictSpec, factors: Factors, moving: Sequence[Moving] = ()) -> Renderer:
+    """The renderer of a district in a condition, with what moves at one moment."""
 
-    def make(cars: Sequence[MovingCar], around: Surroundings | None) -> Renderer:
+    def make() -> Renderer:
         town = district(place)
         # The surfaces' patterns depend on the district's seed only, so that they are the same in all traversals.
-        return Renderer(compose(town, factors, cars), factors, town.lamps, place.seed, around)
+        return Renderer(compose(town, factors), factors, town.lamps, place.seed)
 
     return latest_renderer((place, factors), moving, make)
 
@@ -56,12 +55,9 @@ def static_scene(place: DistrictSpec, factors: Factors) -> LidarScene:
     return LidarScene(compose(district(place), factors))
 
 
-def moving_scene(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar]) -> LidarScene | None:
-    """The scene of the moving cars only; None if there are none."""
-    if not moving:
-        return None
-    whole = compose(district(place), factors, moving)
-    return LidarScene(whole.select(whole.semantic == Semantic.MOVING_CAR))
+def moving_scene(moving: Sequence[Moving]) -> LidarScene | None:
+    """The scene of what moves alone; None if nothing does."""
+    return LidarScene(moving_mesh(moving)) if moving else None
 
 
 def frame_seed(seed: int, traversal: int, step: int, camera: int) -> int:
@@ -82,7 +78,7 @@ def changed_since(
 ) -> Mask:
     """Mask (H, W) of pixels that show another object than the reference condition does, or one that was repainted.
 
-    Season, months, parked cars and moving cars change objects; light, wetness and snow do not.
+    Season, months, parked cars and what moves change objects; light, wetness and snow do not.
 
     Args:
         factors: the condition of the frame.

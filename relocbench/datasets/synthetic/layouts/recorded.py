@@ -13,8 +13,8 @@ import numpy as np
 from relocbench.arrays import Array, Image, Mask, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.lidar.lidar import Lidar
+from relocbench.datasets.synthetic.town.moving import Moving
 from relocbench.errors import ConfigError, available
 from relocbench.geometry import Camera, interpolate, interpolate_trajectory
 
@@ -70,21 +70,21 @@ class CarTrack:
         return out
 
 
-def car_tracks(times_ns: Times, steps: Sequence[Sequence[MovingCar]]) -> list[CarTrack]:
+def car_tracks(times_ns: Times, steps: Sequence[Sequence[Moving]]) -> list[CarTrack]:
     """The tracks of cars that are listed step by step; a car is identified by its look."""
     poses: dict[int, Array] = {}
     for i, cars in enumerate(steps):
-        for T_world_car, variant in cars:
+        for T_world_car, variant, _ in cars:
             if variant not in poses:
                 poses[variant] = np.full((len(steps), 4, 4), np.nan)
             poses[variant][i] = T_world_car
     return [CarTrack(variant, times_ns, track) for variant, track in poses.items()]
 
 
-def cars_at(tracks: Sequence[CarTrack], time_ns: int) -> list[MovingCar]:
+def cars_at(tracks: Sequence[CarTrack], time_ns: int) -> list[Moving]:
     """The cars that are present at one time."""
     found = [(track(np.array([time_ns]))[0], track.variant) for track in tracks]
-    return [(pose, variant) for pose, variant in found if np.isfinite(pose[0, 0])]
+    return [Moving(pose, variant) for pose, variant in found if np.isfinite(pose[0, 0])]
 
 
 @dataclass(frozen=True, eq=False)

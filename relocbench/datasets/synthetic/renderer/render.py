@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,19 +24,19 @@ from relocbench.datasets.synthetic.renderer.edges import (
     edge_pixels,
     known_colours,
     neighbours_seen,
-    surface_names,
 )
 from relocbench.datasets.synthetic.renderer.lamps import Beam
 from relocbench.datasets.synthetic.renderer.materials import make_looks
 from relocbench.datasets.synthetic.renderer.response import apply_response, exposure_gain
+from relocbench.datasets.synthetic.renderer.room import Room
 from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, Samples, View, direct_samples
 from relocbench.datasets.synthetic.renderer.sky import Sky, make_sky
-from relocbench.datasets.synthetic.renderer.skylight import Skylight, make_skylight, with_moving_cars
+from relocbench.datasets.synthetic.renderer.skylight import Skylight, make_skylight, with_moving
 from relocbench.datasets.synthetic.renderer.surfaces import Hits, Setting
 from relocbench.datasets.synthetic.renderer.textures import bake
 from relocbench.datasets.synthetic.renderer.weather import draw_precipitation, falling_extinction
 from relocbench.datasets.synthetic.town.mesh import Mesh
-from relocbench.datasets.synthetic.town.raycast import NOTHING, Scene
+from relocbench.datasets.synthetic.town.raycast import NOTHING, Scene, ScenePair
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 
@@ -63,7 +64,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """The parts of a scene that do not depend on moving cars."""
+    """The parts of a scene that do not depend on what moves."""
 
     sky: Sky
     skylight: Skylight
@@ -77,8 +78,7 @@ class Renderer:
         factors: weather, time of day and camera response.
         lamps: (L, 3) positions of street lamps, metres.
         seed: seed of patterns, colours and clouds.
-        surroundings: those of the same town and condition without moving cars, if available; computing them takes
-            longer than rendering an image.
+        surroundings: those of the same town, if available; computing them takes longer than rendering an image.
     """
 
     def __init__(
@@ -90,15 +90,16 @@ class Renderer:
         surroundings: Surroundings | None = None,
     ) -> None:
         self.factors = factors
-        self._scene = Scene(mesh)
-        self._geometry = surfaces.make_geometry(mesh)
-        self._names = surface_names(self._geometry)
+        scene = Scene(mesh)
+        self._scene: Scene | ScenePair = scene
+        self._still = scene
+        self._room = Room(mesh)
         self._patterns = bake(seed)
         self._looks = make_looks(factors.leaf_colour)
         if surroundings is None:
-            self._sky, self._skylight = make_sky(factors, seed), make_skylight(mesh, self._scene)
+            self._sky, self._skylight = make_sky(factors, seed), make_skylight(mesh, scene)
         else:
-            self._sky, self._skylight = surroundings.sky, with_moving_cars(surroundings.skylight, mesh, self._scene)
+            self._sky, self._skylight = surroundings.sky, surroundings.skylight
         self._lamps = lighting.make_lamps(lamps)
         self._by_lamp = not self._sky.sun.any()
         extinction = factors.fog_density + falling_extinction(factors.rain_mm_h, factors.snowfall_mm_h)
@@ -116,8 +117,20 @@ class Renderer:
 
     @property
     def surroundings(self) -> Surroundings:
-        """What renderers of the same town with moving cars can reuse."""
+        """What renderers of the same town can reuse."""
         return Surroundings(self._sky, self._skylight)
+
+    def with_moving(self, mesh: Mesh) -> Renderer:
+        """A renderer of the same scene with what moves at one moment.
+
+        It takes the place of the one that was made before: all have one :class:`Room`.
+        """
+        other = copy(self)
+        moving = Scene(mesh)
+        self._room.put(mesh)
+        other._scene = ScenePair(self._still, self._room.triangles, moving)
+        other._skylight = with_moving(self._skylight, mesh, moving)
+        return other
 
     def render(
         self,
@@ -168,7 +181,7 @@ class Renderer:
             samples = self._trace(view, direct_samples(u, v))
             hits = self._surfaces(view, samples)
             depth = hits.depth.astype(np.float32).reshape(shape)
-        instance, semantic = surfaces.objects(self._geometry, samples.triangle)
+        instance, semantic = surfaces.objects(self._room.geometry, samples.triangle)
         return Frame(rgb, depth, hits.normal.reshape(*shape, 3), instance.reshape(shape), semantic.reshape(shape))
 
     def _trace(self, view: View, samples: Samples) -> Samples:
@@ -176,7 +189,7 @@ class Renderer:
         return samples._replace(triangle=self._scene.closest(sampling.make_rays(view, samples)))
 
     def _surfaces(self, view: View, samples: Samples) -> Hits:
-        return surfaces.surfaces(view, self._geometry, self._patterns, self._looks, self._setting, samples)
+        return surfaces.surfaces(view, self._room.geometry, self._patterns, self._looks, self._setting, samples)
 
     def _light(self, view: View, beam: Beam, samples: Samples, hits: Hits, width: int = 0) -> tuple[Floats, Floats]:
         """Radiance (N, 3) and share of unshadowed light (N,); ``width`` is given if the samples are a whole image."""
@@ -184,7 +197,7 @@ class Renderer:
         reflected = np.full((len(lit), 3), -1, dtype=np.float32)
         if not samples.before.any():
             self._reflect(view, beam, samples, hits, reflected, width)
-        scene = self._geometry, self._setting, self._sky, self._skylight, self._lamps
+        scene = self._room.geometry, self._setting, self._sky, self._skylight, self._lamps
         return shading.radiance(view, *scene, beam, samples, hits, lit, reflected), lit
 
     def _lit(self, view: View, hits: Hits, width: int) -> Floats:
@@ -207,7 +220,7 @@ class Renderer:
 
     def _reflect(self, view: View, beam: Beam, samples: Samples, hits: Hits, reflected: Floats, width: int) -> None:
         """Compute the light (N, 3) that specular samples reflect, into ``reflected``."""
-        casts = surfaces.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
+        casts = surfaces.casts_reflection(self._room.geometry, samples, hits, _LEAST_MIRROR)
         interpolated = reflections.interpolated_pixels(casts, hits, width) if width else np.zeros(0, dtype=np.int64)
         mirrors = casts.copy()
         casts[interpolated] = False
@@ -230,15 +243,17 @@ class Renderer:
 
     def _smooth_edges(self, view: View, beam: Beam, samples: Samples, hits: Hits, light: Floats, width: int) -> Floats:
         """Make each edge pixel the mean of five samples. Only samples of surfaces not seen nearby are shaded."""
-        edges = edge_pixels(self._names, samples.triangle, hits, light, width)
+        edges = edge_pixels(self._room.names, samples.triangle, hits, light, width)
         if len(edges) == 0:
             return light
-        known = neighbours_seen(view, self._geometry, edges, samples.triangle, width)
+        known = neighbours_seen(view, self._room.geometry, edges, samples.triangle, width)
         # Samples that hit no neighbour's triangle, but sky or a triangle smaller than a pixel, need a ray.
         cast = np.flatnonzero(known < 0)
         pixels, offsets = edges[cast // 4], PIXEL_OFFSETS[cast % 4]
         finer = self._trace(view, direct_samples(samples.u[pixels] + offsets[:, 0], samples.v[pixels] + offsets[:, 1]))
-        known[cast] = known_colours(self._geometry, self._names, pixels, finer.triangle, samples.triangle, hits, width)
+        known[cast] = known_colours(
+            self._room.geometry, self._room.names, pixels, finer.triangle, samples.triangle, hits, width
+        )
         unknown = known[cast] < 0
         index = np.zeros(len(known), dtype=np.int64)
         index[cast[unknown]] = np.arange(np.count_nonzero(unknown))

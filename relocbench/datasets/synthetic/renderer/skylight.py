@@ -84,14 +84,13 @@ def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
     return Skylight(low.astype(np.float32), shape, values.reshape(-1, 4), _HEIGHTS, ground)
 
 
-def with_moving_cars(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
-    """The skylight of a town with the ground under and beside the moving cars in ``mesh`` darkened.
+def with_moving(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
+    """The skylight of a town with the ground darkened under and beside what moves, whose mesh and scene these are.
 
-    Their small effect on everything else is ignored.
+    The small effect on everything else is ignored.
     """
-    moving = mesh.semantic == Semantic.MOVING_CAR
     rows, columns = light.ground.shape
-    under = _ground(mesh, moving, scene, light.low, (rows, columns))
+    under = _ground(mesh, np.ones(len(mesh), dtype=np.bool_), scene, light.low, (rows, columns))
     return light._replace(ground=np.minimum(light.ground, under))
 
 
@@ -119,6 +118,8 @@ def _ground(mesh: Mesh, standing: Mask, scene: Scene, low: Floats, shape: tuple[
     inner = grown[1:-1, 1:-1]
     for first in range(0, ny, 4 * _ROWS_AT_ONCE):
         rows = inner[first // 4 : first // 4 + _ROWS_AT_ONCE]
+        if not rows.any():
+            continue
         iy, ix = np.nonzero(np.kron(rows, np.ones((4, 4), dtype=np.bool_))[: ny - first, :nx])
         iy += first
         points = np.stack([low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, np.full(len(ix), _GROUND_M)], 1)

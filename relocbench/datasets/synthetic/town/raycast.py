@@ -41,3 +41,30 @@ class Scene:
             return np.zeros(0, dtype=np.bool_)
         hit = self._scene.test_occlusions(o3d.core.Tensor.from_numpy(rays), tfar=far, nthreads=1)
         return np.asarray(hit.numpy())
+
+
+class ScenePair:
+    """Two scenes that rays are cast against as one, so that the first can be kept while the second changes.
+
+    Triangles of the second scene are numbered after the ``first_count`` triangles of the first.
+    """
+
+    def __init__(self, first: Scene, first_count: int, second: Scene) -> None:
+        self._first, self._count, self._second = first, first_count, second
+
+    def closest(self, rays: Floats) -> NDArray[np.uint32]:
+        """As :meth:`Scene.closest`."""
+        if len(rays) == 0:
+            return np.zeros(0, dtype=np.uint32)
+        a, b = self._first._cast(rays), self._second._cast(rays)
+        nearer = b["t_hit"].numpy() < a["t_hit"].numpy()
+        triangle: NDArray[np.uint32] = a["primitive_ids"].numpy().copy()
+        triangle[nearer] = b["primitive_ids"].numpy()[nearer] + np.uint32(self._count)
+        return triangle
+
+    def occluded(self, rays: Floats, far: float = np.inf) -> Mask:
+        """As :meth:`Scene.occluded`."""
+        hit = self._first.occluded(rays, far)
+        open_rays = np.flatnonzero(~hit)
+        hit[open_rays] = self._second.occluded(rays[open_rays], far)
+        return hit

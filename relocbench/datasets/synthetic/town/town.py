@@ -15,6 +15,7 @@ from relocbench.datasets.synthetic.town.ageing import Inventory, together
 from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.ground import ground
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
+from relocbench.datasets.synthetic.town.moving import Moving, moving_mesh
 from relocbench.datasets.synthetic.town.network import LANE_M, StreetNetwork, make_network
 from relocbench.datasets.synthetic.town.planting import (
     Planting,
@@ -147,25 +148,20 @@ def _lane_places(network: StreetNetwork) -> Array:
     return np.concatenate([np.zeros((0, 4, 4)), *found])
 
 
-def compose(district: District, factors: Factors, moving: Sequence[tuple[Array, int]] = ()) -> Mesh:
-    """The mesh of a district under the factors: static objects first, then leaves, parked and moving cars.
+def compose(district: District, factors: Factors, moving: Sequence[Moving] = ()) -> Mesh:
+    """The mesh of a district under the factors: static objects first, then leaves, parked cars, and what moves.
 
     With ``factors.months``, what came over the months stands between leaves and cars.
-    Leaves are present if their rank is below ``factors.foliage``. ``moving`` holds (T_world_car, variant) of each
-    moving car. Instance numbers of parked cars depend on the bay and on ``parked_seed``, so that a different car in the
-    same bay is a different object; those of moving cars start at 2**31.
+    Leaves are present if their rank is below ``factors.foliage``. Instance numbers of parked cars depend on the bay and
+    on ``parked_seed``, so that a different car in the same bay is a different object; those of what moves start at
+    2**31.
     """
     shown = district.foliage.rank < factors.foliage
     parts = [district.static, *([district.foliage.select(shown)] if shown.any() else [])]
     if factors.months > 0:
         aged = [district.inventory.aged(part, factors.months) for part in parts]
         parts = [*aged, *district.inventory.came(factors.months)]
-    parts += _parked(district, factors)
-    if moving:
-        transforms = np.stack([np.asarray(t, dtype=float) for t, _ in moving])
-        variants = np.array([v for _, v in moving])
-        parts.append(cars(transforms, variants, 2**31 + np.arange(len(moving)), Semantic.MOVING_CAR))
-    return merge(parts)
+    return merge([*parts, *_parked(district, factors), moving_mesh(moving)])
 
 
 def _parked(district: District, factors: Factors) -> list[Mesh]:

@@ -1,0 +1,60 @@
+"""The arrays of a mesh that stands still, with room behind them for what moves.
+
+A town has a million triangles and what moves some ten thousands, so that copying the town for each moment would take
+as long as much of an image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.renderer.edges import surface_names
+from relocbench.datasets.synthetic.renderer.surfaces import Geometry, make_geometry
+from relocbench.datasets.synthetic.town.mesh import Mesh
+
+_SPARE = 1.5
+"""rows that are made at once, relative to those needed, so that few moments need more"""
+
+
+class Room:
+    """The arrays of a mesh, behind which another mesh can be put again and again."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.geometry: Geometry = make_geometry(mesh)
+        self.names: NDArray[np.uint32] = surface_names(self.geometry)
+        """of the surfaces of all triangles; see :func:`surface_names`"""
+        self._triangles, self._vertices = len(mesh), len(mesh.vertices)
+
+    @property
+    def triangles(self) -> int:
+        """Number of triangles of the first mesh."""
+        return self._triangles
+
+    def put(self, mesh: Mesh) -> None:
+        """Put a mesh behind the first one, in place of the one that was put there before."""
+        if not self._holds(mesh):
+            self._grow(mesh)
+        moving = make_geometry(mesh)
+        for name, whole, part in zip(Geometry._fields, self.geometry, moving, strict=True):
+            first = self._vertices if name == "vertices" else self._triangles
+            whole[first : first + len(part)] = part + np.uint32(self._vertices) if name == "triangles" else part
+        self.names[self._triangles : self._triangles + len(mesh)] = surface_names(moving)
+
+    def _holds(self, mesh: Mesh) -> bool:
+        return len(self.names) >= self._triangles + len(mesh) and len(self.geometry.vertices) >= self._vertices + len(
+            mesh.vertices
+        )
+
+    def _grow(self, mesh: Mesh) -> None:
+        def with_room(values: NDArray[np.generic], first: int, more: int) -> NDArray[np.generic]:
+            out = np.zeros((first + int(_SPARE * more), *values.shape[1:]), dtype=values.dtype)
+            out[:first] = values[:first]
+            return out
+
+        sizes = {"vertices": (self._vertices, len(mesh.vertices))}
+        rest = self._triangles, len(mesh)
+        self.geometry = Geometry(
+            *(with_room(a, *sizes.get(n, rest)) for n, a in zip(Geometry._fields, self.geometry, strict=True))
+        )
+        self.names = with_room(self.names, *rest)
