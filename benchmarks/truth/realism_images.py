@@ -18,7 +18,8 @@ from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.conditions.imaging import draw_imaging
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
-from relocbench.datasets.synthetic.drives.drive import MARGIN_M, RATE_HZ, DriveStyle
+from relocbench.datasets.synthetic.drives.drive import MARGIN_M, RATE_HZ, Drive, DriveStyle
+from relocbench.datasets.synthetic.drives.passers import all_that_moves
 from relocbench.datasets.synthetic.drives.rig import Mount
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -148,13 +149,17 @@ class Town:
         rng = np.random.default_rng([self.seed, SPLITS.index(self.split), c])
         imaging = draw_imaging(rng, dark=factors.dark)
         route = scenes.district(place).network.drive(_ROUTE_M, self.seed)
-        renderer = scenes.renderer(place, factors)
         step_m = DriveStyle().speed_mps / RATE_HZ
         count = len(files["ideal"])
         for k in range(count):
             along = MARGIN_M + _DRIVEN_M * (k + (c + 1) / 5) / count
             camera, T_rig_cam = _view(rng, turned=k % _TURNED == _TURNED - 1)
-            T_world_cam: Array = np.array([route.pose(along + n * step_m) for n in (-1, 0, 1)]) @ T_rig_cam
+            T_world_rig: Array = np.array([route.pose(along + n * step_m) for n in (-1, 0, 1)])
+            T_world_cam: Array = T_world_rig @ T_rig_cam
+            passing = np.random.default_rng([self.seed, SPLITS.index(self.split), c, k])
+            moment = Drive(np.array([along]), T_world_rig[1:2])
+            moving = all_that_moves(scenes.district(place).footpaths, route, moment, factors, passing)[0]
+            renderer = scenes.renderer(place, factors, moving)
             shot = Shot(
                 imaging, (along - MARGIN_M) / DriveStyle().speed_mps, camera_twists(T_world_cam, 1 / RATE_HZ)[1]
             )

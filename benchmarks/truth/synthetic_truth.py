@@ -157,7 +157,7 @@ class Scenes:
         made = dataset.file.made_by["options"]
         self._extent, self._seed = float(made["extent"]), int(made["seed"])
         factors = {k: Factors.model_validate(f) for k, f in dataset.file.made_by["factors"].items()}
-        named = conditions_of(tuple(made["conditions"]), {}, None, 2, made["traffic"])
+        named = conditions_of(tuple(made["conditions"]), {}, None, 2, made["traffic"], people=made.get("people"))
         if {k: c.factors for k, c in named.items()} != factors:
             raise RuntimeError("the dataset was made with other conditions than this version has")
         style = DriveStyle(made["speed"], made["lateral"], made["heading"])

@@ -23,7 +23,7 @@ from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.conditions.presets import References, conditions_of
 from relocbench.datasets.synthetic.drives.drive import Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.rig import RIGS
-from relocbench.datasets.synthetic.drives.traffic import moving_cars
+from relocbench.datasets.synthetic.drives.traffic import on_the_road
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent, duration
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
@@ -147,7 +147,7 @@ def test_distances_of_pairs_follow_the_distribution_that_was_asked_for(mean: flo
 
 def test_moving_cars_keep_to_their_lanes_and_out_of_our_way() -> None:
     driven = drive(Straight(), 200, DriveStyle(), np.random.default_rng(0))
-    cars = moving_cars(Straight(), driven, 2.0, 3.2, np.random.default_rng(1))
+    cars = on_the_road(Straight(), driven, 2.0, 3.2, np.random.default_rng(1))
     count = [len(present) for present in cars]
     assert min(count) >= 10
     ours = {(variant, bool(T[0, 0] > 0)) for present in cars for T, variant, _ in present}
@@ -157,7 +157,7 @@ def test_moving_cars_keep_to_their_lanes_and_out_of_our_way() -> None:
             assert T_world_car[1, 3] == (0.0 if T_world_car[0, 0] > 0 else 3.2)
             x, y, _ = T_world_car[:3, 3] - T_world_rig[:3, 3]
             assert abs(y) > 2 or abs(x) > 10
-    overtaken = moving_cars(Straight(), driven, 2.0, -3.2, np.random.default_rng(1))
+    overtaken = on_the_road(Straight(), driven, 2.0, -3.2, np.random.default_rng(1))
     assert min(len(present) for present in overtaken) >= 8
     assert {(T[0, 0] > 0, T[1, 3]) for present in overtaken for T, *_ in present} == {(True, -3.2)}
     first, second = ({v: T for T, v, _ in present} for present in cars[:2])

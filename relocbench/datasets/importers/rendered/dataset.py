@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _RECORDING_FRAMES = 160
 """default of ``steps`` for recordings, unless a preset sets it"""
 _LATER_OPTIONS = (
-    *("imaging", "months", "route", "views", "rolling_shutter", "min_distance", "min_angle"),
+    *("imaging", "months", "people", "route", "views", "rolling_shutter", "min_distance", "min_angle"),
     *("camera_pairs", "tier", "pairs", "repeating_street"),
     *("depth", "depth_points", "depth_error"),
 )
@@ -68,12 +68,8 @@ class Options(RuleOptions):
     traffic: float | None = Field(
         None, ge=0, le=10, description="moving cars per 100 m of lane, in all conditions; default: each condition's own"
     )
-    months: float | None = Field(
-        None,
-        gt=0,
-        le=24,
-        description="age of paint, shops, cars, works and trees in all conditions but the first, in months",
-    )
+    people: float | None = Field(None, ge=0, le=50, description="people per 100 m of pavement; default: by condition")
+    months: float | None = Field(None, gt=0, le=24, description="age of the street in all conditions but the first")
     imaging: Literal["ideal", "varied"] = Field(
         "ideal",
         description="'varied': each traversal has a camera of its own, drawn from the seed: response, white balance, "
@@ -253,7 +249,7 @@ class Options(RuleOptions):
 def _conditions(options: Options) -> dict[str, NamedCondition]:
     """The conditions to drive in. Raises ConfigError as :func:`conditions_of` does."""
     swept = options.sweep, options.sweep_steps
-    return conditions_of(options.conditions, options.factors, *swept, options.traffic, options.months)
+    return conditions_of(options.conditions, options.factors, *swept, options.traffic, options.months, options.people)
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -377,7 +373,7 @@ def record(
         motion_distorted=options.motion_distorted,
     )
     each.target(out)
-    unused = {"preset", "conditions", "factors", "sweep", "sweep_steps", "traffic", "months"}
+    unused = {"preset", "conditions", "factors", "sweep", "sweep_steps", "traffic", "months", "people"}
     unused |= without_effect_on_recordings(options.recording)
     settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
     settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}

@@ -25,7 +25,7 @@ _DEPTH_OPTIONS = {
 _DATASET_OPTIONS = (
     "name", "licence", "imaging", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
     "min_distance", "min_angle", "camera_pairs", "cameras", "size", "distance", "reference", "extras", "elsewhere",
-    "elsewhere_distance", "salt_file", "views", "rolling_shutter", "tier", "pairs", "repeating_street",
+    "elsewhere_distance", "salt_file", "views", "rolling_shutter", "people", "tier", "pairs", "repeating_street",
     "depth", "depth_points", "depth_error",
 )  # fmt: skip
 

@@ -53,6 +53,8 @@ class Factors(Strict):
     """time by which the street has aged since it was built, as :mod:`relocbench.datasets.synthetic.town.ageing` says"""
     traffic: float = Field(0.0, ge=0)
     """moving cars per 100 m of lane"""
+    people: float = Field(10.0, ge=0)
+    """people on foot per 100 m of pavement; there are a twelfth as many bicycles per 100 m of lane"""
     exposure_ev: float = 0.0
     """stops above what auto-exposure chooses"""
     auto_exposure: bool = True
@@ -119,21 +121,22 @@ CONDITIONS: dict[str, NamedCondition] = {
         cloud_cover=1.0, sun_elevation_deg=30, leaf_colour=0.75, foliage=0.6, parked_seed=1),
     "Rain": _named("rain", "autumn", "afternoon",
         cloud_cover=1.0, sun_elevation_deg=22, sun_azimuth_deg=230, rain_mm_h=8.0, lens_drops=0.3, wetness=1.0,
-        puddles=0.7, fog_density=0.003, leaf_colour=0.9, foliage=0.45, parked_seed=2, headlights=True),
+        puddles=0.7, fog_density=0.003, leaf_colour=0.9, foliage=0.45, parked_seed=2, headlights=True,
+        people=4),
     "Snow": _named("snow", "winter", "noon",
         cloud_cover=0.9, sun_elevation_deg=18, sun_azimuth_deg=180, snow_cover=0.85, snowfall_mm_h=1.5, foliage=0.0,
-        fog_density=0.002, parked_seed=3),
+        fog_density=0.002, parked_seed=3, people=5),
     "Night": _named("clear", "summer", "night",
         sun_elevation_deg=-20, sun_azimuth_deg=330, street_lamps=True, headlights=True, parked_seed=4,
-        parked_share=0.8, read_noise=2.0),
+        parked_share=0.8, read_noise=2.0, people=3),
     "Fog": _named("fog", "autumn", "morning",
         cloud_cover=1.0, sun_elevation_deg=15, sun_azimuth_deg=110, fog_density=0.03, leaf_colour=0.8, foliage=0.5,
-        wetness=0.4, parked_seed=5),
+        wetness=0.4, parked_seed=5, people=6),
     "WetNoon": _named("wet", "summer", "noon",
         sun_elevation_deg=75, sun_azimuth_deg=180, cloud_cover=0.3, wetness=0.9, puddles=0.6, parked_seed=6),
     "SoftRainNoon": _named("soft rain", "summer", "noon",
         sun_elevation_deg=75, sun_azimuth_deg=180, cloud_cover=0.76, rain_mm_h=2.0, wetness=0.8, puddles=0.4,
-        lens_drops=0.15, parked_seed=7),
+        lens_drops=0.15, parked_seed=7, people=6),
     "WetCloudySunset": _named("wet, cloudy", "summer", "sunset",
         sun_elevation_deg=7, sun_azimuth_deg=285, cloud_cover=0.6, wetness=0.9, puddles=0.5, parked_seed=8),
 }  # fmt: skip
@@ -168,6 +171,7 @@ SWEEPS: dict[str, tuple[dict[str, float], ...]] = {
     "rain": ({"rain_mm_h": 0.0}, {"rain_mm_h": 20.0}),
     "exposure": ({"exposure_ev": -2.0}, {"exposure_ev": 2.0}),
     "months": ({"months": 0.0}, {"months": 24.0}),
+    "people": ({"people": 0.0}, {"people": 20.0}),
     "parked-cars": ({"parked_share": 0.0}, {"parked_share": 1.0}),
     "exposure-time": ({"imaging.exposure_ms": 0.0}, {"imaging.exposure_ms": 40.0}),
     "defocus": ({"imaging.defocus_px": 0.0}, {"imaging.defocus_px": 4.0}),

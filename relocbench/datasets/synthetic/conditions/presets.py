@@ -60,6 +60,7 @@ def conditions_of(
     sweep_steps: int,
     traffic: float | None = None,
     months: float | None = None,
+    people: float | None = None,
 ) -> dict[str, NamedCondition]:
     """The conditions of a build by name; the first is the reference's.
 
@@ -68,6 +69,7 @@ def conditions_of(
         factors: the user's own conditions.
         swept: a sweep that replaces ``names``; its steps are called ``SWEEP-0``, ``SWEEP-1``, ...
         traffic: moving cars per 100 m of lane in all conditions, or None to keep each condition's own.
+        people: people on foot per 100 m of pavement in all conditions, or None to keep each condition's own.
         months: time since the reference's condition in all others, or None to keep each condition's own.
 
     Raises:
@@ -82,8 +84,9 @@ def conditions_of(
         if len(set(names)) != len(names) or not names:
             raise ConfigError(f"conditions takes one or more different names, got {', '.join(names) or 'none'}")
         found = {n: _labelled(n, factors[n]) if n in factors else condition_named(n) for n in names}
-    if traffic is not None:
-        found = {name: _with(condition, traffic=traffic) for name, condition in found.items()}
+    for factor, value in (("traffic", traffic), ("people", people)):
+        if value is not None:
+            found = {name: _with(condition, **{factor: value}) for name, condition in found.items()}
     if months is None:
         return found
     first, *others = found

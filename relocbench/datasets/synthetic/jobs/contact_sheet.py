@@ -12,7 +12,8 @@ from relocbench.arrays import Image
 from relocbench.datasets.synthetic.camera.shot import Shot, camera_twists
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.views import draw_view
-from relocbench.datasets.synthetic.drives.drive import MARGIN_M, RATE_HZ, DriveStyle, Route
+from relocbench.datasets.synthetic.drives.drive import MARGIN_M, RATE_HZ, Drive, DriveStyle, Route
+from relocbench.datasets.synthetic.drives.passers import all_that_moves
 from relocbench.datasets.synthetic.drives.rig import rig_named
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -23,6 +24,8 @@ _ROUTE_M = 300.0
 _GAP = 4
 """pixels between pictures"""
 _EXTENT_M = 250.0
+_PASSERS = 58
+"""number of the random stream of what moves"""
 
 
 def contact_sheet(
@@ -54,7 +57,10 @@ def contact_sheet(
             poses = T_world_rig @ T_rig_cam
             twist = camera_twists(poses, 1 / RATE_HZ)[1]
             shot = Shot(factors.imaging, 0.0, twist) if factors.imaging is not None else None
-            renderer = scenes.renderer(place, factors.scene)
+            moment = Drive(np.array([MARGIN_M + at_m]), T_world_rig[1:2])
+            rng = np.random.default_rng([seed, _PASSERS, k])
+            moving = all_that_moves(scenes.district(place).footpaths, route, moment, factors, rng)[0]
+            renderer = scenes.renderer(place, factors.scene, moving)
             car, distortion = (T_world_rig[1], view.distortion) if n else (None, 0.0)
             frame = renderer.render(camera, poses[1], scenes.frame_seed(seed, k, 0, 0), car, shot, distortion)
             pictures.append(labelled(frame.rgb, f"{label}, view {n}" if n else label))

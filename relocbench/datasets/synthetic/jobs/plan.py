@@ -17,9 +17,9 @@ from relocbench.datasets.synthetic.conditions.imaging import Imaging, draw_imagi
 from relocbench.datasets.synthetic.conditions.presets import SPLITS, References
 from relocbench.datasets.synthetic.conditions.views import CameraView, Views, draw_view
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
+from relocbench.datasets.synthetic.drives.passers import all_that_moves
 from relocbench.datasets.synthetic.drives.rig import RIGS, Rig
 from relocbench.datasets.synthetic.drives.routes import ROUTES, RouteName, route
-from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.keyframe_depth import check_reach
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
@@ -231,9 +231,8 @@ def make_plans(
                     cameras = rig.cameras(*size, view)
                     for camera, _ in cameras.values():
                         check_reach(depth, camera)
-                    others = moving_cars(path, driven, condition.factors.traffic, path.other_lane_m, rng)
-                    cars = tuple(map(tuple, others))
-                    plan = (own, identity, split, place, condition, first, cameras, driven, cars, look, view)
+                    moving = all_that_moves(town.footpaths, path, driven, condition.factors, rng)
+                    plan = (own, identity, split, place, condition, first, cameras, driven, moving, look, view)
                     plans.append(TraversalPlan(*plan, depth, readout_s))
             advance(1)
     for name, times in Counter(plan.name for plan in plans).items():

@@ -23,7 +23,7 @@ from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.core.traversal import POSE_COLUMNS
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, DriveStyle, Route, drive, route_length
-from relocbench.datasets.synthetic.drives.traffic import moving_cars
+from relocbench.datasets.synthetic.drives.traffic import on_the_road
 from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.jobs.recording_work import (
     Composer,
@@ -220,7 +220,7 @@ def _drive(
     steps = int(np.ceil((last + LEAD_NS - first) / STEP_NS)) + 1
     rng = np.random.default_rng([*seed, 1])
     driven = drive(path, steps, style, rng)
-    others = moving_cars(path, driven, factors.traffic, path.other_lane_m, rng)
+    others = on_the_road(path, driven, factors.traffic, path.other_lane_m, rng)
     step_times = first + STEP_NS * np.arange(steps, dtype=np.int64)
     return _smooth(step_times, driven.T_world_rig), car_tracks(step_times, others)
 

@@ -25,7 +25,8 @@ _REFLECTANCE_OF = {
     Material.HEDGE: 0.50, Material.CAR_PAINT: 0.40, Material.CAR_GLASS: 0.06, Material.RUBBER: 0.05,
     Material.TRAFFIC_SIGN: 5.0, Material.LAMP: 0.30, Material.PLASTIC: 0.30,
     Material.PAINTED_WALL: 0.50, Material.FRESH_ASPHALT: 0.10, Material.SIGNAL_RED: 1.0, Material.SIGNAL_WHITE: 1.5,
-    Material.CONTAINER: 0.40, Material.SHEET: 0.45,
+    Material.CONTAINER: 0.40, Material.SHEET: 0.45, Material.CLOTH: 0.40, Material.TROUSERS: 0.30,
+    Material.SKIN: 0.55, Material.HAIR: 0.25,
 }  # fmt: skip
 """diffuse reflectance near 905 nm: leaves are bright there, glass deflects the beam, signs are retroreflective"""
 _REFLECTANCE = np.array([_REFLECTANCE_OF[material] for material in Material])

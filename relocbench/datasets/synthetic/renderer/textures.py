@@ -174,9 +174,10 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
         case Material.SHOP_SIGN | Material.TRAFFIC_SIGN:
             marks = (_noise(rng, 16, 1) > 0.35) & (np.abs(np.mgrid[:SIZE, :SIZE][0] / SIZE - 0.5) < 0.3)
             return marks.astype(np.float32), 1 + 0.02 * fine, 1.3, _ALIKE
-        case Material.SHEET:
+        case Material.SHEET | Material.CLOTH | Material.TROUSERS:
             folds = _noise(rng, 8, 3, stretch=8)
-            return np.clip(0.2 * folds, 0, 1), 1 + 0.1 * folds + 0.03 * fine, 2.6, _NOISE
+            tile = 2.6 if material == Material.SHEET else 1.1
+            return np.clip(0.2 * folds, 0, 1), 1 + 0.1 * folds + 0.03 * fine, tile, _NOISE
         case (
             Material.METAL | Material.RUBBER | Material.PLASTIC | Material.ROOF_FLAT
             | Material.SIGNAL_RED | Material.SIGNAL_WHITE | Material.CONTAINER

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.markings import markings
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.network import StreetNetwork
+from relocbench.datasets.synthetic.town.polylines import inset
 from relocbench.datasets.synthetic.town.shapes import Shape, at_height, ear_clip, join, quads, single, triangle_shape
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
 
@@ -41,7 +41,7 @@ def _pavement(block: Block) -> Shape:
     """Kerb stones and the pavement of a block."""
     count = len(block.face)
     outline = np.concatenate(block.kerb_arcs)
-    inner = _inset(outline, _KERB_TOP_M)
+    inner = inset(outline, _KERB_TOP_M)
     after = np.roll(np.arange(len(outline)), -1)
     run = np.concatenate([[0], np.cumsum(np.linalg.norm(outline[after] - outline, axis=1))])
     low, high, top = at_height(outline, 0.0), at_height(outline, KERB_M), at_height(inner, KERB_M)
@@ -64,14 +64,6 @@ def _pavement(block: Block) -> Shape:
             quads(np.array(slabs), Material.COBBLES if block.kind == "square" else Material.PAVEMENT),
         ]
     )
-
-
-def _inset(outline: Array, distance: float) -> Array:
-    """A closed, finely rounded outline with each point moved left by the distance along its own normal."""
-    ahead, behind = np.roll(outline, -1, axis=0) - outline, outline - np.roll(outline, 1, axis=0)
-    unit = ahead / np.linalg.norm(ahead, axis=1, keepdims=True) + behind / np.linalg.norm(behind, axis=1, keepdims=True)
-    unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
-    return outline + distance * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
 
 
 def _inside(block: Block) -> Shape:

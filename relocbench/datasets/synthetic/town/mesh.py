@@ -53,6 +53,11 @@ class Material(IntEnum):
     CONTAINER = 32
     SHEET = 33
     """cloth on a scaffold"""
+    CLOTH = 34
+    """coats, jackets and bags"""
+    TROUSERS = 35
+    SKIN = 36
+    HAIR = 37
 
 
 class Semantic(IntEnum):
@@ -73,6 +78,10 @@ class Semantic(IntEnum):
     MOVING_CAR = 12
     WORKS = 13
     """scaffolds, roadworks and containers"""
+    PERSON = 14
+    """on foot"""
+    CYCLIST = 15
+    """with the bicycle"""
     SKY = 255
 
 

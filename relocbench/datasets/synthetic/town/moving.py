@@ -11,6 +11,7 @@ import numpy as np
 from relocbench.arrays import Array, Bytes, Indices, Mask
 from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
+from relocbench.datasets.synthetic.town.people import riders, standers, walkers
 
 _FIRST_INSTANCE = 2**31
 """instance numbers of things that move: this, plus the seed of their look"""
@@ -20,6 +21,11 @@ class Kind(IntEnum):
     """What it is."""
 
     CAR = 0
+    WALKER = 1
+    STANDER = 2
+    """a person who stands where others walk"""
+    RIDER = 3
+    """on a bicycle"""
 
 
 class Moving(NamedTuple):
@@ -37,6 +43,9 @@ Maker = Callable[[Array, Indices, Indices, Semantic], Mesh]
 
 _MAKERS: dict[Kind, tuple[Maker, Semantic]] = {
     Kind.CAR: (cars, Semantic.MOVING_CAR),
+    Kind.WALKER: (walkers, Semantic.PERSON),
+    Kind.STANDER: (standers, Semantic.PERSON),
+    Kind.RIDER: (riders, Semantic.CYCLIST),
 }
 _CLASSES = tuple(int(semantic) for _, semantic in _MAKERS.values())
 

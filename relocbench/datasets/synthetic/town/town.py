@@ -13,6 +13,7 @@ from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.town.ageing import Inventory, together
 from relocbench.datasets.synthetic.town.cars import cars
+from relocbench.datasets.synthetic.town.footpaths import Footpath, make_footpaths
 from relocbench.datasets.synthetic.town.ground import ground
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.moving import Moving, moving_mesh
@@ -65,6 +66,7 @@ class District:
     """(L, 3) positions of lamp heads"""
     network: StreetNetwork
     periodic: Periodic
+    footpaths: tuple[Footpath, ...]
     inventory: Inventory
     """what changes over months"""
     first_car: int
@@ -116,6 +118,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
         np.array(planting.lamps).reshape(-1, 3),
         network,
         Periodic(repeated, tuple(fronts)),
+        make_footpaths(blocks),
         Inventory(
             (seed, SPLITS.index(split)),
             tuple(houses),
