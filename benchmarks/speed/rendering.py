@@ -1,8 +1,8 @@
 """The speed of the procedural renderer on two cores, compared with bare ray casting and with Mitsuba 3.
 
 Two worker processes render 512x512 frames along a drive as a build does (`render_unit`: RGB and depth, encoded and
-written to disk), first in `Sunny`, then in `WetNoon`. Times exclude the first images, for which the district, the ray
-tree and compiled code are loaded. It is compared with:
+written to disk, among as many people as the condition has), first in `Sunny`, then in `WetNoon`. Times exclude the
+first images, for which the district, the ray tree and compiled code are loaded. It is compared with:
 
 - *bare rays*: in the same two processes, the time of Embree for one primary ray per pixel and one shadow ray for every
   surface that faces the sun, of the same frames, without edges, mirrors, colours and files.
@@ -49,6 +49,7 @@ import numpy as np
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import previewed
+from relocbench.datasets.synthetic.drives.passers import passers
 from relocbench.datasets.synthetic.drives.rig import rig_named
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, render_unit
@@ -58,7 +59,7 @@ from relocbench.datasets.synthetic.renderer import shadows
 from relocbench.datasets.synthetic.renderer.response import exposure_gain, tone_curve
 from relocbench.datasets.synthetic.town.town import compose
 from relocbench.execution.calling import pin_threads
-from relocbench.geometry import Camera
+from relocbench.geometry import Camera, invert
 
 WORKERS = 2
 SIZE = 512
@@ -81,9 +82,14 @@ def poses(count: int) -> list[Array]:
 def unit_of(factors: Factors, shown: list[Array], folder: Path) -> RenderUnit:
     """The unit of work for these frames, as a build makes it."""
     steps = []
+    town = scenes.district(PLACE)
+    rigs = np.stack(shown) @ invert(rig_named("front").cameras(SIZE, SIZE)["front"][1])
+    people = passers(town.footpaths, rigs, factors.people, np.random.default_rng(0))
     for i, T_world_cam in enumerate(shown):
         missing = {"image": folder / f"image-{i}.png", "depth": folder / f"depth-{i}.png"}
-        steps.append(StepWork((), (FrameWork(CAMERA, T_world_cam, scenes.frame_seed(0, 0, i, 0), missing),)))
+        steps.append(
+            StepWork(tuple(people[i]), (FrameWork(CAMERA, T_world_cam, scenes.frame_seed(0, 0, i, 0), missing),))
+        )
     return RenderUnit(PLACE, factors, factors, tuple(steps))
 
 

@@ -126,10 +126,9 @@ class Renderer:
         It takes the place of the one that was made before: all have one :class:`Room`.
         """
         other = copy(self)
-        moving = Scene(mesh)
         self._room.put(mesh)
-        other._scene = ScenePair(self._still, self._room.triangles, moving)
-        other._skylight = with_moving(self._skylight, mesh, moving)
+        scene = ScenePair(self._still, self._room.triangles, mesh)
+        other._scene, other._skylight = scene, with_moving(self._skylight, mesh, scene.second)
         return other
 
     def render(

@@ -23,6 +23,7 @@ _OFF_WALL_M = 1.6
 """distance in front of a surface at which light is looked up, because grid points inside a house are dark"""
 _FINE_M = 0.25
 _FINE_DIRECTIONS = 9
+_MOVING_DIRECTIONS = 6
 _GROUND_M = 0.17
 """just above the pavement"""
 _LOW_M = 0.9
@@ -90,11 +91,14 @@ def with_moving(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
     The small effect on everything else is ignored.
     """
     rows, columns = light.ground.shape
-    under = _ground(mesh, np.ones(len(mesh), dtype=np.bool_), scene, light.low, (rows, columns))
+    everything = np.ones(len(mesh), dtype=np.bool_)
+    under = _ground(mesh, everything, scene, light.low, (rows, columns), _MOVING_DIRECTIONS)
     return light._replace(ground=np.minimum(light.ground, under))
 
 
-def _ground(mesh: Mesh, standing: Mask, scene: Scene, low: Floats, shape: tuple[int, int]) -> Floats:
+def _ground(
+    mesh: Mesh, standing: Mask, scene: Scene, low: Floats, shape: tuple[int, int], count: int = _FINE_DIRECTIONS
+) -> Floats:
     """Cosine-weighted sky visibility (y, x) of the ground near the low ones of the triangles (T,); 1 elsewhere."""
     ny, nx = shape
     ground = np.ones(shape, dtype=np.float32)
@@ -113,14 +117,14 @@ def _ground(mesh: Mesh, standing: Mask, scene: Scene, low: Floats, shape: tuple[
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             grown |= np.roll(near, (dy, dx), (0, 1))
-    directions = upper_directions(_FINE_DIRECTIONS)
+    directions = upper_directions(count)
     weight = directions[:, 2] / directions[:, 2].sum()
     inner = grown[1:-1, 1:-1]
     for first in range(0, ny, 4 * _ROWS_AT_ONCE):
         rows = inner[first // 4 : first // 4 + _ROWS_AT_ONCE]
         if not rows.any():
             continue
-        iy, ix = np.nonzero(np.kron(rows, np.ones((4, 4), dtype=np.bool_))[: ny - first, :nx])
+        iy, ix = np.nonzero(rows.repeat(4, axis=0).repeat(4, axis=1)[: ny - first, :nx])
         iy += first
         points = np.stack([low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, np.full(len(ix), _GROUND_M)], 1)
         points = points.astype(np.float32)

@@ -6,11 +6,14 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from relocbench.arrays import Floats, Mask
+from relocbench.arrays import Floats, Indices, Mask
 from relocbench.datasets.synthetic.town.mesh import Mesh
+from relocbench.kernels import njit
 
 NOTHING = 0xFFFFFFFF
 """triangle number of a ray that hits nothing"""
+_MARGIN_M = 0.01
+"""by which boxes are larger than what is in them, for roundings"""
 
 
 class Scene:
@@ -46,25 +49,54 @@ class Scene:
 class ScenePair:
     """Two scenes that rays are cast against as one, so that the first can be kept while the second changes.
 
-    Triangles of the second scene are numbered after the ``first_count`` triangles of the first.
+    Triangles of the second scene, whose mesh is ``second``, are numbered after the ``first_count`` of the first.
     """
 
-    def __init__(self, first: Scene, first_count: int, second: Scene) -> None:
-        self._first, self._count, self._second = first, first_count, second
+    def __init__(self, first: Scene, first_count: int, second: Mesh) -> None:
+        self._first, self._count, self.second = first, first_count, Scene(second)
+        corners = second.vertices[second.triangles].reshape(-1, 3)
+        self._low = corners.min(axis=0, initial=np.inf).astype(np.float32) - np.float32(_MARGIN_M)
+        self._high = corners.max(axis=0, initial=-np.inf).astype(np.float32) + np.float32(_MARGIN_M)
 
     def closest(self, rays: Floats) -> NDArray[np.uint32]:
         """As :meth:`Scene.closest`."""
         if len(rays) == 0:
             return np.zeros(0, dtype=np.uint32)
-        a, b = self._first._cast(rays), self._second._cast(rays)
-        nearer = b["t_hit"].numpy() < a["t_hit"].numpy()
-        triangle: NDArray[np.uint32] = a["primitive_ids"].numpy().copy()
-        triangle[nearer] = b["primitive_ids"].numpy()[nearer] + np.uint32(self._count)
+        found = self._first._cast(rays)
+        triangle: NDArray[np.uint32] = found["primitive_ids"].numpy()
+        asked = _meets(rays, self._low, self._high)
+        if len(asked):
+            other = self.second._cast(rays[asked])
+            nearer = other["t_hit"].numpy() < found["t_hit"].numpy()[asked]
+            triangle = triangle.copy()
+            triangle[asked[nearer]] = other["primitive_ids"].numpy()[nearer] + np.uint32(self._count)
         return triangle
 
     def occluded(self, rays: Floats, far: float = np.inf) -> Mask:
         """As :meth:`Scene.occluded`."""
         hit = self._first.occluded(rays, far)
-        open_rays = np.flatnonzero(~hit)
-        hit[open_rays] = self._second.occluded(rays[open_rays], far)
+        asked = _meets(rays, self._low, self._high)
+        asked = asked[~hit[asked]]
+        hit[asked] = self.second.occluded(rays[asked], far)
         return hit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meets(rays: Floats, low: Floats, high: Floats) -> Indices:
+    """Rays (M,) of (N, 6) that enter the box between two corners, most of which hit nothing in it."""
+    out = np.empty(len(rays), dtype=np.int64)
+    m = 0
+    for i in range(len(rays)):
+        enter, leave = 0.0, np.inf
+        for k in range(3):
+            d = rays[i, 3 + k]
+            if d == 0.0:
+                if rays[i, k] < low[k] or rays[i, k] > high[k]:
+                    leave = -1.0
+                continue
+            a, b = (low[k] - rays[i, k]) / d, (high[k] - rays[i, k]) / d
+            enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+        if enter <= leave:
+            out[m] = i
+            m += 1
+    return out[:m].copy()
