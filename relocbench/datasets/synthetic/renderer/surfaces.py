@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Bytes, Floats, Mask
+from relocbench.datasets.synthetic.renderer.lettering import chosen_cell
 from relocbench.datasets.synthetic.renderer.materials import CHOICES, Looks, scramble
 from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
 from relocbench.datasets.synthetic.renderer.textures import MACRO, Patterns, sample
@@ -20,8 +21,11 @@ _ASPHALT = int(Material.ASPHALT)
 _MARKING, _WINDOW, _SHOP = int(Material.LANE_MARKING), int(Material.WINDOW), int(Material.SHOP_WINDOW)
 _LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAMP)
 _PAINT, _CAR_GLASS, _SIGN = int(Material.CAR_PAINT), int(Material.CAR_GLASS), int(Material.SHOP_SIGN)
+_LIGHT_RED, _LIGHT_GREEN = int(Material.LIGHT_RED), int(Material.LIGHT_GREEN)
 _SKY = int(Semantic.SKY)
 _MOVING, _PARKED = int(Semantic.MOVING_CAR), int(Semantic.PARKED_CAR)
+_GLOW = 2.2
+"""brightness of a traffic light relative to its colour in full sun"""
 # Numba compiles a function anew for each literal integer that it is given, so that these are of the type of variables.
 _NOISE, _ONE, _THREE = np.int64(MACRO), np.int64(1), np.int64(3)
 _ON_GROUND, _OF_PUDDLES = np.int64(0), np.int64(1)
@@ -120,12 +124,17 @@ def _facet(geometry: Geometry, triangle: int) -> tuple[Vector, Vector, Vector, V
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _paint(
-    geometry: Geometry, looks: Looks, seed: int, triangle: int
-) -> tuple[np.int64, np.int64, float, float, Vector]:
-    """Material, random bits, shift of the pattern, tone and first colour of a triangle."""
+    geometry: Geometry, patterns: Patterns, looks: Looks, seed: int, triangle: int
+) -> tuple[np.int64, np.int64, np.int64, float, float, float, Vector]:
+    """Material, layer, random bits, shift of the pattern along u and v, tone and first colour of a triangle."""
     material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
     dice = np.int64(scramble(variant, material * 7919 + seed))
-    shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
+    layer = material
+    shift_u = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
+    shift_v = 0.37 * shift_u
+    if patterns.lettering.pages[material] > 0:
+        layer, shift_u, shift_v = chosen_cell(patterns.lettering, material, dice)
+        shift_u, shift_v = shift_u / patterns.per_tile[material], shift_v / patterns.per_tile[material]
     tone = 1.0 + looks.spread[material] * 2 * (((dice >> 8) & 255) / 255.0 - 0.5)
     choice = (dice >> 16) % CHOICES
     r, g, b = looks.first[material, choice, 0], looks.first[material, choice, 1], looks.first[material, choice, 2]
@@ -142,7 +151,7 @@ def _paint(
         light *= (0.84 + 0.32 * ((dice >> 4) & 255) / 255.0) * (1.0 - 0.19 * (variant & 3))
         yellow = 0.1 * (((tree >> 16) & 255) / 255.0 - 0.5) + 0.12 * (((clump >> 8) & 255) / 255.0 - 0.5)
         r, g, b = r * light * (1.0 + 1.6 * yellow), g * light, b * light * (1.0 - yellow)
-    return material, dice, shift, tone, (float(r), float(g), float(b))
+    return material, layer, dice, shift_u, shift_v, tone, (float(r), float(g), float(b))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -164,8 +173,8 @@ def surfaces(
     # Neighbours in a row mostly hit the same triangle, so everything but the point itself is reused.
     last = np.uint32(NOTHING)
     a = c = gu = gv = first_colour = (0.0, 0.0, 0.0)
-    u0 = v0 = shift = varied = 0.0
-    material = dice = np.int64(0)
+    u0 = v0 = shift_u = shift_v = varied = 0.0
+    material = layer = dice = np.int64(0)
     for i in range(n):
         triangle = samples.triangle[i]
         slope = 0.0
@@ -174,7 +183,8 @@ def surfaces(
             if triangle != last:
                 last = triangle
                 a, c, gu, gv, u0, v0 = _facet(geometry, triangle)
-                material, dice, shift, varied, first_colour = _paint(geometry, looks, setting.seed, triangle)
+                painted = _paint(geometry, patterns, looks, setting.seed, triangle)
+                material, layer, dice, shift_u, shift_v, varied, first_colour = painted
             slope = dot(c, d)
         if slope == 0.0:
             depth[i] = 0.0
@@ -192,18 +202,18 @@ def surfaces(
         px = add_scaled((reach * dx[0], reach * dx[1], reach * dx[2]), -reach * dot(c, dx) * per_slope, d)
         py = add_scaled((reach * dy[0], reach * dy[1], reach * dy[2]), -reach * dot(c, dy) * per_slope, d)
         q = subtract(p, a)
-        su, sv = u0 + dot(gu, q) + shift, v0 + dot(gv, q)
+        su, sv = u0 + dot(gu, q) + shift_u, v0 + dot(gv, q)
         dudx, dvdx, dudy, dvdy = dot(gu, px), dot(gv, px), dot(gu, py), dot(gv, py)
 
         # Reflections are dim or blurred and need fewer texture samples.
         most = 6 if samples.before[i] <= 0.0 else 3
-        share, bright = sample(patterns, material, dice, 1.0, su, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, most)
+        share, bright = sample(patterns, layer, dice, 1.0, su, sv + shift_v, dudx, dvdx, dudy, dvdy, most)
         # Low-frequency stains, in surface coordinates on walls and in world coordinates on the ground.
         flat = nz > 0.7
         if flat:
             slow, stain = sample(patterns, _NOISE, _ON_GROUND, 1.0, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
         else:
-            slow, stain = sample(patterns, _NOISE, dice, 1.0, su + 2 * shift, sv, dudx, dvdx, dudy, dvdy, _ONE)
+            slow, stain = sample(patterns, _NOISE, dice, 1.0, su + 2 * shift_u, sv, dudx, dvdx, dudy, dvdy, _ONE)
         tone = varied
         stained = 0.19 if material == _ASPHALT else 0.12
         if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
@@ -257,6 +267,8 @@ def surfaces(
             of_car = semantic in (_MOVING, _PARKED)
             if (setting.headlights and semantic == _MOVING) or (setting.lamps_on and not of_car):
                 emission[i, 0], emission[i, 1], emission[i, 2] = 6.0, 4.8, 3.2
+        elif material in (_LIGHT_RED, _LIGHT_GREEN):
+            emission[i, 0], emission[i, 1], emission[i, 2] = _GLOW * r, _GLOW * g, _GLOW * b
         if setting.night > 0.0 and (material == _SHOP or (material == _WINDOW and (dice >> 5) % 100 < 24)):
             power = setting.night * (0.5 if material == _SHOP else 0.22) * (0.5 + (dice & 127) / 127.0)
             power *= 0.45 + 0.75 * share

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Floats
+from relocbench.datasets.synthetic.renderer.lettering import PAGES, Lettering, make_lettering, page
 from relocbench.datasets.synthetic.renderer.materials import scramble
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.kernels import njit
@@ -52,7 +53,7 @@ _NOISE, _ALIKE = Laying(0), Laying(-1)
 
 
 class Patterns(NamedTuple):
-    """All layers: one for each material, then :data:`MACRO`."""
+    """All layers: one for each material, :data:`MACRO`, and further pages of signs."""
 
     texels: NDArray[np.uint64]
     """layer by layer, and in each layer level by level; a texel is second + 2^32 brightness"""
@@ -62,6 +63,7 @@ class Patterns(NamedTuple):
     """(layer, 3) the :class:`Laying` of each"""
     mean: Floats
     """(layer, 2) mean of both channels, in texels' units"""
+    lettering: Lettering
 
     def second(self, layer: int) -> Floats:
         """The first channel (SIZE, SIZE) of a layer's finest level, in [0, 1]."""
@@ -171,9 +173,9 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
         case Material.BARK:
             ridges = _noise(rng, 32, 3, stretch=6)
             return np.clip(0.4 + 0.4 * ridges, 0, 1), 1 + 0.18 * ridges, 0.9, _ALIKE
-        case Material.SHOP_SIGN | Material.TRAFFIC_SIGN:
-            marks = (_noise(rng, 16, 1) > 0.35) & (np.abs(np.mgrid[:SIZE, :SIZE][0] / SIZE - 0.5) < 0.3)
-            return marks.astype(np.float32), 1 + 0.02 * fine, 1.3, _ALIKE
+        case Material.AWNING:
+            stripes = (np.mgrid[:SIZE, :SIZE][1] * 8 // SIZE % 2) * 0.9
+            return stripes.astype(np.float32), 1 + 0.04 * coarse, 2.4, _ALIKE
         case Material.SHEET | Material.CLOTH | Material.TROUSERS:
             folds = _noise(rng, 8, 3, stretch=8)
             tile = 2.6 if material == Material.SHEET else 1.1
@@ -190,26 +192,35 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
 @lru_cache(maxsize=2)
 def bake(seed: int) -> Patterns:
     """Make the patterns of all materials; the same seed gives the same bytes."""
-    layers, tiles, layings = [], [], []
-    for layer in range(MACRO + 1):
-        rng = np.random.default_rng([seed, 21, _DRAWN_AS.get(layer, layer)])
-        if layer == MACRO:
-            slow = _noise(rng, 5, 6, 0.55)
-            rank = np.argsort(np.argsort(slow.ravel(), kind="stable"), kind="stable")
-            second = (rank.reshape(slow.shape) / slow.size).astype(np.float32)
-            bright = 1 + 0.5 * _noise(rng, 7, 4)
-            tile, laying = MACRO_TILE_M, _NOISE
-        else:
-            second, bright, tile, laying = _pattern(Material(layer), rng)
-        stored = np.stack([second * 255, bright * UNIT_BRIGHTNESS], axis=-1)
-        layers.append(_pyramid(np.clip(stored, 0, 255)))
-        tiles.append(tile)
-        layings.append(laying)
-    texels = np.stack(layers)
+    layers = [
+        _layer(layer, np.random.default_rng([seed, 21, _DRAWN_AS.get(layer, layer)])) for layer in range(MACRO + 1)
+    ]
+    for material, (grid, _, kinds) in PAGES.items():
+        rng = np.random.default_rng([seed, 22, material])
+        layers += [(*page(kind, SIZE, grid, rng), *layers[material][2:]) for kind in kinds[1:]]
+    texels = np.stack([_pyramid(np.clip(np.stack([a * 255, b * UNIT_BRIGHTNESS], -1), 0, 255)) for a, b, *_ in layers])
     last = texels[:, -1]
     mean = np.stack([last & np.uint64(0xFFFFFFFF), last >> np.uint64(32)], axis=1).astype(np.float32)
-    per_tile = (1 / np.array(tiles)).astype(np.float32)
-    return Patterns(texels.ravel(), per_tile, np.array(layings, dtype=np.float32), mean)
+    per_tile = (1 / np.array([tile for *_, tile, _ in layers])).astype(np.float32)
+    layings = np.array([laying for *_, laying in layers], dtype=np.float32)
+    return Patterns(texels.ravel(), per_tile, layings, mean, make_lettering(MACRO + 1))
+
+
+def _layer(layer: int, rng: np.random.Generator) -> tuple[Floats, Floats, float, Laying]:
+    """What :func:`_pattern` returns, of any layer."""
+    if layer == MACRO:
+        slow = _noise(rng, 5, 6, 0.55)
+        rank = np.argsort(np.argsort(slow.ravel(), kind="stable"), kind="stable")
+        return (
+            (rank.reshape(slow.shape) / slow.size).astype(np.float32),
+            1 + 0.5 * _noise(rng, 7, 4),
+            MACRO_TILE_M,
+            _NOISE,
+        )
+    if Material(layer) in PAGES:
+        grid, width, kinds = PAGES[Material(layer)]
+        return *page(kinds[0], SIZE, grid, rng), grid[0] * width, _ALIKE
+    return _pattern(Material(layer), rng)
 
 
 def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint64]:

@@ -209,7 +209,7 @@ class Inventory:
         place = np.full(int(mesh.instance.max(initial=0)) + 2, len(numbers))
         place[numbers[numbers < len(place)]] = np.flatnonzero(numbers < len(place))
         house = place[mesh.instance]
-        of_shop = np.isin(mesh.material, (Material.SHOP_SIGN, Material.SHOP_WINDOW))
+        of_shop = np.isin(mesh.material, (Material.SHOP_SIGN, Material.SHOP_WINDOW, Material.AWNING))
         of_shop |= (mesh.material == Material.WOOD) & np.isin(mesh.variant ^ np.append(looks, 0)[house], _SHOP_VARIANTS)
         material, variant = mesh.material.copy(), mesh.variant.copy()
         for change, surface in (

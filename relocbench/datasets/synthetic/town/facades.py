@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array
-from relocbench.datasets.synthetic.town.mesh import Material
+from relocbench.datasets.synthetic.town.mesh import BOARD_M, Material
 from relocbench.datasets.synthetic.town.shapes import Shape, boxes, boxes_of, join, quads
 
 _FRAME_M = 0.06
@@ -205,10 +205,23 @@ def shop(cell: Array, style: FrontStyle, variant: int, awning: bool, door_right:
     sign = np.array([[a - 0.15, b + 0.15, high + 0.08, high + 0.68]])
     left, right, foot, top = sign[0]
     board = boxes([left, -0.14, foot], [right, 0.0, top], Material.WOOD, without="front back", variant=variant)
-    parts += [board, pane(sign, -0.14, Material.SHOP_SIGN, variant)]
+    parts += [board, name_board(sign[0], -0.14, variant)]
     if awning:
         parts.append(_awning(a, b, high + 0.05, variant))
     return parts
+
+
+def name_board(rect: Array, y: float, variant: int) -> Shape:
+    """A board (4,) at a depth with a word in its middle."""
+    x0, x1, z0, z1 = rect
+    half = min(x1 - x0, 4 * (z1 - z0)) / 2
+    edges = np.array([x0, (x0 + x1) / 2 - half, (x0 + x1) / 2 + half, x1])
+    parts = np.stack([edges[:-1], edges[1:], np.full(3, z0), np.full(3, z1)], axis=1)
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    # What is beside the word shows the plain edge of its cell.
+    uv = np.full((3, 4, 2), 0.02)
+    uv[1] = corners * (BOARD_M, BOARD_M / 4)
+    return quads(_corners(parts, np.full(3, y)), Material.SHOP_SIGN, uv, variant=variant)
 
 
 def _awning(x0: float, x1: float, z: float, variant: int) -> Shape:
@@ -223,4 +236,4 @@ def _awning(x0: float, x1: float, z: float, variant: int) -> Shape:
         dtype=float,
     )
     under = cloth[:, ::-1] + np.array([0, 0.004, -0.004])
-    return quads(np.concatenate([cloth, under]), Material.SHOP_SIGN, variant=variant ^ 0xA3)
+    return quads(np.concatenate([cloth, under]), Material.AWNING, variant=variant ^ 0xA3)

@@ -7,12 +7,12 @@ from functools import cache
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.synthetic.town.mesh import Material
+from relocbench.datasets.synthetic.town.mesh import BOARD_M, POSTER_M, SIGN_M, Material
 from relocbench.datasets.synthetic.town.shapes import Shape, boxes, boxes_of, join, moved, quads, tube
 
 LAMP_HEAD = np.array([1.25, 0.0, 5.62])
 """position of the light source in the frame of a lamp post"""
-SIGN_KINDS = 4
+SIGN_KINDS = 5
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -30,8 +30,11 @@ def _post(height: float) -> Shape:
     return tube(np.outer([0, height], _UP), 0.03, 8, Material.METAL)
 
 
-def _plate(outline: Array, z: float) -> Shape:
-    """A plate with an outline (P, 2) of (y, z) in front of the post, its face towards +x, its back bare metal."""
+def _plate(outline: Array, z: float, row: int, material: Material = Material.TRAFFIC_SIGN) -> Shape:
+    """A plate with an outline (P, 2) of (y, z) in front of the post, its face towards +x, its back bare metal.
+
+    ``row`` is that of the pictograms which it can have.
+    """
     count = len(outline)
     ring = np.column_stack([np.full(count, 0.045), outline[:, 0], outline[:, 1] + z])
     behind = ring - np.array([0.012, 0, 0])
@@ -41,19 +44,82 @@ def _plate(outline: Array, z: float) -> Shape:
     face = np.stack([spread[0], ring, (ring + ring[after]) / 2, ring[after]], axis=1)
     back = np.stack([spread[1], behind[after], (behind + behind[after]) / 2, behind], axis=1)
     rim = np.stack([ring[after], ring, behind, behind[after]], axis=1)
-    uv = face[:, :, 1:] - np.array([0.0, z])
-    return join([quads(face, Material.TRAFFIC_SIGN, uv), quads(np.concatenate([back, rim]), Material.METAL)])
+    uv = face[:, :, 1:] + SIGN_M * np.array([0.5, 0.5 + row]) - np.array([0.0, z])
+    return join([quads(face, material, uv), quads(np.concatenate([back, rim]), Material.METAL)])
 
 
 @cache
 def sign(kind: int) -> Shape:
-    """One of SIGN_KINDS traffic signs on its post: round, triangular, square or with two plates."""
+    """One of SIGN_KINDS traffic signs on its post: red discs, triangles, blue plates and discs, or two of them."""
     turn = 2 * np.pi * np.arange(24) / 24
     disc = 0.32 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     triangle = np.array([[-0.38, -0.3], [0.38, -0.3], [0.0, 0.36]])
     square = np.array([[-0.3, -0.3], [0.3, -0.3], [0.3, 0.3], [-0.3, 0.3]])
-    plates = ([(disc, 2.4)], [(triangle, 2.4)], [(square, 2.35)], [(disc, 2.75), (square * [1.0, 0.5], 2.2)])[kind]
-    return join([_post(3.0 if kind == 3 else 2.7), *(_plate(p, z) for p, z in plates)])
+    blue = Material.GUIDE_SIGN
+    plates = (
+        [_plate(disc, 2.4, 0)],
+        [_plate(triangle, 2.4, 1)],
+        [_plate(square, 2.35, 2, blue)],
+        [_plate(disc, 2.75, 0), _plate(square, 2.05, 2, blue)],
+        [_plate(disc, 2.4, 3, blue)],
+    )[kind]
+    return join([_post(3.1 if kind == 3 else 2.75), *plates])
+
+
+@cache
+def street_name() -> Shape:
+    """A post with a plate of the street's name on both sides, along the street, which is along y."""
+    low, high = np.array([-0.46, 2.35]), np.array([0.46, 2.58])
+    face = np.array(
+        [(0.04, low[0], low[1]), (0.04, high[0], low[1]), (0.04, high[0], high[1]), (0.04, low[0], high[1])]
+    )
+    both = np.stack([face, face * [-1, -1, 1]])
+    uv = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (BOARD_M, BOARD_M / 4)
+    names = quads(both, Material.STREET_NAME, np.stack([uv, uv]))
+    rim = boxes([-0.038, -0.465, 2.345], [0.038, 0.465, 2.585], Material.METAL, without="left right")
+    return join([_post(2.7), names, rim])
+
+
+@cache
+def traffic_light(green: bool) -> Shape:
+    """A traffic light on a post of 3.3 m, whose three lamps face +x."""
+    parts = [tube(np.outer([0, 0.8, 0.82, 3.3], _UP), [0.085, 0.085, 0.055, 0.055], 8, Material.METAL)]
+    parts.append(boxes([0.05, -0.17, 2.35], [0.25, 0.17, 3.3], Material.RUBBER))
+    turn = 2 * np.pi * np.arange(12) / 12
+    for k, lit in enumerate((Material.LIGHT_GREEN if green else None, None, None if green else Material.LIGHT_RED)):
+        z = 2.52 + 0.3 * k
+        ring = np.stack([np.full(12, 0.253), 0.1 * np.cos(turn), z + 0.1 * np.sin(turn)], axis=1)
+        middle = np.broadcast_to([0.253, 0.0, z], (12, 3))
+        corners = np.stack([middle, ring, (ring + np.roll(ring, -1, 0)) / 2, np.roll(ring, -1, 0)], axis=1)
+        parts.append(quads(corners, lit or Material.CAR_GLASS))
+        hood = np.array(
+            [(0.25, 0.12, 0.02), (0.25, 0.09, 0.09), (0.25, 0, 0.125), (0.25, -0.09, 0.09), (0.25, -0.12, 0.02)]
+        )
+        out = hood + np.array([0.16, 0, 0])
+        roof = np.stack([hood[:-1], hood[1:], out[1:], out[:-1]], axis=1) + np.array([0, 0, z])
+        parts.append(quads(np.concatenate([roof, roof[:, ::-1]]), Material.RUBBER))
+    # The small one for those who cross, at the side.
+    parts.append(boxes([-0.11, 0.06, 2.1], [0.11, 0.24, 2.62], Material.RUBBER))
+    return join(parts)
+
+
+@cache
+def column() -> Shape:
+    """A column of 3.2 m for posters."""
+    body = tube(np.outer([0, 0.3, 0.32, 2.75, 2.77, 2.9, 3.05, 3.2], _UP),
+                [0.68, 0.68, 0.6, 0.6, 0.72, 0.72, 0.4, 0.05], 16, Material.CONCRETE)  # fmt: skip
+    posters = []
+    for k, (around, z0) in enumerate((a, z) for z in (0.4, 1.6) for a in range(4)):
+        angles = 2 * np.pi * (around + 0.5 * (z0 > 1) + np.linspace(0.08, 0.92, 4)) / 4
+        u = np.linspace(0, POSTER_M, 4)
+        ring = 0.612 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        low, high = (np.column_stack([ring, np.full(4, z)]) for z in (z0, z0 + 1.12))
+        corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
+        uv = np.stack(
+            [np.stack([u[:-1], u[1:], u[1:], u[:-1]], 1), np.tile([0, 0, POSTER_M, POSTER_M], (3, 1))], axis=2
+        )
+        posters.append(quads(corners, Material.POSTER, uv, variant=np.full(3, 1 + 257 * k)))
+    return join([body, *posters])
 
 
 @cache
@@ -111,7 +177,11 @@ def shelter() -> Shape:
     posts = [(x, y, 0, x + 0.07, y + 0.07, 2.35) for x in (-0.7, 0.55) for y in (-1.8, 1.73)]
     roof = boxes([-0.85, -1.95, 2.35], [0.85, 1.95, 2.47], Material.METAL)
     glass = boxes([-0.68, -1.73, 0.15], [-0.65, 1.73, 2.25], Material.CAR_GLASS)
-    side = boxes([-0.63, 1.75, 0.15], [0.35, 1.78, 2.25], Material.SHOP_SIGN)
+    side = boxes([-0.63, 1.75, 0.15], [0.35, 1.78, 2.25], Material.METAL)
+    board = np.array([(-0.6, 0.4), (0.32, 0.4), (0.32, 2.1), (-0.6, 2.1)])
+    faces = np.stack([np.insert(board, 1, 1.745, axis=1), np.insert(board[[1, 0, 3, 2]], 1, 1.785, axis=1)])
+    uv = POSTER_M * np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    poster = quads(faces, Material.POSTER, np.stack([uv, uv]), variant=np.array([3, 5]))
     seat = boxes([-0.55, -1.2, 0.45], [-0.2, 1.2, 0.5], Material.WOOD)
     feet = boxes([[-0.42, -1.0, 0], [-0.42, 0.95, 0]], [[-0.34, -0.95, 0.45], [-0.34, 1.0, 0.45]], Material.METAL)
-    return join([boxes_of(posts, Material.METAL), roof, glass, side, seat, feet])
+    return join([boxes_of(posts, Material.METAL), roof, glass, side, poster, seat, feet])

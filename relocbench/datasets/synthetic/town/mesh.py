@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Bytes, Floats, Mask
 
+BOARD_M, POSTER_M, SIGN_M = 2.4, 0.9, 0.8
+"""widths in surface coordinates of a board with a word, whose height is a quarter of it, and of a poster and of what is
+on a traffic sign, whose heights are the same"""
+
 
 class Material(IntEnum):
     """Material of a triangle, which determines its appearance in every weather."""
@@ -33,6 +37,7 @@ class Material(IntEnum):
     SHOP_WINDOW = 14
     DOOR = 15
     SHOP_SIGN = 16
+    """a board with a word"""
     WOOD = 17
     METAL = 18
     BARK = 19
@@ -42,6 +47,7 @@ class Material(IntEnum):
     CAR_GLASS = 23
     RUBBER = 24
     TRAFFIC_SIGN = 25
+    """a red one"""
     LAMP = 26
     """the luminous part of a street lamp or headlight"""
     PLASTIC = 27
@@ -58,6 +64,14 @@ class Material(IntEnum):
     TROUSERS = 35
     SKIN = 36
     HAIR = 37
+    AWNING = 38
+    GUIDE_SIGN = 39
+    """a blue traffic sign"""
+    STREET_NAME = 40
+    POSTER = 41
+    LIGHT_RED = 42
+    """a lit lamp of a traffic light"""
+    LIGHT_GREEN = 43
 
 
 class Semantic(IntEnum):

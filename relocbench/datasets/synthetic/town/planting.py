@@ -214,6 +214,8 @@ def _scatter(planting: Planting, network: StreetNetwork, block: Block, i: int, t
             for k in range(4):
                 beside = place + (1.2 * k - 1.8) * d + 0.35 * inward
                 planting.add(furniture.bollard(), beside, -inward, Semantic.FURNITURE)
+        elif draw < 0.48 and block.sides[i].pavement_m > 3.5:
+            planting.add(furniture.column(), place + 1.15 * inward, -inward, Semantic.FURNITURE)
         else:
             continue
         taken.append(s)
@@ -289,6 +291,7 @@ def plant_square(planting: Planting, block: Block) -> None:
             planting.static.append(_tree_pit(a + s * d, d))
             if rng.random() < 0.6 and s + 3.5 < length:
                 planting.add(furniture.bench(), a + (s + 3.5) * d, toward, Semantic.FURNITURE)
+    planting.add(furniture.column(), inner[0] + 0.25 * (middle - inner[0]), np.array([1.0, 0.0]), Semantic.FURNITURE)
     for angle in np.linspace(0, 2 * np.pi, 9)[:-1]:
         out = np.array([np.cos(angle), np.sin(angle)])
         planting.add(furniture.bollard(), middle + 4.2 * out, out, Semantic.FURNITURE)
