@@ -13,6 +13,7 @@ from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.town.ageing import Inventory, together
 from relocbench.datasets.synthetic.town.cars import cars
+from relocbench.datasets.synthetic.town.crossings import equip_crossings
 from relocbench.datasets.synthetic.town.footpaths import Footpath, make_footpaths
 from relocbench.datasets.synthetic.town.ground import ground
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
@@ -30,10 +31,13 @@ from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.rows import PeriodicFront, Plot, build, plots_of
 from relocbench.datasets.synthetic.town.shapes import poses
 from relocbench.datasets.synthetic.town.streets import Block, bays_of, make_blocks, periodic_street
+from relocbench.datasets.synthetic.town.wires import string_wires
 from relocbench.errors import ConfigError, available
 
 SMALLEST_M = 180.0
 _SEEDS_OF_CARS = 2**20
+_OF_LIFE = 8
+"""number of the random stream of traffic lights and wires"""
 _PARKED_ANEW = 4096
 """added to ``parked_seed`` for the cars that come over months"""
 _RELAID_FROM_M, _RELAID_EVERY_M = 16.0, 9.0
@@ -85,7 +89,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
         raise ConfigError(f"the seed of a district must not be negative, got {seed}")
     if not extent_m >= SMALLEST_M:
         raise ConfigError(f"a district must be at least {SMALLEST_M:.0f} m wide, got {extent_m}")
-    streams = [np.random.default_rng([seed, SPLITS.index(split), part]) for part in range(4)]
+    streams = [np.random.default_rng([seed, SPLITS.index(split), part]) for part in (0, 1, 2, 3, _OF_LIFE)]
     network = make_network(streams[0], extent_m)
     repeated = periodic_street(network)
     blocks = make_blocks(network, streams[1], repeated)
@@ -94,13 +98,16 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
     planting = Planting(streams[3], names)
     fronts: list[PeriodicFront] = []
     houses: list[tuple[int, Plot]] = []
-    for block in blocks:
+    plots_in: dict[int, list[Plot]] = {}
+    for number, block in enumerate(blocks):
         plots, rows = plots_of(block, streams[2])
+        plots_in[number] = plots
         fronts += rows
         built = build(plots, names)
         meshes += built
         houses += [(int(mesh.instance[0]), plot) for mesh, plot in zip(built, plots, strict=True)]
         line_streets(planting, network, block, fronts[0].start if fronts else None)
+        equip_crossings(planting, network, block, streams[4])
         plant_gardens(planting, block, plots)
         if block.kind == "square":
             plant_square(planting, block)
@@ -108,6 +115,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
             plant_outskirts(planting, block)
     pavements = [place for block in blocks for place in free_places(network, block, planting.places())]
     static, foliage = planting.finish()
+    static += string_wires(network, blocks, plots_in, names, streams[4])
     bays = _bays(network, blocks)
     return District(
         seed,
