@@ -44,7 +44,7 @@ def summary() -> dict[str, Any]:
     for plan in plans:
         T_world_rig = plan.drive.T_world_rig[1]
         T_world_cam = T_world_rig @ make_transform(forward @ so3_exp([-0.1, 0.0, 0.0]), [0.0, 0.0, 1.6])
-        frame = scenes.renderer(plan.place, plan.condition.factors).render(_CAMERA, T_world_cam, 11)
+        frame = scenes.renderer(plan.place, plan.condition.factors, plan.moving[1]).render(_CAMERA, T_world_cam, 11)
         blocks = cv2.resize(frame.rgb.astype(np.float64), _BLOCKS, interpolation=cv2.INTER_AREA)
         rows, columns = _CAMERA.height // _BLOCKS[1], _CAMERA.width // _BLOCKS[0]
         tiles = frame.depth.reshape(_BLOCKS[1], rows, _BLOCKS[0], columns).swapaxes(1, 2).reshape(-1, rows * columns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from killing import Fault, run_until_killed
 from refusals import assert_names, refused
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
@@ -22,6 +24,7 @@ from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.conditions.presets import References, conditions_of
 from relocbench.datasets.synthetic.drives.drive import Drive, DriveStyle, drive, route_length
+from relocbench.datasets.synthetic.drives.passers import passers
 from relocbench.datasets.synthetic.drives.rig import RIGS
 from relocbench.datasets.synthetic.drives.traffic import on_the_road
 from relocbench.datasets.synthetic.jobs import scenes
@@ -31,6 +34,8 @@ from relocbench.datasets.synthetic.jobs.plan import evaluated_drives, make_plans
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate, extra_path
 from relocbench.datasets.synthetic.renderer.render import Renderer
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.moving import Kind, moves, moving_mesh
+from relocbench.datasets.synthetic.town.streets import KERB_M
 from relocbench.datasets.synthetic.town.town import compose
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
@@ -165,6 +170,41 @@ def test_moving_cars_keep_to_their_lanes_and_out_of_our_way() -> None:
     assert max(steps) < 2.0
 
 
+def test_bicycles_ride_at_the_right_hand_edge_of_their_lanes() -> None:
+    driven = drive(Straight(), 50, DriveStyle(), np.random.default_rng(0))
+    riders = on_the_road(Straight(), driven, 1.0, 3.2, np.random.default_rng(1), Kind.RIDER)
+    assert {thing.kind for present in riders for thing in present} == {Kind.RIDER}
+    places = {(bool(T[0, 0] > 0), round(float(T[1, 3]), 6)) for present in riders for T, *_ in present}
+    assert places == {(True, -1.15), (False, 3.2 + 1.15)}
+
+
+def test_people_walk_on_pavements_elsewhere_in_each_drive_and_as_many_as_the_factor_says() -> None:
+    footpaths = scenes.district(PLACE).footpaths
+    pose = scenes.district(PLACE).network.drive(100.0, 0).pose(40.0)
+    still = np.broadcast_to(pose, (30, 4, 4))
+
+    def seen(people: float, seed: int) -> list[dict[int, Array]]:
+        steps = passers(footpaths, still, people, np.random.default_rng(seed))
+        return [{thing.variant: thing.T_world_thing for thing in present} for present in steps]
+
+    assert sum(map(len, seen(0.0, 1))) == 0
+    few, many = (np.mean([len(seen(people, seed)[0]) for seed in range(20)]) for people in (4.0, 16.0))
+    assert 3.0 < many / few < 5.0
+    first, second = seen(10.0, 1)[0], seen(10.0, 2)[0]
+    assert not first.keys() & second.keys()
+    lines = [np.concatenate([path.poses(np.arange(0, path.length, 0.2))[:, :2, 3]]) for path in footpaths]
+    walked = seen(10.0, 1)
+    for before, after in pairwise(walked):
+        for name in before.keys() & after.keys():
+            # At 1.7 m/s, and with a small step aside where the line round a corner bends.
+            assert np.linalg.norm(after[name][:3, 3] - before[name][:3, 3]) < 0.4
+            assert min(np.linalg.norm(line - after[name][:2, 3], axis=1).min() for line in lines) < 1.1
+            assert after[name][2, 3] == pytest.approx(KERB_M)
+    moved = [np.linalg.norm(walked[-1][k][:2, 3] - walked[0][k][:2, 3]) for k in walked[0].keys() & walked[-1].keys()]
+    assert min(moved) == 0.0
+    assert max(moved) > 2.0  # in 2.9 s
+
+
 def test_the_smoke_preset_is_a_sound_dataset_with_labelled_conditions(town: Dataset) -> None:
     assert town.traversal_names == [REFERENCE, QUERY]
     assert town.traversal(QUERY).condition == condition_named("WetNoon").label
@@ -280,7 +320,11 @@ def test_conditions_share_what_stands_still(town: Dataset) -> None:
         expected = nearest_hit(mesh, T_world_cam[:3, 3], T_world_cam[:3, :3] @ ray)
         assert depth[v[row], u[row]] == pytest.approx(expected, abs=0.02 + 1e-3 * expected)
     reference_time = town.traversal(REFERENCE).timestamps("front")[0]
-    assert not images.read_image(extra_path(town.root, REFERENCE, "changed", "front", reference_time)).any()
+    changed, semantic = (
+        images.read_image(extra_path(town.root, REFERENCE, kind, "front", reference_time))
+        for kind in ("changed", "semantic")
+    )
+    assert np.array_equal(changed > 0, moves(semantic))
 
 
 @pytest.mark.thorough
@@ -292,7 +336,8 @@ def test_extras_are_exact_and_outside_of_the_fingerprint(
         images.read_image(extra_path(town.root, QUERY, "instance", "front", time_ns)).astype(np.uint32), -1, 0
     )
     instance = r + 256 * g + 65536 * b
-    assert np.isin(instance, wet.instance).all()
+    semantic = images.read_image(extra_path(town.root, QUERY, "semantic", "front", time_ns))
+    assert (np.isin(instance, wet.instance) | moves(semantic)).all()
     assert len(np.unique(instance)) > 3
     assert resumed.fingerprint == town.fingerprint
     assert not (resumed.root / "extras").exists()
@@ -311,7 +356,10 @@ def test_a_frame_is_the_same_when_rendered_on_its_own(town: Dataset, wet: Mesh, 
     traversal, layout = town.traversal(QUERY), town.traversal(QUERY).layout
     first, _, third, _ = traversal.timestamps("front")
     number = int(first // 10**12 - 1)
-    alone = Renderer(wet, condition_named("WetNoon").factors, scenes.district(PLACE).lamps, PLACE.seed)
+    conditions = conditions_of(("Neutral", "WetNoon"), {}, None, 2)
+    _, plan = make_plans(("test",), conditions, 1, 4, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent())
+    still = Renderer(wet, condition_named("WetNoon").factors, scenes.district(PLACE).lamps, PLACE.seed)
+    alone = still.with_moving(moving_mesh(plan.moving[2]))
     T_world_cam = traversal.T_world_cam("front", third)
     frame = alone.render(traversal.camera("front"), T_world_cam, scenes.frame_seed(0, number, 2, 0))
     images.write_image(tmp_path / "image.png", frame.rgb)
@@ -342,22 +390,22 @@ def test_neither_a_kill_nor_workers_change_the_bytes(town: Dataset, resumed: Dat
 
 
 @pytest.mark.thorough
-def test_traffic_is_rendered_marked_as_changed_and_never_matched(tmp_path: Path) -> None:
-    dataset = build(tmp_path / "out", traffic=3.0, conditions=("Neutral",), correspondences=2000, steps=3)
+def test_what_moves_is_rendered_marked_as_changed_and_never_matched(tmp_path: Path) -> None:
+    dataset = build(tmp_path / "out", traffic=3.0, people=30.0, conditions=("Neutral",), correspondences=2000, steps=3)
     query = dataset.traversal_names[0]
-    moving = 0
+    found: set[int] = set()
     for time_ns in dataset.traversal(query).timestamps("front"):
         semantic = images.read_image(extra_path(dataset.root, query, "semantic", "front", time_ns))
         changed = images.read_image(extra_path(dataset.root, query, "changed", "front", time_ns)) > 0
-        cars = semantic == Semantic.MOVING_CAR
-        moving += int(cars.sum())
-        assert changed[cars].mean() > 0.99 if cars.any() else True
+        moving = moves(semantic)
+        found |= set(semantic[moving].tolist())
+        assert changed[moving].mean() > 0.99
         for pair in dataset.pair_sets()[0].pairs:
             if pair.ref_timestamp_ns == time_ns:
                 rows = read_correspondences(dataset.layout.correspondence_file(dataset.pair_sets()[0].name), pair.key)
                 u, v = rows.uv_ref.astype(int).T
-                assert not cars[v, u].any()
-    assert moving > 20
+                assert not moving[v, u].any()
+    assert found >= {Semantic.MOVING_CAR, Semantic.PERSON}
 
 
 def test_pair_sets_are_those_that_were_asked_for() -> None:

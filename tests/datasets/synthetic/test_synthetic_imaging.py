@@ -39,7 +39,7 @@ TINY: dict[str, Any] = {
     "correspondences": 40,
 }
 NAMES = ["test-Neutral-0", "test-Neutral-1"]
-BEFORE = "45dc5f25583d669b77e590d101f6632ae20012cb0c61f110654b569daf9433a8"
+BEFORE = "4a307f071ddc776a498345463425ca154530ad19e68af55fd17c14f2dec17963"
 """SHA-256 of the recipe of ``TINY``, keys sorted, as renderer 3 makes it"""
 
 

@@ -46,7 +46,7 @@ EVERY: dict[str, dict[str, Any]] = {
     "lidar": {"depth": "lidar", "rings": 16},
     "stereo": {"depth": "stereo"},
 }
-SMOKE: dict[str, Any] = {"preset": "smoke", "correspondences": 40}
+SMOKE: dict[str, Any] = {"preset": "smoke", "correspondences": 40, "people": 0.0}
 KEYFRAMES = "test-Neutral-0"
 
 
