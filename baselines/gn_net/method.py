@@ -5,6 +5,7 @@ von Stumberg et al., GN-Net: The Gauss-Newton Loss for Multi-Weather Relocalizat
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -71,6 +72,7 @@ class GnNet:
     """Direct alignment of learned features from several starts, of which the lowest final energy wins.
 
     Starts are the prior, or the identity without one; poses along the road from there; and poses of matched features.
+    These are accurate to some pixels and also begin on the finest level, so that no coarser one leads away from them.
     The landmarks of the keyframe are matched in the query. Their agreement is the share of them that are matched within
     two pixels (of the finest map) of where the answer projects them. The confidence is the
     probability that the answer is within 0.25 m and 2 degrees, from a calibration of the agreement.
@@ -108,6 +110,8 @@ class GnNet:
         min_points: with fewer points that have depth, tracking fails.
         min_agreement: with a smaller agreement, tracking fails; by default one below which no answer was right on
             validation districts.
+        most_rival: tracking fails where a pose of matches has more than so many times the agreement of the answer.
+            Right answers have less: that pose fits errors of depth, too, but not so much better. None: never.
         cache_size: number of images whose feature maps are kept for the pairs that show them again. The answers stay
             the same, and the seconds of a pair no longer include the network where an image came before.
         device: where the network runs; the alignment runs on the CPU.
@@ -146,6 +150,7 @@ class GnNet:
     kept: Counts = (3, 3, 3, 5, 8)
     min_points: Annotated[int, Field(ge=8)] = 30
     min_agreement: Share = MIN_AGREEMENT
+    most_rival: Annotated[float, Field(ge=1)] | None = 3.0
     cache_size: Annotated[int, Field(ge=0)] = 0
     device: str = "cpu"
     seed: Annotated[int, Field(ge=0)] = 0
@@ -265,9 +270,9 @@ class GnNet:
     ) -> TrackResult:
         """Align from every start, of which ``first`` is the prior or the identity."""
         starts = self._starts(first, coarsest_level(reference.features, features, self.settings))
+        rivals = list(matched.poses(self.hypotheses, self.seed))
         if self.matched_start:
-            hypotheses = matched.poses(self.hypotheses, self.seed)
-            starts = [*(Start(pose, self.start.level) for pose in hypotheses), *starts]
+            starts = [*(Start(pose, level) for pose in rivals for level in (self.start.level, 0)), *starts]
         found = align_features_best(reference.features, features, starts, self.settings)
         info = self._info(found)
         if found.failure:
@@ -276,7 +281,7 @@ class GnNet:
             return TrackResult.failure(
                 f"only {found.final.valid} of {found.residuals} residuals project into the query", **info
             )
-        return self._answer(found.T_query_ref, matched, info)
+        return self._answer(found.T_query_ref, matched, info, rivals)
 
     def _starts(self, first: Start, coarsest: int) -> list[Start]:
         """The prior or the identity and what is tried around it, on the levels from ``coarsest`` or its own on."""
@@ -305,14 +310,22 @@ class GnNet:
         """The inverse of :meth:`_on_finest`."""
         return (uv + 0.5) * float(1 << self.net.options.finest) - 0.5
 
-    def _answer(self, T_query_ref: Array, matched: MatchedLandmarks, info: dict[str, Any]) -> TrackResult:
-        """The pose with its confidence, or a failure if too few landmarks agree with it."""
+    def _answer(
+        self, T_query_ref: Array, matched: MatchedLandmarks, info: dict[str, Any], rivals: Sequence[Array] = ()
+    ) -> TrackResult:
+        """The pose with its confidence, or a failure if too few landmarks agree with it, or far more with a rival."""
         agreement = matched.agreement(T_query_ref)
         info |= {"matches": len(matched), "agreement": agreement}
         if agreement < self.min_agreement:
             return TrackResult.failure(
                 f"{agreement:.1%} of {matched.sought} landmarks agree with the pose, at least "
                 f"{self.min_agreement:.1%} are needed",
+                **info,
+            )
+        rival = max(map(matched.agreement, rivals), default=0.0)
+        if self.most_rival is not None and rival > self.most_rival * agreement:
+            return TrackResult.failure(
+                f"{agreement:.1%} of {matched.sought} landmarks agree with the pose, {rival:.1%} with another one",
                 **info,
             )
         confidence = None if self.calibration is None else self.calibration.confidence(info)

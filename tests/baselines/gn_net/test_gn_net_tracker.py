@@ -84,7 +84,7 @@ def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> Non
 
 def test_another_place_is_answered_with_less_confidence(weights: Path, dataset: Dataset) -> None:
     """Confidence must compare between queries and keyframes; turned upside down, a query shows none of the keyframe."""
-    tracker = GnNet(weights=weights, min_agreement=0.0)
+    tracker = GnNet(weights=weights, min_agreement=0.0, most_rival=None)
     pair_set = dataset.pair_set(WITHIN)
     pair = pair_set.pairs[0]
     reference, query = tracker.prepare(dataset.reference(pair_set, pair)), dataset.query(pair_set, pair)
@@ -311,7 +311,8 @@ def test_an_answer_that_nothing_speaks_for_is_a_stated_failure(kind: type[GnNet]
     """Turned upside down, a query shows none of the keyframe; the limit is a parameter."""
     upright = a_query(small_pose(1))
     turned = replace(upright, image=np.ascontiguousarray(upright.image[::-1]))
-    strict, lenient = kind(weights=weights, min_agreement=0.1), kind(weights=weights, min_agreement=0.0)
+    strict = kind(weights=weights, min_agreement=0.1)
+    lenient = kind(weights=weights, min_agreement=0.0, most_rival=None)
     reference = strict.prepare(a_reference())
     answered, refused = lenient.track(reference, turned), strict.track(reference, turned)
     assert answered.answered
@@ -321,6 +322,19 @@ def test_an_answer_that_nothing_speaks_for_is_a_stated_failure(kind: type[GnNet]
         f"{answered.info['agreement']:.1%} of {count} landmarks agree with the pose, at least 10.0% are needed"
     )
     assert refused.info == answered.info
+
+
+def test_an_answer_that_another_pose_explains_far_better_is_a_stated_failure(weights: Path) -> None:
+    tracker, query = GnNetFromPrior(weights=weights), a_query(small_pose(1))
+    reference = tracker.prepare(a_reference())
+    matched = find_landmarks(reference.landmarks, tracker.features(query.image, query.camera), tracker.start)
+    right = np.linalg.inv(small_pose(1)) @ small_pose(0)
+    beside = make_transform(so3_exp([0.0, 0.05, 0.0]), np.zeros(3)) @ right
+    agreement = matched.agreement(right)
+    assert agreement > 3 * max(matched.agreement(beside), 0.01)
+    assert tracker._answer(right, matched, {}, [beside, right]).answered
+    refused = replace(tracker, min_agreement=0.0)._answer(beside, matched, {}, [right])
+    assert refused.message.endswith(f" of 400 landmarks agree with the pose, {agreement:.1%} with another one")
 
 
 def test_pnp_without_matches_is_a_stated_failure(weights: Path) -> None:
