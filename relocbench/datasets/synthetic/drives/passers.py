@@ -25,6 +25,8 @@ _BESIDE_M = 0.62
 """distance of those who go together"""
 _CLEAR_M = (3.2, 1.5)
 """half the length and width of the space around our car's middle in which nobody is"""
+_CLEAR_ON_ROAD_M = (9.0, 2.6)
+"""the same for those who cross the road"""
 
 
 _RIDERS = 0.08
@@ -47,7 +49,7 @@ def passers(
     """The people near our car at every step of a drive with poses (N, 4, 4).
 
     They are alone or in small groups, of which some stand and the others walk round their block at a speed of their
-    own, either way. Some blocks have more people than others.
+    own, either way, or across a zebra. Some blocks have more people than others.
 
     Args:
         per_100_m: people per 100 m of pavement on average.
@@ -60,7 +62,7 @@ def passers(
         for start in rng.uniform(0.0, path.length, groups):
             for track, kind in _group(path, start + 0.0 * time, time, rng):
                 variant = int(rng.integers(2**31))
-                for i in np.flatnonzero(_near(T_world_rig, track)):
+                for i in np.flatnonzero(_near(T_world_rig, track, _CLEAR_ON_ROAD_M if path.on_road else _CLEAR_M)):
                     found[i].append(Moving(track[i], variant, kind))
     return found
 
@@ -68,7 +70,7 @@ def passers(
 def _group(path: Footpath, start: Array, time: Array, rng: np.random.Generator) -> list[tuple[Array, Kind]]:
     """Poses (N, 4, 4) of each of some people who begin at ``start`` (N,) together, and what they do."""
     count = int(rng.choice(len(_SIZES), p=_SIZES)) + 1
-    stands, aside = rng.random() < _STANDING, rng.uniform(-0.25, 0.3)
+    stands, aside = rng.random() < _STANDING and not path.on_road, rng.uniform(-0.25, 0.3)
     speed = 0.0 if stands else float(rng.uniform(1.0, 1.7) * rng.choice([-1, 1]))
     turn = rng.uniform(-np.pi, np.pi)
     found = []
@@ -84,8 +86,8 @@ def _group(path: Footpath, start: Array, time: Array, rng: np.random.Generator) 
     return found
 
 
-def _near(T_world_rig: Array, track: Array) -> Mask:
+def _near(T_world_rig: Array, track: Array, clear_m: tuple[float, float]) -> Mask:
     """At which steps (N,) a person is near our car, and not in its way."""
     offset = (invert(T_world_rig) @ track)[:, :2, 3]
-    in_the_way = (np.abs(offset) < np.array(_CLEAR_M)).all(axis=1)
+    in_the_way = (np.abs(offset) < np.array(clear_m)).all(axis=1)
     return np.asarray((np.linalg.norm(offset, axis=1) < _SEEN_M) & ~in_the_way)

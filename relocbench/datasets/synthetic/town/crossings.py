@@ -6,12 +6,12 @@ import numpy as np
 
 from relocbench.datasets.synthetic.town import furniture
 from relocbench.datasets.synthetic.town.mesh import Semantic
-from relocbench.datasets.synthetic.town.network import StreetNetwork
+from relocbench.datasets.synthetic.town.network import STOP_M, StreetNetwork
 from relocbench.datasets.synthetic.town.planting import Planting
 from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.streets import Block
 
-_LIGHT_M, _BEFORE_ZEBRA_M = 10.9, 15.6
+_LIGHT_M, _BEFORE_ZEBRA_M = STOP_M - 0.3, STOP_M + 4.4
 """distance of a traffic light from the middle of the crossing, and where there is a zebra before it"""
 _FROM_KERB_M = 0.5
 _NAMED = 0.55

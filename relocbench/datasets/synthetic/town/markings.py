@@ -6,7 +6,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.network import LANE_M, PARKING_M, HalfEdge, StreetNetwork
+from relocbench.datasets.synthetic.town.network import LANE_M, PARKING_M, STOP_M, ZEBRA_M, HalfEdge, StreetNetwork
 from relocbench.datasets.synthetic.town.polylines import arc_lengths, points_at
 from relocbench.datasets.synthetic.town.shapes import Shape, at_height, join, quads
 from relocbench.datasets.synthetic.town.streets import Block, bays_of
@@ -53,11 +53,10 @@ def _approach(network: StreetNetwork, edge: HalfEdge, zebra: bool) -> Shape:
     d /= np.linalg.norm(d)
     to_left = np.array([d[1], -d[0]])
     left_m, right_m = network.kerb[edge], network.kerb[(edge[1], edge[0])]
-    clear = 11.2
-    stop = end + (clear + 5.0 * zebra) * d - LANE_M / 2 * to_left
+    stop = end + (STOP_M + 5.0 * zebra) * d - LANE_M / 2 * to_left
     parts = [quads(_strip(stop[None], d[None], 0.4, LANE_M - 0.3), Material.LANE_MARKING)]
     if zebra:
         across = np.arange(-right_m + 0.55, left_m - 0.3, 1.0)
-        places = end + (clear + 2.0) * d + across[:, None] * to_left
+        places = end + ZEBRA_M * d + across[:, None] * to_left
         parts.append(quads(_strip(places, np.tile(d, (len(places), 1)), 3.0, 0.5), Material.LANE_MARKING))
     return join(parts)

@@ -26,6 +26,8 @@ LANE_M = 3.2
 """width of a traffic lane; one each way"""
 PARKING_M = 2.1
 """width of the parking lane of a street side that has one"""
+STOP_M, ZEBRA_M = 11.2, 13.2
+"""distance from the middle of a crossing to the stop line or the edge of a zebra, and to the zebra's middle"""
 KERB_RADIUS_M = 5.5
 """kerb radius of block corners at crossings"""
 _STRAIGHT = np.radians(35)

@@ -126,7 +126,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
         np.array(planting.lamps).reshape(-1, 3),
         network,
         Periodic(repeated, tuple(fronts)),
-        make_footpaths(blocks),
+        make_footpaths(network, blocks),
         Inventory(
             (seed, SPLITS.index(split)),
             tuple(houses),
