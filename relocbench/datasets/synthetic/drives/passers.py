@@ -29,6 +29,8 @@ _CLEAR_ON_ROAD_M = (9.0, 2.6)
 """the same for those who cross the road"""
 
 
+_SHELTERED = 0.6
+"""share of those who walk in the rain that have an umbrella"""
 _RIDERS = 0.08
 """bicycles per 100 m of lane, relative to people per 100 m of pavement"""
 
@@ -39,12 +41,17 @@ def all_that_moves(
     """Cars, bicycles and people at every step of a drive, as many as the factors say."""
     cars = on_the_road(route, drive, factors.traffic, route.other_lane_m, rng)
     riders = on_the_road(route, drive, _RIDERS * factors.people, route.other_lane_m, rng, Kind.RIDER)
-    people = passers(footpaths, drive.T_world_rig, factors.people, rng)
+    people = passers(footpaths, drive.T_world_rig, factors.people, rng, in_rain=factors.rain_mm_h > 0)
     return tuple(tuple(chain(*step)) for step in zip(cars, riders, people, strict=True))
 
 
 def passers(
-    footpaths: Sequence[Footpath], T_world_rig: Array, per_100_m: float, rng: np.random.Generator
+    footpaths: Sequence[Footpath],
+    T_world_rig: Array,
+    per_100_m: float,
+    rng: np.random.Generator,
+    *,
+    in_rain: bool = False,
 ) -> list[list[Moving]]:
     """The people near our car at every step of a drive with poses (N, 4, 4).
 
@@ -53,6 +60,7 @@ def passers(
 
     Args:
         per_100_m: people per 100 m of pavement on average.
+        in_rain: many of those who walk have umbrellas.
     """
     found: list[list[Moving]] = [[] for _ in T_world_rig]
     time = np.arange(len(T_world_rig)) / RATE_HZ
@@ -62,6 +70,8 @@ def passers(
         for start in rng.uniform(0.0, path.length, groups):
             for track, kind in _group(path, start + 0.0 * time, time, rng):
                 variant = int(rng.integers(2**31))
+                if in_rain and kind == Kind.WALKER and rng.random() < _SHELTERED:
+                    kind = Kind.SHELTERED
                 for i in np.flatnonzero(_near(T_world_rig, track, _CLEAR_ON_ROAD_M if path.on_road else _CLEAR_M)):
                     found[i].append(Moving(track[i], variant, kind))
     return found

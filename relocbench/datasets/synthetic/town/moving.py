@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import IntEnum
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ class Kind(IntEnum):
     """a person who stands where others walk"""
     RIDER = 3
     """on a bicycle"""
+    SHELTERED = 4
+    """a walker with an umbrella"""
 
 
 class Moving(NamedTuple):
@@ -46,6 +49,7 @@ _MAKERS: dict[Kind, tuple[Maker, Semantic]] = {
     Kind.WALKER: (walkers, Semantic.PERSON),
     Kind.STANDER: (standers, Semantic.PERSON),
     Kind.RIDER: (riders, Semantic.CYCLIST),
+    Kind.SHELTERED: (partial(walkers, umbrella=True), Semantic.PERSON),
 }
 _CLASSES = tuple(int(semantic) for _, semantic in _MAKERS.values())
 

@@ -70,12 +70,16 @@ class _Posture:
     """of the trunk, forward"""
     hip: Array | None = None
     """position of the hips; by default so that the lower foot is on the ground"""
+    umbrella: bool = False
+    """above the right hand"""
 
 
-def _walking(phase: int) -> _Posture:
+def _walking(phase: int, umbrella: bool) -> _Posture:
     turn = 2 * np.pi * phase / _PHASES + np.array([0.0, np.pi])
     swing, forward = np.sin(turn), np.maximum(np.cos(turn), 0.0)
     a, b = (0.46 * swing).tolist(), (0.10 + 0.80 * forward).tolist()
+    if umbrella:
+        return _Posture((a[0], a[1]), (b[0], b[1]), (-0.9 * a[0], 0.35), (0.3, 1.7), 0.04, umbrella=True)
     return _Posture((a[0], a[1]), (b[0], b[1]), (-0.9 * a[0], -0.9 * a[1]), (0.3, 0.3), 0.04)
 
 
@@ -156,13 +160,22 @@ def _figure(build: _Build, posture: _Posture) -> Shape:
             parts.append(
                 boxes([x - 0.17, y - 0.05, z - 0.42], [x + 0.17, y + 0.05, z - 0.12], Material.CLOTH, variant=0x71)
             )
+        if posture.umbrella and side < 0:
+            parts += _umbrella(arm[2] + 0.05 * reach)
     return join(parts)
 
 
+def _umbrella(hand: Array) -> list[Shape]:
+    up = np.array([[-0.05, 0.08, z] for z in (0.0, 0.62, 0.64, 0.79, 0.86)])
+    stick = tube(hand + up[[0, 3]], 0.012, 4, Material.METAL)
+    cloth = tube(hand + up[1:], [0.52, 0.51, 0.3, 0.02], 8, Material.CLOTH)
+    return [stick, replace(cloth, variant=cloth.variant ^ np.uint32(0x2B))]
+
+
 @cache
-def walker(build: int, phase: int) -> Shape:
-    """A person of a build (0 to ``BUILDS`` - 1) in one of the phases of a stride."""
-    return _figure(_BUILDS[build], _walking(phase))
+def walker(build: int, way: int) -> Shape:
+    """A person of a build (0 to ``BUILDS`` - 1) in one of the phases of a stride; from ``_PHASES`` on with umbrella."""
+    return _figure(_BUILDS[build], _walking(way % _PHASES, way >= _PHASES))
 
 
 @cache
@@ -258,9 +271,11 @@ def _grown(transforms: Array, variant: ArrayLike) -> Array:
     return transforms @ poses(0.0, 0.0, 0.0, 0.0, scale)
 
 
-def walkers(transforms: Array, variant: ArrayLike, instance: ArrayLike, semantic: Semantic) -> Mesh:
+def walkers(
+    transforms: Array, variant: ArrayLike, instance: ArrayLike, semantic: Semantic, umbrella: bool = False
+) -> Mesh:
     """People who walk, with poses (N, 4, 4); the variant (N,) chooses build, size and clothes."""
-    way = _phase(transforms, _STRIDE_M)
+    way = _phase(transforms, _STRIDE_M) + _PHASES * umbrella
     return _in_groups(walker, _grown(transforms, variant), variant, instance, semantic, way)
 
 
