@@ -6,7 +6,8 @@ across conditions, the mean over districts with its 95 % interval over districts
 whose houses repeat themselves stand apart. ``true matches`` is what perfect matching leaves: PnP on the dataset's own
 visible correspondences, whose pixels in the query are off by 1 px (one sigma, in each direction) and whose depths by
 the error that the map states. With ``--evaluate`` the methods are asked first; their settings are those of
-``cross_weather.py``, and rows of ALIKED need its authors' weights. The last line is JSON.
+``cross_weather.py``, and rows of ALIKED need its authors' weights. ``--picture FILE`` shows a pair of each tier, that
+of median overlap: keyframes above, queries below. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -23,15 +24,18 @@ import numpy as np
 from cross_weather import SETTINGS, run
 from scipy.stats import t as student
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Image
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.edition_folder import datasets_of
+from relocbench.datasets.core.images import jpeg_bytes
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.visibility import lift
+from relocbench.datasets.synthetic.jobs.contact_sheet import labelled, tiled
 from relocbench.datasets.synthetic.jobs.selection import REPEATING
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
+from relocbench.files import write_bytes
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.leaderboard.tracking.load import load_results
 from relocbench.metrics import CORRECT, pose_errors, within
@@ -52,6 +56,8 @@ METHODS = (
 )
 _PIXEL_SIGMA = 1.0
 _RANSAC_PX = 4.0
+_SHOWN_PX = 320
+"""width and height of the images of ``--picture``"""
 
 Found = dict[tuple[str, str], dict[str, list[bool]]]
 """(method, column) -> district -> whether each pair is found"""
@@ -126,6 +132,26 @@ def evaluate(folder: Path, results: Path, workers: int) -> None:
     run("evaluate", "-d", folder, *words, "--out", results, "-j", workers)
 
 
+def picture(folders: list[Path]) -> Image:
+    """A pair of each tier (H, W, 3), RGB."""
+    of_tier: dict[str, list[tuple[Dataset, PairSet, Pair]]] = defaultdict(list)
+    for dataset in map(Dataset, folders):
+        for pair_set in dataset.pair_sets():
+            for pair, column in columns_of(pair_set.pairs):
+                of_tier[column].append((dataset, pair_set, pair))
+    above, below = [], []
+    for tier in (name for name in TIERS if name in of_tier):
+        pairs = sorted(of_tier[tier], key=lambda each: (each[2].overlap, each[2].key))
+        dataset, pair_set, pair = pairs[len(pairs) // 2]
+        map_drive = dataset.traversal(pair_set.reference)
+        keyframe = map_drive.image(pair_set.reference_camera, pair.ref_timestamp_ns)
+        query = pair_set.query_traversal.image(pair_set.query_camera, pair.query_timestamp_ns)
+        shown = [cv2.resize(image, (_SHOWN_PX, _SHOWN_PX), interpolation=cv2.INTER_AREA) for image in (keyframe, query)]
+        above.append(labelled(shown[0], tier))
+        below.append(labelled(shown[1], f"{pair.distance_m:.1f} m, {pair.angle_deg:.0f} deg, {pair.overlap:.0%}"))
+    return tiled([*above, *below])
+
+
 def share(by_district: dict[str, list[bool]]) -> tuple[float, float | None]:
     """The mean over districts in percent, and half the width of its interval; None with one district."""
     means = 100 * np.array([np.mean(rights) for rights in by_district.values()])
@@ -144,6 +170,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path, help="tiers of an edition, or datasets")
     parser.add_argument("--results", type=Path, help="folder of `relocbench evaluate`")
     parser.add_argument("--evaluate", action="store_true", help="ask the methods first; needs --results")
+    parser.add_argument("--picture", type=Path, help="write a picture of a pair of each tier")
     parser.add_argument("--workers", "-j", type=int, default=2)
     options = parser.parse_args()
     if options.evaluate and options.results is None:
@@ -151,6 +178,8 @@ def main() -> None:
     for folder in options.folders if options.evaluate else ():
         evaluate(folder, options.results, options.workers)
     folders = [dataset for folder in options.folders for dataset in datasets_of(folder)]
+    if options.picture:
+        write_bytes(options.picture, jpeg_bytes(picture(folders)))
     found: Found = defaultdict(dict)
     for folder in folders:
         dataset = Dataset(folder)
