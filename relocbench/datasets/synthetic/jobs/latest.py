@@ -43,8 +43,13 @@ def latest_renderer(scene: Hashable, moving: Sequence[Moving], make: Callable[[]
 
     ``make`` makes that of the scene without anything that moves.
     """
-    still = latest("renderer", scene, make)
+    moments: dict[Hashable, AnyRenderer]
+    # What moves is let go with the scene, since its renderer holds the scene's arrays.
+    still, moments = latest("renderer", scene, lambda: (make(), {}))
     if not moving:
         return still
-    key = scene, tuple((T_world_thing.tobytes(), *look) for T_world_thing, *look in moving)
-    return latest("renderer with what moves", key, lambda: still.with_moving(moving_mesh(moving)))
+    moment = tuple((T_world_thing.tobytes(), *look) for T_world_thing, *look in moving)
+    if moment not in moments:
+        moments.clear()
+        moments[moment] = still.with_moving(moving_mesh(moving))
+    return moments[moment]
