@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer.lettering import invented_word
 from relocbench.datasets.synthetic.renderer.render import Renderer
@@ -25,7 +25,7 @@ CAMERA = Camera("pinhole", 192, 48, 320.0, 320.0, 95.5, 23.5)
 CLEAR = Factors(cloud_cover=1.0, read_noise=0.0, shot_noise=0.0, vignetting=0.0)
 
 
-def cells() -> list[Array]:
+def cells() -> list[Floats]:
     """What the first page of boards has, each (rows, columns) from above, as large as the camera's images."""
     page = bake(SEED).second(int(Material.SHOP_SIGN))[::-1]
     height, width = SIZE // ROWS, SIZE // COLUMNS
@@ -38,7 +38,7 @@ def board(variant: int) -> Mesh:
     return single(name_board(np.array([-1.2, 1.2, 4.7, 5.3]), 0.0, variant), 1, 0, Semantic.BUILDING)
 
 
-def likeness(a: Array, b: Array) -> float:
+def likeness(a: Array, b: Floats) -> float:
     return abs(float(np.corrcoef(a.ravel(), b.ravel())[0, 1]))
 
 

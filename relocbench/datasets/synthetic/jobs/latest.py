@@ -43,9 +43,12 @@ def latest_renderer(scene: Hashable, moving: Sequence[Moving], make: Callable[[]
 
     ``make`` makes that of the scene without anything that moves.
     """
-    moments: dict[Hashable, AnyRenderer]
-    # What moves is let go with the scene, since its renderer holds the scene's arrays.
-    still, moments = latest("renderer", scene, lambda: (make(), {}))
+
+    def made() -> tuple[AnyRenderer, dict[Hashable, AnyRenderer]]:
+        # What moves is let go with the scene, since its renderer holds the scene's arrays.
+        return make(), {}
+
+    still, moments = latest("renderer", scene, made)
     if not moving:
         return still
     moment = tuple((T_world_thing.tobytes(), *look) for T_world_thing, *look in moving)

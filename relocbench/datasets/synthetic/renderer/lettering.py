@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Floats
+from relocbench.arrays import Bytes, Floats
 from relocbench.datasets.synthetic.town.mesh import BOARD_M, POSTER_M, SIGN_M, Material
 from relocbench.kernels import njit
 
@@ -100,7 +100,7 @@ def written(text: str, height: int, width: int, font: int, weight: float = 1.0) 
     return _small(large)
 
 
-def _small(large: Array) -> Floats:
+def _small(large: Bytes) -> Floats:
     shape = large.shape[1] // _FINER, large.shape[0] // _FINER
     return np.asarray(cv2.resize(large, shape, interpolation=cv2.INTER_AREA), dtype=np.float32) / np.float32(255)
 
@@ -172,7 +172,7 @@ def _pictograms(height: int, width: int) -> list[list[Cell]]:
     side = width * _FINER
     middle = side // 2
 
-    def canvas() -> Array:
+    def canvas() -> Bytes:
         return np.zeros((height * _FINER, side), dtype=np.uint8)
 
     def text(word: str, part: float) -> Floats:

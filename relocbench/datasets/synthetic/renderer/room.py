@@ -6,6 +6,8 @@ as long as much of an image.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,10 +38,15 @@ class Room:
         if not self._holds(mesh):
             self._grow(mesh)
         moving = make_geometry(mesh)
-        for name, whole, part in zip(Geometry._fields, self.geometry, moving, strict=True):
-            first = self._vertices if name == "vertices" else self._triangles
-            whole[first : first + len(part)] = part + np.uint32(self._vertices) if name == "triangles" else part
+        moving = moving._replace(triangles=moving.triangles + np.uint32(self._vertices))
+        for name in Geometry._fields:
+            first, part = self._first(name), getattr(moving, name)
+            getattr(self.geometry, name)[first : first + len(part)] = part
         self.names[self._triangles : self._triangles + len(mesh)] = surface_names(moving)
+
+    def _first(self, name: str) -> int:
+        """Number of rows that the first mesh has in an array."""
+        return self._vertices if name == "vertices" else self._triangles
 
     def _holds(self, mesh: Mesh) -> bool:
         return len(self.names) >= self._triangles + len(mesh) and len(self.geometry.vertices) >= self._vertices + len(
@@ -47,14 +54,11 @@ class Room:
         )
 
     def _grow(self, mesh: Mesh) -> None:
-        def with_room(values: NDArray[np.generic], first: int, more: int) -> NDArray[np.generic]:
+        def with_room(values: NDArray[Any], name: str) -> NDArray[Any]:
+            first, more = self._first(name), len(mesh.vertices) if name == "vertices" else len(mesh)
             out = np.zeros((first + int(_SPARE * more), *values.shape[1:]), dtype=values.dtype)
             out[:first] = values[:first]
             return out
 
-        sizes = {"vertices": (self._vertices, len(mesh.vertices))}
-        rest = self._triangles, len(mesh)
-        self.geometry = Geometry(
-            *(with_room(a, *sizes.get(n, rest)) for n, a in zip(Geometry._fields, self.geometry, strict=True))
-        )
-        self.names = with_room(self.names, *rest)
+        self.geometry = Geometry(*(with_room(getattr(self.geometry, name), name) for name in Geometry._fields))
+        self.names = with_room(self.names, "names")
