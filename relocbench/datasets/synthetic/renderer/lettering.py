@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from relocbench.arrays import Bytes, Floats
+from relocbench.arrays import Bytes, Floats, Indices
 from relocbench.datasets.synthetic.town.mesh import BOARD_M, POSTER_M, SIGN_M, Material
 from relocbench.kernels import njit
 
@@ -39,11 +38,11 @@ _ROWS_BY_SHAPE = (Material.TRAFFIC_SIGN, Material.GUIDE_SIGN)
 class Lettering(NamedTuple):
     """What the looks of objects choose from."""
 
-    second: NDArray[np.int64]
+    second: Indices
     """(material,) layer of the second page"""
-    pages: NDArray[np.int64]
+    pages: Indices
     """(material,) number of pages; 0 for materials that are no signs"""
-    cells: NDArray[np.int64]
+    cells: Indices
     """(material, 2) columns and rows from which the look chooses"""
 
 
