@@ -48,7 +48,7 @@ _SMALL_SETS = (
     "relocbench/datasets/groundtruth/odometry",
     "relocbench/leaderboard/tracking",
     "tools/kitti_lidar_poses.py",
-    "tools/still_camera.py",
+    "tools/real_sets",
     *_TOWN,
     *_TRACKING,
     *_TRACKERS,

@@ -16,12 +16,15 @@ from repository import ROOT
 from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.generic import dataset as generic
+from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import invert
 from relocbench.progress import Silent
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
 sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT / "tools" / "real_sets"))
+import generic_folder
 import kitti_lidar_poses
 import real
 import still_camera
@@ -51,7 +54,8 @@ def smaller(path: Path) -> None:
 
 def made(out: Path, *folders: Path, pairs: int = 4, seed: int = 0) -> Path:
     rng = np.random.default_rng(seed)
-    still_camera.write(out, {folder.name: still_camera.draw(folder, pairs, rng) for folder in folders})
+    drawn = {folder.name: still_camera.draw(folder, pairs, rng) for folder in folders}
+    generic_folder.write(out, still_camera.views(drawn))
     return out
 
 
@@ -98,11 +102,11 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_other_motions(tmp_pa
 def test_no_image_is_in_two_pairs_and_cameras_have_names_of_their_own(tmp_path: Path) -> None:
     pairs = still_camera.draw(photographs(tmp_path / "a", 9), 4, np.random.default_rng(0))
     assert len({path for pair in pairs for path in (pair.reference, pair.query)}) == 8
-    with pytest.raises(SystemExit, match="expected different names"):
+    with pytest.raises(DatasetError, match="expected different names"):
         still_camera.named([tmp_path / "a", tmp_path / "b" / "a"])
-    with pytest.raises(SystemExit, match="none of them 'map'"):
+    with pytest.raises(DatasetError, match="none of them 'map'"):
         still_camera.named([tmp_path / "map"])
-    with pytest.raises(SystemExit, match="no such folder"):
+    with pytest.raises(DatasetError, match="no such folder"):
         still_camera.draw(tmp_path / "none", 4, np.random.default_rng(0))
 
 
@@ -119,7 +123,7 @@ def test_no_image_is_in_two_pairs_and_cameras_have_names_of_their_own(tmp_path: 
 def test_images_that_do_not_serve_are_refused(spoil: Callable[[Path], object], told: str, tmp_path: Path) -> None:
     source = photographs(tmp_path / "a", 8)
     spoil(source)
-    with pytest.raises(SystemExit, match=told):
+    with pytest.raises(DatasetError, match=told):
         made(tmp_path / "out", source)
 
 
@@ -176,6 +180,26 @@ def test_a_tracker_that_was_not_asked_of_a_set_has_an_empty_cell() -> None:
     found = real.sets(pd.concat([board(), board(method="dso"), board(dataset="kitti_00", pair_set=other)]))
     lines = real.overview(found)
     assert lines[-2:] == ["| dso |  | 70.0 |", "| orb-pnp | 70.0 | 70.0 |"]
+
+
+def test_a_dataset_whose_pair_sets_have_cameras_of_their_own_is_one_set() -> None:
+    names = ("map__other_light__ArtL", "map__same_light__Shelf", "total")
+    rows = [
+        board(dataset="middlebury", pair_set=name, pairs=number) for name, number in zip(names, (1, 1, 2), strict=True)
+    ]
+    found = real.sets(pd.concat(rows))
+    assert {name: [row.pairs for row in rows] for name, rows in found.items()} == {"middlebury": [2]}
+
+
+def test_the_page_tells_of_the_sets_that_it_has() -> None:
+    text = real.head({"kitti_06", "fr1_desk", "oxford"})
+    assert [line.split(" | ")[0] for line in text.splitlines() if line.startswith("| ")][1:] == [
+        "| kitti_06",
+        "| fr1_xyz, fr1_desk",
+        "| oxford",
+    ]
+    assert "focal length of `oxford`" in text
+    assert "webcams" not in text
 
 
 def test_the_published_page_is_what_the_published_leaderboard_gives() -> None:
