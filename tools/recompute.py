@@ -45,7 +45,7 @@ class Finding(NamedTuple):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--recordings", type=Path, help="folder of kitti_odometry/, tum_rgbd/ and tilde_webcam/")
+    parser.add_argument("--recordings", type=Path, help="folder, as tools/publish_leaderboard.sh says")
     parser.add_argument("--scratch", type=Path, help="folder for datasets and pages; by default a temporary one")
     parser.add_argument("--leaderboard", type=Path, default=ROOT / "leaderboard")
     options = parser.parse_args()
