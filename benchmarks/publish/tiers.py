@@ -2,12 +2,12 @@
 
 ``python benchmarks/publish/tiers.py E/hard E/medium --results R`` reads districts of an edition (or any datasets) and
 the results on them. A row is a method: the share of the pairs of a tier that it finds within 0.25 m and 2 degrees,
-across conditions, the mean over districts with its 95 % interval over districts (Student's t). Pairs on the street
-whose houses repeat themselves stand apart. ``true matches`` is what perfect matching leaves: PnP on the dataset's own
-visible correspondences, whose pixels in the query are off by 1 px (one sigma, in each direction) and whose depths by
-the error that the map states. With ``--evaluate`` the methods are asked first; their settings are those of
-``cross_weather.py``, and rows of ALIKED need its authors' weights. ``--picture FILE`` shows a pair of each tier, that
-of median overlap: keyframes above, queries below. The last line is JSON.
+across conditions, the mean over districts with its 95 % interval over them (Student's t, from three districts on).
+Pairs on the street whose houses repeat themselves stand apart. ``true matches`` is what perfect matching leaves: PnP
+on the dataset's own visible correspondences, whose pixels in the query are off by 1 px (one sigma, in each direction)
+and whose depths by the error that the map states. With ``--evaluate`` the methods are asked first; their settings are
+those of ``cross_weather.py``, and rows of ALIKED need its authors' weights. ``--picture FILE`` shows a pair of each
+tier, that of median overlap: keyframes above, queries below. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -152,17 +152,19 @@ def picture(folders: list[Path]) -> Image:
     return tiled([*above, *below])
 
 
-def share(by_district: dict[str, list[bool]]) -> tuple[float, float | None]:
-    """The mean over districts in percent, and half the width of its interval; None with one district."""
+def share(by_district: dict[str, list[bool]]) -> list[float]:
+    """The mean over districts in percent; from three districts on also the ends of its interval."""
     means = 100 * np.array([np.mean(rights) for rights in by_district.values()])
-    if len(means) < 2:
-        return float(means.mean()), None
-    half = student.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means))
-    return float(means.mean()), float(half)
+    values = [float(means.mean())]
+    if len(means) > 2:
+        half = student.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means))
+        values += np.clip([values[0] - half, values[0] + half], 0, 100).tolist()
+    return [round(value, 1) for value in values]
 
 
-def text(mean: float, half: float | None) -> str:
-    return f"{mean:.1f}" if half is None else f"{mean:.1f} ± {half:.1f}"
+def text(values: list[float]) -> str:
+    """A cell of the table."""
+    return " ".join([*map(str, values[:1]), *([str(values[1:])] if values[1:] else [])])
 
 
 def main() -> None:
@@ -190,16 +192,10 @@ def main() -> None:
     pairs = {name: sum(map(len, found[BOUND, name].values())) for name in columns}
     heads = " | ".join(f"{name.replace('_', ' ')}, {pairs[name]} pairs" for name in columns)
     print(f"| method | {heads} |\n|---|{'---|' * len(columns)}", file=sys.stderr)
-    table: dict[str, dict[str, list[float | None]]] = {}
+    table: dict[str, dict[str, list[float]]] = {}
     for method in dict.fromkeys(method for method, _ in found):
-        values = {name: share(found[method, name]) for name in columns if found.get((method, name))}
-        table[method] = {name: [round(mean, 2), half and round(half, 2)] for name, (mean, half) in values.items()}
-        cells = [
-            ""
-            if name not in values
-            else f"{values[name][0]:.1f}" + (f" ± {half:.1f}" if (half := values[name][1]) else "")
-            for name in columns
-        ]
+        table[method] = {name: share(found[method, name]) for name in columns if found.get((method, name))}
+        cells = [text(table[method].get(name, [])) for name in columns]
         print(f"| {method} | {' | '.join(cells)} |", file=sys.stderr)
     print(json.dumps({"benchmark": "tiers", "districts": len(folders), "pairs": pairs, "found": table}))
 
