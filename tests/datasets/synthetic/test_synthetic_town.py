@@ -15,9 +15,10 @@ from refusals import refused
 from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer.lettering import PAGES
-from relocbench.datasets.synthetic.town.buildings import DEPTH_M, draw_house, house_shape
 from relocbench.datasets.synthetic.town.cars import CAR_TYPES, car_shape
 from relocbench.datasets.synthetic.town.furniture import bench, bin_shape, bollard, fountain
+from relocbench.datasets.synthetic.town.houses.buildings import house_shape
+from relocbench.datasets.synthetic.town.houses.house import DEPTH_M, draw_house
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.datasets.synthetic.town.moving import Kind, Moving
 from relocbench.datasets.synthetic.town.network import make_network
@@ -250,7 +251,7 @@ def test_there_is_ground_below_every_place_as_far_as_one_sees(rays: Rays) -> Non
     distance, hit = rays.cast(places, [0, 0, -1.0])
     assert np.isfinite(distance).all()
     solid = hit[rays.mesh.material[hit] != Material.HEDGE]  # needles turn any way
-    assert len(solid) > 3500
+    assert len(solid) > 3000
     assert (normals(rays.mesh.vertices, rays.mesh.triangles[solid])[:, 2] > 0).mean() > 0.999
 
 
@@ -275,6 +276,38 @@ def test_houses_close_the_ends_of_streets(district: District, rays: Rays) -> Non
     poses = poses_along(district, 900.0, 4, 5.0)
     distance, _ = rays.cast(poses[:, :3, 3] + [0, 0, 1.6], poses[:, :3, 0] + [0, 0, 0.02])
     assert (distance < 260.0).mean() > 0.97
+
+
+def test_land_rises_behind_the_town_but_hides_the_sun_from_no_street(district: District) -> None:
+    """The lowest sun of a named condition by day is 7 degrees high."""
+    static = district.static
+    land = static.vertices[static.triangles[static.semantic == Semantic.TERRAIN]].reshape(-1, 3)
+    hills = land[np.linalg.norm(land[:, :2], axis=1) > 500]
+    elevation = []
+    for pose in poses_along(district, 600.0, 3, 40.0):
+        offset = hills - pose[:3, 3]
+        elevation.append(np.degrees(np.arctan2(offset[:, 2], np.linalg.norm(offset[:, :2], axis=1))))
+    highest = np.max(elevation, axis=1)
+    assert (highest > 0.6).all()
+    assert (highest < 7.0).all()
+    beyond = np.linalg.norm(district.network.nodes, axis=1).max() + 40
+    woods = district.foliage.vertices[district.foliage.triangles[district.foliage.semantic == Semantic.TERRAIN]]
+    assert len(woods) > 5000
+    assert np.linalg.norm(woods[..., :2], axis=2).min() > beyond
+
+
+def test_houses_of_the_street_that_repeats_are_alike_and_others_differ(district: District) -> None:
+    """By the shape and look of their fronts, in the house's own frame."""
+    alike: dict[tuple[bytes, bytes], int] = {}
+    for _, plot in district.inventory.houses:
+        shape = house_shape(plot.house, plot.width, plot.left, plot.right)
+        key = np.round(shape.vertices, 4).tobytes(), (shape.variant ^ plot.house.variant).tobytes()
+        alike[key] = alike.get(key, 0) + 1
+    counts = sorted(alike.values(), reverse=True)
+    houses = sum(front.houses for front in district.periodic.fronts)
+    fewest = max(front.houses for front in district.periodic.fronts)
+    assert fewest <= counts[0] <= houses
+    assert counts[len(district.periodic.fronts)] < 3
 
 
 @pytest.mark.parametrize("seed", range(3))

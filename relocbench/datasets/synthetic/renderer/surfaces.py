@@ -19,9 +19,14 @@ from relocbench.kernels import njit
 
 _ASPHALT = int(Material.ASPHALT)
 _MARKING, _WINDOW, _SHOP = int(Material.LANE_MARKING), int(Material.WINDOW), int(Material.SHOP_WINDOW)
+_CURTAIN, _GOODS = int(Material.CURTAIN), int(Material.GOODS)
 _LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAMP)
 _PAINT, _CAR_GLASS, _SIGN = int(Material.CAR_PAINT), int(Material.CAR_GLASS), int(Material.SHOP_SIGN)
 _LIGHT_RED, _LIGHT_GREEN = int(Material.LIGHT_RED), int(Material.LIGHT_GREEN)
+_WALLS = tuple(
+    int(m) for m in (Material.BRICK, Material.PLASTER, Material.STONE, Material.CONCRETE, Material.PAINTED_WALL)
+)
+_TILES = int(Material.ROOF_TILES)
 _SKY = int(Semantic.SKY)
 _MOVING, _PARKED = int(Semantic.MOVING_CAR), int(Semantic.PARKED_CAR)
 _GLOW = 2.2
@@ -213,9 +218,17 @@ def surfaces(
         if flat:
             slow, stain = sample(patterns, _NOISE, _ON_GROUND, 1.0, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
         else:
-            slow, stain = sample(patterns, _NOISE, dice, 1.0, su + 2 * shift_u, sv, dudx, dvdx, dudy, dvdy, _ONE)
+            # Rain draws stains out downwards.
+            slow, stain = sample(
+                patterns, _NOISE, dice, 3.0, su + 2 * shift_u, 0.2 * sv, dudx, 0.2 * dvdx, dudy, 0.2 * dvdy, _ONE
+            )
         tone = varied
         stained = 0.19 if material == _ASPHALT else 0.12
+        if material in _WALLS:
+            stained = 0.12 + 0.34 * ((dice >> 3) & 31) / 31.0
+            tone *= 1.0 - (0.1 + 0.25 * slow) * (1.0 - smoothstep(p[2], 0.1, 0.5 + 0.9 * slow))
+        elif material == _TILES:
+            stained = 0.3
         if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
             tone *= 1 - stained + stained * stain
         shine = tone * bright
@@ -226,7 +239,8 @@ def surfaces(
 
         fresnel = _fresnel(abs(slope) / np.sqrt(dot(d, d)))
         gloss, sharp = looks.gloss[material] * fresnel, 1.0
-        if material in (_WINDOW, _SHOP):
+        glass = material in (_WINDOW, _SHOP, _CURTAIN, _GOODS)
+        if glass:
             gloss = min(1.0, 1.6 * gloss + 0.07)
 
         snow = 0.0
@@ -269,10 +283,14 @@ def surfaces(
                 emission[i, 0], emission[i, 1], emission[i, 2] = 6.0, 4.8, 3.2
         elif material in (_LIGHT_RED, _LIGHT_GREEN):
             emission[i, 0], emission[i, 1], emission[i, 2] = _GLOW * r, _GLOW * g, _GLOW * b
-        if setting.night > 0.0 and (material == _SHOP or (material == _WINDOW and (dice >> 5) % 100 < 24)):
-            power = setting.night * (0.5 if material == _SHOP else 0.22) * (0.5 + (dice & 127) / 127.0)
+        of_shop = material in (_SHOP, _GOODS)
+        room = np.int64(scramble(np.int64(geometry.variant[triangle]), setting.seed)) if glass else np.int64(0)
+        if setting.night > 0.0 and glass and (of_shop or (room >> 5) % 100 < 24):
+            power = setting.night * (0.5 if of_shop else 0.22) * (0.5 + (room & 127) / 127.0)
             power *= 0.45 + 0.75 * share
-            warm = ((dice >> 12) & 7) / 7.0
+            if material in (_CURTAIN, _GOODS):
+                power *= 1.5 * (r + g + b)
+            warm = ((room >> 12) & 7) / 7.0
             emission[i, 0] = power
             emission[i, 1] = power * (0.62 + 0.25 * warm)
             emission[i, 2] = power * (0.28 + 0.5 * warm)

@@ -165,6 +165,12 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
             return joints, bright, 2.4, Laying(10, 8, 0.5)
         case Material.WINDOW | Material.SHOP_WINDOW | Material.CAR_GLASS:
             return np.clip(0.5 + 0.5 * coarse, 0, 1), 1 + 0.12 * coarse, 2.9, _ALIKE
+        case Material.CURTAIN:
+            folds = _noise(rng, 48, 2, stretch=24)
+            return np.clip(0.3 + 0.3 * folds, 0, 1), 1 + 0.1 * folds, 1.6, _ALIKE
+        case Material.GOODS:
+            things = _noise(rng, 24, 2)
+            return (things > 0.2) * np.float32(0.8), 1 + 0.2 * things, 2.1, _ALIKE
         case Material.WOOD | Material.DOOR:
             joints, tone = _bricks(rng, 8, 1, 0.8, 0.0)
             joints[:] = joints[SIZE // 2]  # planks without an end

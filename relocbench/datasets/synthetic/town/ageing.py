@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 
 from relocbench.arrays import Array, Indices, Mask
-from relocbench.datasets.synthetic.town.buildings import door_x
 from relocbench.datasets.synthetic.town.furniture import wheeled_bin
+from relocbench.datasets.synthetic.town.houses.house import door_x
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.datasets.synthetic.town.rows import Plot
 from relocbench.datasets.synthetic.town.shapes import Shape, instances, poses
@@ -268,7 +268,7 @@ class Inventory:
             plot = self.houses[k][1]
             x = door_x(plot.house, plot.width)
             x += 1.35 if x < plot.width / 2 else -1.35
-            if 0.6 < x < plot.width - 0.6 and not plot.house.shop:
+            if 0.6 < x < plot.width - 0.6 and not plot.house.shop and plot.house.bays == 0:
                 place = plot.T_world_house @ poses(x, -0.5, 0.0, -np.pi / 2)
                 yield from _stand(
                     wheeled_bin(), place, _FIRST, Change.BINS_CAME, int(rows[k]), semantic=Semantic.FURNITURE
@@ -287,7 +287,7 @@ class Inventory:
 def _takes_scaffold(plot: Plot) -> bool:
     """Whether a scaffold can stand before a house: nothing reaches out of its wall, and it is not at a corner."""
     house = plot.house
-    plain = house.front.balconies == 0 and not (house.shop and house.awning)
+    plain = house.front.balconies == 0 and house.bays == 0 and not (house.shop and house.awning)
     return plain and plot.corner < 0 and plot.width >= _LEAST_SCAFFOLD_M
 
 

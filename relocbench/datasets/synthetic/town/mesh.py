@@ -72,6 +72,10 @@ class Material(IntEnum):
     LIGHT_RED = 42
     """a lit lamp of a traffic light"""
     LIGHT_GREEN = 43
+    CURTAIN = 44
+    """curtains and blinds behind glass"""
+    GOODS = 45
+    """what is shown in shop windows, behind glass"""
 
 
 class Semantic(IntEnum):

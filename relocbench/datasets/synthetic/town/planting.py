@@ -25,6 +25,8 @@ from relocbench.datasets.synthetic.town.vegetation import (
     tree_shapes,
 )
 
+_SLIM = (2, 3, 5)
+"""kinds of trees for narrow pavements"""
 _APART = 3.0
 """how far trees differ in when they shed: the time from the first to the last tree, in times that one tree takes"""
 _LAST = 1 - 1e-6
@@ -150,7 +152,8 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
                     planting.lamp(origin + s * d + 0.45 * inward, -inward, variant=1)
             continue
         kind = kind_of.setdefault(side.variant, int(rng.integers(STREET_TYPES)))
-        leafy = side.pavement_m > 3.5 and side.variant % 4 != 0
+        kind = kind if side.pavement_m > 3.5 else _SLIM[kind % len(_SLIM)]
+        leafy = side.pavement_m > 2.7 and side.variant % 4 != 0
         gap = 8.0 + side.variant % 5
         taken = []
         for s in np.arange(start + 2.0, end - 1.0, gap) if leafy else []:
@@ -300,8 +303,8 @@ def plant_square(planting: Planting, block: Block) -> None:
 
 
 def plant_outskirts(planting: Planting, block: Block) -> None:
-    """Add two loose belts of trees behind the outermost houses, which block the view between them."""
-    for distance, gap, scale in ((15.0, 9.0, 1.2), (26.0, 9.0, 1.6)):
+    """Add three loose belts of trees behind the outermost houses, which block the view between them."""
+    for distance, gap, scale in ((15.0, 11.0, 1.2), (26.0, 11.0, 1.6), (42.0, 13.0, 2.1)):
         line = offset_loop(block.building, [distance] * len(block.building))
         for k in range(len(line)):
             a, b = line[k], line[(k + 1) % len(line)]

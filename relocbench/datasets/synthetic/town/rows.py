@@ -8,14 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.synthetic.town.buildings import (
-    DEPTH_M,
-    House,
-    door_x,
-    draw_house,
-    house_shape,
-    terrace_for_rows,
-)
+from relocbench.datasets.synthetic.town.houses.buildings import house_shape
+from relocbench.datasets.synthetic.town.houses.house import DEPTH_M, House, door_x, draw_house, terrace_for_rows
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.shapes import instances

@@ -21,6 +21,14 @@ KERB_M = 0.12
 _CORNER_ROOM_M = 21.0
 """length of a side that the crossing and the corner house take"""
 
+_STYLES = ("terrace", "town", "villa", "modern")
+_TOWNS = {
+    "terraces": (0.56, 0.26, 0.12, 0.06),
+    "flats": (0.1, 0.5, 0.08, 0.32),
+    "detached": (0.26, 0.2, 0.46, 0.08),
+}
+"""shares of the styles of houses in kinds of towns"""
+
 
 @dataclass(frozen=True)
 class Side:
@@ -83,7 +91,8 @@ def make_block(network: StreetNetwork, face: tuple[int, ...], kind: str, sides: 
 
 
 def make_blocks(network: StreetNetwork, rng: np.random.Generator, periodic: int) -> tuple[Block, ...]:
-    """All blocks with random styles; both sides of the street ``periodic`` get repeating facades."""
+    """All blocks in the styles of one of three kinds of town; both sides of the street ``periodic`` repeat a facade."""
+    shares = list(_TOWNS.values())[int(rng.integers(len(_TOWNS)))]
     square = _square_face(network, periodic)
     blocks = []
     for k, face in enumerate(network.faces):
@@ -91,7 +100,8 @@ def make_blocks(network: StreetNetwork, rng: np.random.Generator, periodic: int)
         sides: dict[HalfEdge, Side] = {}
         for group in frontages(network.nodes, face):
             is_periodic = any(network.street[e] == periodic for e in group)
-            style = "square" if kind == "square" else "terrace" if is_periodic else _draw_style(rng)
+            style = _draw_style(rng, shares, outermost=kind == "outside")
+            style = "square" if kind == "square" else "terrace" if is_periodic else style
             variant = int(rng.integers(1, 2**31))
             parking = network.kerb[group[0]] > LANE_M + 0.1
             widths = (2.2, 2.8) if parking else (2.6, 3.8)
@@ -104,8 +114,10 @@ def make_blocks(network: StreetNetwork, rng: np.random.Generator, periodic: int)
     return tuple(blocks)
 
 
-def _draw_style(rng: np.random.Generator) -> str:
-    return str(rng.choice(["terrace", "town", "villa", "modern"], p=[0.33, 0.37, 0.18, 0.12]))
+def _draw_style(rng: np.random.Generator, shares: tuple[float, ...], *, outermost: bool) -> str:
+    """The style of a block's side. The outermost houses mostly stand wall to wall and close the ends of streets."""
+    style = str(rng.choice(_STYLES, p=shares))
+    return "terrace" if outermost and style == "villa" and rng.random() < 0.5 else style
 
 
 def _square_face(network: StreetNetwork, periodic: int) -> int:

@@ -79,7 +79,7 @@ def _wood(habit: _Habit, rng: np.random.Generator, coarse: bool) -> tuple[Shape,
     trunk = np.column_stack([sway - sway[0], levels])
     girth = 0.02 + (0.09 + 0.009 * habit.height) * (1 - levels / habit.height)
     girth[0] *= 1.4
-    parts = [tube(trunk, girth, 5 if coarse else 9, Material.BARK)]
+    parts = [tube(trunk, girth, 4 if coarse else 8, Material.BARK)]
     feet, tips, thick, clumps = [], [], [], [trunk[-1]]
     for k in range(habit.branches):
         z = habit.trunk + (habit.height * 0.85 - habit.trunk) * (k + 0.4 * rng.random()) / habit.branches
@@ -96,7 +96,7 @@ def _wood(habit: _Habit, rng: np.random.Generator, coarse: bool) -> tuple[Shape,
         base = 0.028 + 0.016 * reach * (1 - 0.4 * level)
         parts.append(tube(branch, base * np.array([1, 0.75, 0.5, 0.2]), 3 if coarse else 5, Material.BARK))
         clumps.append(branch[3])
-        for t in np.linspace(0.28, 0.97, 4 if coarse else 7) + rng.normal(0, 0.03):
+        for t in np.linspace(0.28, 0.97, 4 if coarse else 6) + rng.normal(0, 0.03):
             start = np.array([np.interp(t, [0, 0.3, 0.65, 1.0], branch[:, i]) for i in range(3)])
             bend = angle + rng.choice([-1, 1]) * rng.uniform(0.4, 1.3)
             length = habit.spread * rng.uniform(0.2, 0.42) * (1.15 - 0.5 * t) * (taper if habit.evergreen else 1.0)
@@ -113,18 +113,18 @@ def _wood(habit: _Habit, rng: np.random.Generator, coarse: bool) -> tuple[Shape,
 
 
 def _twigs(side: tuple[Array, Array], rng: np.random.Generator) -> Shape:
-    """Five twigs on each of the side branches from (N, 3) to (N, 3), the last one at its end."""
+    """Four twigs on each of the side branches from (N, 3) to (N, 3), the last one at its end."""
     foot, tip = side
     along = tip - foot
     length = np.linalg.norm(along, axis=1)
     starts, ends = [], []
-    for t in (0.3, 0.5, 0.7, 0.88, 0.98):
+    for t in (0.35, 0.6, 0.85, 0.98):
         start = foot + t * along
         turned = along / length[:, None] + rng.normal(0, 0.65, along.shape) + np.array([0, 0, 0.35])
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         starts.append(start)
         ends.append(start + turned * (length * rng.uniform(0.4, 0.75, len(length)))[:, None])
-    return spikes(np.concatenate(starts), np.concatenate(ends), np.full(5 * len(foot), 0.009))
+    return spikes(np.concatenate(starts), np.concatenate(ends), np.full(4 * len(foot), 0.01))
 
 
 def spikes(feet: Array, tips: Array, radius: Array) -> Shape:
@@ -150,7 +150,7 @@ def spikes(feet: Array, tips: Array, radius: Array) -> Shape:
 
 def _leaves(habit: _Habit, clumps: Array, rng: np.random.Generator, coarse: bool) -> Shape:
     """Leaves scattered around the side branches, darker where they are deep in the crown."""
-    each, length = (9, 1.9 * habit.leaf) if coarse else (25, 1.05 * habit.leaf)
+    each, length = (7, 2.1 * habit.leaf) if coarse else (17, 1.25 * habit.leaf)
     chosen = np.repeat(np.arange(len(clumps)), each)
     size = np.maximum(0.085 * habit.spread, 0.16) * rng.uniform(0.8, 1.6, (len(clumps), 1))
     scattered = rng.normal(0, 1, (len(chosen), 3)).clip(-1.8, 1.8)
@@ -163,6 +163,25 @@ def _leaves(habit: _Habit, clumps: Array, rng: np.random.Generator, coarse: bool
     shade = np.clip(depth * _SHADES, 0, _SHADES - 1).astype(int)
     material = Material.HEDGE if habit.evergreen else Material.LEAF
     return leaf_triangles(centre, length, material, rng, outward, chosen, shade)
+
+
+@cache
+def distant_tree(kind: int, needles: bool) -> tuple[Shape, Shape]:
+    """Wood and leaves of a tree that is hundreds of metres away: 14 branches and 56 clumps of leaves."""
+    rng = np.random.default_rng([7927, kind, needles])
+    height, spread = 9.0 + 2.5 * kind, 3.4 + 0.5 * kind
+    d = rng.normal(0, 1, (56, 3))
+    d *= (rng.uniform(0.55, 1.0, 56) / np.linalg.norm(d, axis=1))[:, None]
+    level = (d[:, 2] + 1) / 2
+    width = spread * (1.15 * (1 - level) + 0.1 if needles else np.ones(56))
+    centre = np.stack([d[:, 0] * width, d[:, 1] * width, 0.2 * height + 0.8 * height * level], axis=1)
+    shade = ((1 - level) * (_SHADES - 1)).astype(int)
+    material = Material.HEDGE if needles else Material.LEAF
+    leaves = leaf_triangles(centre, 2.9, material, rng, d, np.arange(56), shade)
+    foot = np.column_stack([np.zeros((14, 2)), height * np.linspace(0.15, 0.7, 14)])
+    trunk = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.9 * height]])
+    wood = [spikes(*trunk, np.array([0.3])), spikes(foot, centre[:14] + np.array([0.0, 0.0, 0.5]), np.full(14, 0.12))]
+    return join(wood), leaves
 
 
 def place_of(clump: Array, shade: Array, rng: np.random.Generator) -> Array:
@@ -216,7 +235,7 @@ def hedge_shapes(length: float, height: float, seed: int) -> tuple[Shape, Shape]
     core = triangle_shape(
         vertices, np.concatenate([rows, fan, fan[:, ::-1] + (columns - 1) * 6]), Material.HEDGE, variant=_SHADES - 1
     )
-    count = int(150 * length * height)
+    count = int(110 * length * height)
     side = rng.integers(0, 3, count)
     y = np.where(side == 1, rng.uniform(-0.33, 0.33, count), np.where(side == 0, -0.34, 0.34))
     z = np.where(side == 1, 0.98, rng.uniform(0.03, 0.98, count)) * height
@@ -225,4 +244,4 @@ def hedge_shapes(length: float, height: float, seed: int) -> tuple[Shape, Shape]
     outward = np.stack([np.zeros(count), np.sign(y) * (side != 1), 1.0 * (side == 1)], axis=1)
     clump = (along / 0.5).astype(int) * 3 + side
     low = np.clip(2.2 * (1 - z / height), 0, 2).astype(int)
-    return core, leaf_triangles(centre, 0.12, Material.HEDGE, rng, outward, clump, low)
+    return core, leaf_triangles(centre, 0.14, Material.HEDGE, rng, outward, clump, low)

@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array
+from relocbench.datasets.synthetic.town.houses.glazing import corners_of, displays, glazed, pane
 from relocbench.datasets.synthetic.town.mesh import BOARD_M, Material
 from relocbench.datasets.synthetic.town.shapes import Shape, boxes, boxes_of, join, quads
 
 _FRAME_M = 0.06
 _NEXT = [1, 2, 3, 0]
+_STEP_M = 0.16
+"""height of a step before a door"""
 
 
 @dataclass(frozen=True)
@@ -40,29 +43,19 @@ class FrontStyle:
     shutters: bool
     balconies: float
     """share of the windows above the ground floor that have a balcony"""
+    salt: int = 0
+    """chooses curtains and blinds"""
+
+
+def window_names(count: int, first: int) -> NDArray[np.uint32]:
+    """Variants (count,) of the windows of a house, by their numbers."""
+    return ((np.arange(count) + first + 1) * 2654435761 % 2**32).astype(np.uint32)
 
 
 def ring_quads(outer: Array, inner: Array, y_outer: Array, y_inner: Array) -> Array:
     """Four quads (N, 4, 4, 3) between rectangles (N, 4) = (x0, x1, z0, z1) at depths (N,), facing -y or inwards."""
-    a, b = _corners(outer, y_outer), _corners(inner, y_inner)
+    a, b = corners_of(outer, y_outer), corners_of(inner, y_inner)
     return np.stack([a, a[:, _NEXT], b[:, _NEXT], b], axis=2)
-
-
-def _corners(rect: Array, y: Array) -> Array:
-    """Corners (N, 4, 3) of rectangles, counter-clockwise seen from -y."""
-    corners = np.empty((len(rect), 4, 3))
-    corners[..., 0] = rect[:, [0, 1, 1, 0]]
-    corners[..., 1] = y[:, None]
-    corners[..., 2] = rect[:, [2, 2, 3, 3]]
-    return corners
-
-
-def pane(rect: Array, y: float, material: Material, variant: NDArray[np.uint32] | int = 0) -> Shape:
-    """Rectangles (N, 4) at a depth, each with surface coordinates relative to its lower left corner."""
-    depth = np.full(len(rect), y)
-    corners = _corners(rect, depth)
-    uv = corners[:, :, [0, 2]] - corners[:, :1, [0, 2]]
-    return quads(corners, material, uv, variant=variant)
 
 
 def openings(
@@ -83,7 +76,7 @@ def openings(
     back = style.recess + 0.05
     parts.append(quads(ring_quads(holes, inner, deep, deep), style.frame))
     parts.append(quads(ring_quads(inner, inner, deep, deep + 0.05), style.frame))
-    parts.append(pane(inner, back, glass, variant))
+    parts += glazed(inner, back, glass, variant, style.salt)
     x0, x1, z0, z1 = inner.T
     low, high = [], []
     for k in range(style.mullions):
@@ -99,8 +92,8 @@ def openings(
     return parts
 
 
-def trims(holes: Array, style: FrontStyle, cell_m: float) -> list[Shape]:
-    """Sills, lintels or surrounds, and shutters of windows (N, 4) in cells ``cell_m`` wide."""
+def trims(holes: Array, style: FrontStyle, cells: Array) -> list[Shape]:
+    """Sills, lintels or surrounds, and shutters of windows (N, 4) in cells (N, 4)."""
     x0, x1, z0, z1 = holes.T
     zero = np.zeros(len(holes))
     low = [np.stack([x0 - 0.08, zero - 0.09, z0 - 0.09], axis=1)]
@@ -114,7 +107,7 @@ def trims(holes: Array, style: FrontStyle, cell_m: float) -> list[Shape]:
             high.append(np.stack([b, zero, z1], axis=1))
     parts = [boxes(np.concatenate(low), np.concatenate(high), style.trim, without="back")]
     if style.shutters:
-        half = np.minimum((x1 - x0) / 2, (cell_m - (x1 - x0)) / 2 - 0.01)
+        half = np.minimum((x1 - x0) / 2, (cells[:, 1] - cells[:, 0] - (x1 - x0)) / 2 - 0.01)
         low = [np.stack([a, zero - 0.05, z0], axis=1) for a in (x0 - half, x1 + 0.01)]
         high = [np.stack([b, zero - 0.005, z1], axis=1) for b in (x0 - 0.01, x1 + half)]
         parts.append(boxes(np.concatenate(low), np.concatenate(high), Material.WOOD, variant=0x51))
@@ -140,10 +133,11 @@ def balcony(x0: float, x1: float, z: float) -> Shape:
     return join([boxes_of(posts, Material.METAL, without="bottom top"), rail_box, slab])
 
 
-def door(cell: Array, width: float, top: float, style: FrontStyle, variant: int) -> list[Shape]:
-    """A wall cell (4,) with a door in a deep reveal, with transom light, panels, knob and step."""
+def door(cell: Array, width: float, top: float, style: FrontStyle, variant: int, steps: int = 0) -> list[Shape]:
+    """A wall cell (4,) with a door in a deep reveal, with transom light, panels, knob and steps before its sill."""
     middle = (cell[0] + cell[1]) / 2
-    hole = np.array([[middle - width / 2, middle + width / 2, 0.05, top]])
+    floor = 0.05 + _STEP_M * steps
+    hole = np.array([[middle - width / 2, middle + width / 2, floor, top]])
     depth = 0.22
     zero, deep = np.zeros(1), np.full(1, depth)
     parts = [
@@ -166,7 +160,11 @@ def door(cell: Array, width: float, top: float, style: FrontStyle, variant: int)
     parts.append(
         boxes([x1 - 0.12, depth - 0.08, z0 + 1.0], [x1 - 0.07, depth, z0 + 1.05], Material.METAL, without="back")
     )
-    parts.append(boxes([x0 - 0.1, -0.32, 0.0], [x1 + 0.1, 0.0, 0.05], style.trim, without="back bottom"))
+    flight = [
+        (x0 - 0.1, -0.32 - 0.28 * (steps - k), _STEP_M * k + 0.05 * (k == 0) - 0.05, x1 + 0.1, 0.0, _STEP_M * k + 0.05)
+        for k in range(steps + 1)
+    ]
+    parts.append(boxes_of(flight, style.trim, without="back bottom"))
     frame = [
         (x0 - 0.14, -0.04, 0.0, x0, 0.0, z1 + 0.16),
         (x1, -0.04, 0.0, x1 + 0.14, 0.0, z1 + 0.16),
@@ -197,7 +195,7 @@ def shop(cell: Array, style: FrontStyle, variant: int, awning: bool, door_right:
     edges = np.linspace(left, right, panes + 1)
     glass = np.stack([edges[:-1], edges[1:], np.full(panes, riser), np.full(panes, high)], axis=1)
     names = (variant + 17 * np.arange(panes)).astype(np.uint32)
-    parts.append(pane(glass, depth, Material.SHOP_WINDOW, names))
+    parts += displays(glass, depth, names, style.salt)
     posts = [(x - 0.04, depth - 0.08, low, x + 0.04, depth, high) for x in (*edges, a + 0.04, b - 0.04)]
     parts.append(boxes_of(posts, frame, without="back bottom", variant=variant))
     parts.append(pane(np.array([[*entry, low, low + 0.5]]), depth, Material.DOOR, variant))
@@ -221,7 +219,7 @@ def name_board(rect: Array, y: float, variant: int) -> Shape:
     # What is beside the word shows the plain edge of its cell.
     uv = np.full((3, 4, 2), 0.02)
     uv[1] = corners * (BOARD_M, BOARD_M / 4)
-    return quads(_corners(parts, np.full(3, y)), Material.SHOP_SIGN, uv, variant=variant)
+    return quads(corners_of(parts, np.full(3, y)), Material.SHOP_SIGN, uv, variant=variant)
 
 
 def _awning(x0: float, x1: float, z: float, variant: int) -> Shape:

@@ -1,0 +1,1 @@
+"""Houses of the town: their drawn parameters, fronts, roofs and attachments."""
