@@ -30,11 +30,16 @@ from relocbench.datasets.synthetic.town.planting import (
 from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.rows import PeriodicFront, Plot, build, plots_of
 from relocbench.datasets.synthetic.town.shapes import poses
+from relocbench.datasets.synthetic.town.skyline import skyline
 from relocbench.datasets.synthetic.town.streets import Block, bays_of, make_blocks, periodic_street
 from relocbench.datasets.synthetic.town.wires import string_wires
 from relocbench.errors import ConfigError, available
 
 SMALLEST_M = 180.0
+_SKYLINE = 12
+"""the part of a district's stream of random numbers from which what lies outside is drawn"""
+_OUTERMOST_M = 40.0
+"""from the outer streets to behind the outermost houses"""
 _SEEDS_OF_CARS = 2**20
 _OF_LIFE = 8
 """number of the random stream of traffic lights and wires"""
@@ -117,11 +122,14 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
     static, foliage = planting.finish()
     static += string_wires(network, blocks, plots_in, names, streams[4])
     bays = _bays(network, blocks)
+    far = np.random.default_rng([seed, SPLITS.index(split), _SKYLINE])
+    edge_m = float(np.linalg.norm(network.nodes, axis=1).max()) + _OUTERMOST_M
+    land, woods = skyline(far, edge_m, names)
     return District(
         seed,
         split,
-        merge([*meshes, *static]),
-        merge(foliage),
+        merge([*meshes, *static, land]),
+        merge([*foliage, woods]),
         bays,
         np.array(planting.lamps).reshape(-1, 3),
         network,
