@@ -96,8 +96,8 @@ On `middlebury` the keyframe's own pose is right within 0.25 m: r_auc@0.5deg and
 """,
     "oxford": """\
 The focal length of `oxford`'s cameras is not known. Metres and degrees there are those of a camera of 900 pixels that
-looks at a plane 5 m away, and a zoom counts as a motion ahead. Under light, blur and compression the camera hardly
-moves, and identity is right.
+looks at a plane 5 m away, and a zoom counts as a motion ahead. Under light, blur and compression the camera moves
+little, and identity is right on most pairs.
 """,
 }
 """what a set cannot tell"""
