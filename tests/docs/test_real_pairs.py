@@ -249,6 +249,25 @@ def test_a_homography_that_takes_pixels_of_the_keyframe_to_infinity_has_no_plane
     assert homographies.decomposed(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1 / 400, 0.0, 1.0]])) is None
 
 
+def test_a_plane_that_is_far_from_the_query_tells_no_pose() -> None:
+    camera, inverse = homographies.CAMERA, np.array([0.0, 0.0, 1 / homographies.PLANE_M])
+    near, far = (make_transform(np.eye(3), np.array([0.0, 0.0, metres])) for metres in (2.0, 12.0))
+    assert homographies.decomposed(plane_homography(camera, camera, near, inverse)) is not None
+    assert homographies.decomposed(plane_homography(camera, camera, far, inverse)) is None
+
+
+def test_the_sigmas_of_a_pose_are_those_of_poses_from_pixels_with_errors() -> None:
+    K, rng = homographies.CAMERA.matrix, np.random.default_rng(0)
+    points = np.array([[-2.0, -1.4, 5.0], [2.0, -1.4, 6.0], [-2.0, 1.4, 5.0], [2.0, 1.4, 6.0]])
+    pixels, _ = homographies.CAMERA.project(points)
+    squares = []
+    for _ in range(400):
+        off = pixels + rng.normal(scale=0.1, size=pixels.shape)
+        turn, step = cv2.solvePnPRefineLM(points, off, K, None, np.zeros((3, 1)), np.zeros((3, 1)))
+        squares.append([10**2 * np.sum(step**2), 10**2 * np.sum(np.degrees(turn) ** 2)])
+    assert np.allclose(np.sqrt(np.mean(squares, axis=0)), homographies.sigmas(points), rtol=0.1)
+
+
 def test_homographies_that_do_not_serve_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "H1to2p"
     for text, told in (("1 2 3", "three rows of three"), ("-1 0 0\n0 1 0\n0 0 1", "does not mirror")):
