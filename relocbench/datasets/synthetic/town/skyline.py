@@ -71,7 +71,8 @@ def _height_at(place: Array, edge_m: float, heights: Array) -> Array:
     column = np.floor(np.arctan2(place[:, 1], place[:, 0]) / (2 * np.pi) * _AROUND).astype(int) % _AROUND
     ring = np.clip(np.searchsorted(_RADII_M, far, side="right") - 1, 0, len(_RADII_M) - 2)
     part = ((far - _RADII_M[ring]) / (_RADII_M[ring + 1] - _RADII_M[ring])).clip(0, 1)
-    return np.asarray(heights[ring, column] * (1 - part) + heights[ring + 1, column] * part) * (far > _RADII_M[0])
+    between = heights[ring, column] * (1 - part) + heights[ring + 1, column] * part
+    return np.asarray(between * (far > _RADII_M[0]))
 
 
 def _woods(

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.datasets.synthetic.town.shapes import Shape, join, triangle_shape, tube
 
@@ -184,9 +184,9 @@ def distant_tree(kind: int, needles: bool) -> tuple[Shape, Shape]:
     return join(wood), leaves
 
 
-def place_of(clump: Array, shade: Array, rng: np.random.Generator) -> Array:
+def place_of(clump: Indices, shade: Indices, rng: np.random.Generator) -> Indices:
     """Variants (N,) of leaves below LOOK_STEP: five bits for the clump, two for the leaf, two for how deep it is."""
-    return (clump % 32) * 16 + rng.integers(0, 4, len(clump)) * 4 + shade
+    return np.asarray((clump % 32) * 16 + rng.integers(0, 4, len(clump)) * 4 + shade)
 
 
 def leaf_triangles(
@@ -195,8 +195,8 @@ def leaf_triangles(
     material: Material,
     rng: np.random.Generator,
     outward: Array,
-    clump: Array,
-    shade: Array,
+    clump: Indices,
+    shade: Indices,
 ) -> Shape:
     """A leaf of ``length`` at each centre (N, 3), which tends to face ``outward`` (N, 3) and up.
 
