@@ -27,9 +27,6 @@ from relocbench.errors import DatasetError
 from relocbench.geometry import adjoint, invert
 from relocbench.progress import Reporter, Silent
 
-_FIRST_ITERATIONS = 300
-"""of RANSAC: of clouds of which half of the matches are right, some 40 find the pose"""
-
 
 @dataclass(frozen=True)
 class CloudRegistrationOptions:
@@ -139,9 +136,7 @@ def _register(
     a: Cloud, b: Cloud, scale: SceneScale, o: CloudRegistrationOptions, reporter: Reporter, title: str
 ) -> CloudRegistration:
     searched = SearchOptions(
-        matching=GlobalOptions(
-            matcher=o.matcher, first_iterations=_FIRST_ITERATIONS, seeds=tuple(range(3 * o.seed, 3 * o.seed + 3))
-        ),
+        matching=GlobalOptions(matcher=o.matcher, seeds=tuple(range(3 * o.seed, 3 * o.seed + 3))),
         backend=o.icp,
         initial=o.initial,
         drifts=a.drifts or b.drifts,

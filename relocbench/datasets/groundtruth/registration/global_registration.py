@@ -14,9 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.icp.backends import open3d_cloud
+from relocbench.datasets.groundtruth.registration.ransac import most_agreed
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
@@ -25,7 +26,7 @@ from relocbench.geometry import invert, rotation_angle
 Matcher = Literal["ransac", "fgr", "kiss-matcher"]
 
 _MOST_AGREE = 0.5
-"""share of the matches"""
+"""if more than this share of the matches agree, RANSAC ends"""
 SAME_M, SAME_DEG = 1.0, 4.0
 """poses that differ by no more than this count as one"""
 
@@ -37,10 +38,7 @@ class GlobalOptions:
     matcher: Matcher = "ransac"
     voxel_m: float = 0.7
     iterations: int = 30_000
-    """number of RANSAC's iterations; it never stops early"""
-    first_iterations: int = 0
-    """number of RANSAC's iterations that are tried before: if most matches agree with their result, it is taken, since
-    each further iteration would be verified by all matches, which takes minutes where clouds are nearly the same"""
+    """number of RANSAC's iterations, unless most matches agree before"""
     seeds: tuple[int, ...] = (0, 1, 2)
     """seeds; the matcher runs once for each"""
     coarser_m: tuple[float, ...] = (1.0, 1.4)
@@ -121,7 +119,8 @@ def guesses(
     elif o.matcher == "fgr":
         results = [_fgr(ref, query, o, seed) for seed in o.seeds]
     else:
-        results = [_ransac(ref, query, o, seed) for seed in o.seeds]
+        matches = _matches(ref, query)
+        results = [_ransac(ref, query, matches, o, seed) for seed in o.seeds if len(matches)]
     allowed = [T for T in results if T is not None and (prior is None or prior.allows(T))]
     return [allowed[k] for k in distinct(allowed)]
 
@@ -150,38 +149,27 @@ def _feature(descriptors: Array) -> Any:
     return feature
 
 
-def _ransac(ref: Features, query: Features, options: GlobalOptions, seed: int) -> Array | None:
+def _ransac(ref: Features, query: Features, matches: Indices, options: GlobalOptions, seed: int) -> Array | None:
+    """The pose that most matches (M, 2), rows of the query's and of the reference's points, agree with."""
+    draws = np.random.default_rng(seed).integers(0, len(matches), (options.iterations, 3))
+    of_query, of_ref = (
+        (side.points[rows], side.normals[rows]) for side, rows in zip((query, ref), matches.T, strict=True)
+    )
+    T, count = most_agreed(*of_query, *of_ref, 1.5 * options.voxel_m, draws, int(_MOST_AGREE * len(matches)) + 1)
+    return T if count >= 3 else None
+
+
+def _matches(ref: Features, query: Features) -> Indices:
+    """(M, 2) rows of points of the query and of the reference that are nearest to each other by their descriptors; if
+    these are few, the reference's nearest of each point of the query."""
     import open3d as o3d
-
-    registration = o3d.pipelines.registration
-    o3d.utility.random.seed(seed)
-    near = 1.5 * options.voxel_m
-
-    def run(iterations: int) -> Any:
-        return registration.registration_ransac_based_on_feature_matching(
-            open3d_cloud(query.points, query.normals),
-            open3d_cloud(ref.points, ref.normals),
-            _feature(query.descriptors),
-            _feature(ref.descriptors),
-            True,
-            near,
-            registration.TransformationEstimationPointToPoint(False),
-            3,
-            [
-                registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-                registration.CorrespondenceCheckerBasedOnNormal(np.radians(30.0)),
-                registration.CorrespondenceCheckerBasedOnDistance(near),
-            ],
-            # A confidence of 1 never stops early.
-            registration.RANSACConvergenceCriteria(iterations, 1.0),
-        )
 
     # Open3D prints a warning to standard output if few features match.
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        result = run(options.first_iterations) if options.first_iterations else None
-        if result is None or result.fitness < _MOST_AGREE:
-            result = run(options.iterations)
-    return np.asarray(result.transformation, dtype=np.float64) if len(result.correspondence_set) >= 3 else None
+        found = o3d.pipelines.registration.correspondences_from_features(
+            _feature(query.descriptors), _feature(ref.descriptors), True
+        )
+    return np.asarray(found, dtype=np.int64).reshape(-1, 2)
 
 
 def _fgr(ref: Features, query: Features, options: GlobalOptions, seed: int) -> Array | None:
