@@ -24,8 +24,7 @@ import argparse
 import json
 import resource
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,28 +33,41 @@ from case_figures import case_figures, off_truth
 from ground_truth_drives import EXTENT_M, T_RIG_CAM, Leg, Spoken, Taken, read_legs, record_legs
 from ground_truth_judging import WRONG_DEG, WRONG_M
 from sensor_faults_spinning import record_spinning
+from sensor_faults_spoils import (
+    Spoil,
+    bent,
+    jumped,
+    late,
+    lost,
+    mirrored,
+    misplaced,
+    mounted,
+    mounted_as_stated,
+    moved_back,
+    part,
+    repeated,
+    same,
+    stretched,
+    turned,
+    unlocated,
+    upside_down,
+    way_of,
+)
 
 from relocbench.arrays import Array
-from relocbench.datasets.groundtruth.calibration.correction import CorrectedLidar
 from relocbench.datasets.groundtruth.jobs.aligning import align
 from relocbench.datasets.groundtruth.jobs.inputs import driven_m, faults_of, motion_faults
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.jumps import interrupted
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
-from relocbench.datasets.sensors.derived_lidar import DerivedLidar
-from relocbench.datasets.sensors.recording import FieldRecording, Scan
+from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
-from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
-
-Spoil = Callable[[FieldRecording], FieldRecording]
+from relocbench.geometry import invert, make_transform, so3_exp
 
 T_RIG_BACK = make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]) @ T_RIG_CAM
 """a camera that looks back, which sees on the way back what the other one saw"""
-_LATE_NS = 50_000_000
-_GNSS_OFF_M = 60.0
-"""north and east"""
 RETURN, ELSEWHERE, OVERCAST_RETURN, REPEATING, OVERCAST_REPEATING, RAIN = 2, 3, 4, 5, 6, 7
 """numbers of drives: the other way, through another district, along repeating facades, and in rain"""
 LEGS = {
@@ -75,138 +87,6 @@ _PART_M = 36.0
 """half of a street of repeating facades, whose middle is that of the drives along it"""
 
 
-def _same(recording: FieldRecording) -> FieldRecording:
-    return recording
-
-
-def late(recording: FieldRecording, lidars: tuple[str, ...] | None = None, late_ns: int = _LATE_NS) -> FieldRecording:
-    """The recording with late lidars; all of them by default."""
-    return _spoilt(recording, -late_ns, np.eye(4), lidars or tuple(s.name for s in recording.lidars))
-
-
-@dataclass(frozen=True, eq=False)
-class _Repeating(DerivedLidar):
-    """A lidar whose driver sends each scan several times, with new times."""
-
-    times: int
-
-    def read(self, index: int) -> Scan:
-        first = index - index % self.times
-        scan = self.stream.read(first)
-        return Scan(scan.points, scan.times_ns + (self.times_ns[index] - self.times_ns[first]))
-
-
-def repeated(recording: FieldRecording, times: int) -> FieldRecording:
-    """The recording with lidars that send each scan several times."""
-    return replace(recording, lidars=tuple(_Repeating(s, times) for s in recording.lidars))
-
-
-def mounted(
-    recording: FieldRecording, how: Callable[[Array], Array], lidars: tuple[str, ...] | None = None
-) -> FieldRecording:
-    """The recording whose lidars' extrinsics (4, 4), of all of them by default, are replaced by a function of them."""
-    names = lidars or tuple(s.name for s in recording.lidars)
-    return replace(
-        recording,
-        lidars=tuple(
-            CorrectedLidar(s, 0, how(s.T_rig_lidar) @ np.linalg.inv(s.T_rig_lidar)) if s.name in names else s
-            for s in recording.lidars
-        ),
-    )
-
-
-def upside_down(T_rig_lidar: Array) -> Array:
-    """The extrinsics of a lidar that is taken to be the other way up, where it is."""
-    return turned(T_rig_lidar, np.array([np.pi, 0.0, 0.0]))
-
-
-def turned(T_rig_lidar: Array, rotation: Array) -> Array:
-    """Extrinsics turned where the lidar is, by a rotation vector (3,) about the rig's axes."""
-    return np.asarray(make_transform(so3_exp(rotation) @ T_rig_lidar[:3, :3], T_rig_lidar[:3, 3]))
-
-
-def mirrored(T_rig_lidar: Array) -> Array:
-    """Extrinsics whose left is right."""
-    return np.asarray(np.diag([1.0, -1.0, 1.0, 1.0]) @ T_rig_lidar)
-
-
-def _spoilt(recording: FieldRecording, early_ns: int, T: Array, lidars: tuple[str, ...]) -> FieldRecording:
-    streams = tuple(CorrectedLidar(s, early_ns, T) if s.name in lidars else s for s in recording.lidars)
-    return replace(recording, lidars=streams)
-
-
-def misplaced(recording: FieldRecording, seed: int) -> FieldRecording:
-    """The recording with extrinsics of all lidars that are off by 5 cm and 1 degree, in directions by the seed."""
-    rng = np.random.default_rng(seed)
-    shift, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-    T = se3_exp(np.concatenate([0.05 * shift, np.radians(1.0) * turn]))
-    return _spoilt(recording, 0, T, tuple(s.name for s in recording.lidars))
-
-
-def lost(recording: FieldRecording) -> FieldRecording:
-    """The recording with GNSS that is off by 85 m."""
-    assert recording.prior is not None
-    T = recording.prior.T_odom_rig.copy()
-    T[:, :2, 3] += _GNSS_OFF_M
-    return replace(recording, prior=replace(recording.prior, T_odom_rig=T))
-
-
-def unlocated(recording: FieldRecording) -> FieldRecording:
-    """The recording without GNSS."""
-    return replace(recording, prior=None)
-
-
-def part(recording: FieldRecording, low_m: float, high_m: float) -> FieldRecording:
-    """The part of a recording between two distances from the middle of its drive."""
-    times, T = recording.odometry.times_ns, recording.odometry.T_odom_rig
-    way = _way(T)
-    inside = (way >= way[-1] / 2 + low_m) & (way <= way[-1] / 2 + high_m)
-    return replace(recording, odometry=replace(recording.odometry, times_ns=times[inside], T_odom_rig=T[inside]))
-
-
-def moved_back(recording: FieldRecording, back_m: float) -> FieldRecording:
-    """The recording whose GNSS puts it where the car had been so many metres before."""
-    assert recording.prior is not None
-    T = recording.prior.T_odom_rig
-    way = _way(T)
-    there = np.column_stack([np.interp(way - back_m, way, T[:, k, 3]) for k in range(3)])
-    moved = T.copy()
-    moved[:, :3, 3] = there
-    return replace(recording, prior=replace(recording.prior, T_odom_rig=moved))
-
-
-def _way(T: Array) -> Array:
-    """(N,) metres along poses (N, 4, 4)."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1))])
-
-
-def jumped(recording: FieldRecording) -> FieldRecording:
-    """The recording with odometry whose step in the middle is off by 30 cm along, 10 cm across and 1 degree."""
-    T = recording.odometry.T_odom_rig.copy()
-    half = len(T) // 2
-    step = se3_exp(np.array([0.3, 0.1, 0.0, 0.0, 0.0, np.radians(1.0)]))
-    T[half:] = T[half - 1] @ step @ invert(T[half - 1]) @ T[half:]
-    return replace(recording, odometry=replace(recording.odometry, T_odom_rig=T))
-
-
-def stretched(recording: FieldRecording, factor: float, turn_rad_per_m: float = 0.0) -> FieldRecording:
-    """The recording with odometry that is ``factor`` times as long, and turns to the left as it does not."""
-    T = recording.odometry.T_odom_rig
-    steps = invert(T[:-1]) @ T[1:]
-    turns = turn_rad_per_m * np.linalg.norm(steps[:, :3, 3], axis=1)
-    steps = steps @ make_transform(so3_exp(turns[:, None] * np.array([0.0, 0.0, 1.0])), np.zeros((len(steps), 3)))
-    steps[:, :3, 3] *= factor
-    poses = [T[0]]
-    for step in steps:
-        poses.append(poses[-1] @ step)
-    return replace(recording, odometry=replace(recording.odometry, T_odom_rig=np.array(poses)))
-
-
-def bent(recording: FieldRecording) -> FieldRecording:
-    """The recording with odometry that is 2 % too long and turns 3 degrees too far in 100 m."""
-    return stretched(recording, 1.02, np.radians(3.0) / 100)
-
-
 @dataclass(frozen=True)
 class Case:
     """One row of the table."""
@@ -214,8 +94,8 @@ class Case:
     title: str
     query: int
     """number of the query's leg"""
-    reference: Spoil = _same
-    spoil: Spoil = _same
+    reference: Spoil = same
+    spoil: Spoil = same
     ref: int = 0
     """number of the reference's leg"""
     ends_m: float = np.inf
@@ -231,6 +111,9 @@ def cases(seed: int) -> dict[str, Case]:
 
     def off(recording: FieldRecording) -> FieldRecording:
         return misplaced(recording, seed)
+
+    def as_stated(number: int) -> Spoil:
+        return lambda recording: mounted_as_stated(recording, seed, number)
 
     def over(recording: FieldRecording) -> FieldRecording:
         return bent(mounted(recording, upside_down))
@@ -281,6 +164,8 @@ def cases(seed: int) -> dict[str, Case]:
         "one-late": Case("one of two lidars 50 ms late", 1, spoil=lambda r: late(r, ("lms_rear",))),
         "return": Case("nothing wrong, driven opposite ways", RETURN),
         "return-overcast": Case("the same, overcast on the way back", OVERCAST_RETURN),
+        "stated": Case("a rig off by what its calibration is taken for, the same way", 1, as_stated(0), as_stated(1)),
+        "return-stated": Case("the same rig, opposite ways", RETURN, as_stated(0), as_stated(RETURN)),
         "turned": Case("extrinsics 1 deg and 5 cm off in both drives, driven opposite ways", 2, off, off),
         "turned-one": Case("extrinsics 1 deg and 5 cm off in one drive", 1, spoil=off),
         "doubled": Case("every second scan repeats the one before", 1, spoil=lambda r: repeated(r, 2)),
@@ -373,7 +258,7 @@ def row(a: Taken, b: Taken, found: list[PairOutcome], T_rig_cam: Array) -> dict[
 
 def at_ends(case: Case, b: Taken, found: list[PairOutcome]) -> list[PairOutcome]:
     """The pairs near the ends of the query's drive that the case is about."""
-    way = _way(b.truth.T_world_rig)
+    way = way_of(b.truth.T_world_rig)
     first, last, at = (
         np.interp(np.array(times, dtype=np.float64) - b.truth.times_ns[0], b.truth.times_ns - b.truth.times_ns[0], way)
         for times in ([b.image_ns[0]], [b.image_ns[-1]], [p.query_timestamp_ns for p in found])
