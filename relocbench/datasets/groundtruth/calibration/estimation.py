@@ -148,7 +148,7 @@ class _Problem:
 
     def edges(self, T_world_node: Array, calibration: Array, reach: Reach) -> CalibrationEdges:
         """Edges at the minimum of the fits, at poses (N, 4, 4) and for a calibration (K,)."""
-        nodes, poses, steps, information, derivatives = [], [], [], [], []
+        nodes, poses, fits, derivatives = [], [], [], []
         corrections = {
             (drive, lidar): corrections_of(self._moves_of(drive) @ calibration[first : first + SIZE])
             for drive in range(2)
@@ -167,14 +167,15 @@ class _Problem:
                 continue
             nodes.append((at_a, at_b))
             poses.append(T)
-            steps.append(minimum(fit.H, fit.g))
-            information.append(information_of(fit, self.solution.noise, LocalOptions()))
+            fits.append(fit)
             # T_measured = se3_exp(u_a) @ T @ se3_exp(-u_b), each correction about the rig's place.
             by = np.zeros((6, self.unknowns))
             by[:, columns[1]] += about(fit.rig_b) @ self.moves[at_b]
             by[:, columns[0]] -= adjoint(invert(T)) @ about(fit.rig_a) @ self.moves[at_a]
             derivatives.append(by)
-        measured = np.array(poses).reshape(-1, 4, 4) @ se3_exp(np.array(steps).reshape(-1, 6))
+        steps = np.array([minimum(fit.H, fit.g) for fit in fits]).reshape(-1, 6)
+        measured = np.array(poses).reshape(-1, 4, 4) @ se3_exp(steps)
+        information = information_of(fits, self.solution.noise, LocalOptions())
         edges = Edges.of_registrations([a for a, _ in nodes], [b for _, b in nodes], measured, information)
         return CalibrationEdges(edges, np.array(derivatives).reshape(-1, 6, self.unknowns))
 

@@ -12,31 +12,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from relocbench.arrays import Array, Indices
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Block
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.calibration.pairs import Measured
-from relocbench.datasets.groundtruth.pose_graph.edge_information import (
-    minimum,
-    nearest_semidefinite,
-    patches_of,
-    scatter_by_patch,
-)
+from relocbench.datasets.groundtruth.pose_graph.edge_information import geman_mcclure, normal_equations, patches_of
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
-from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample, wrenches
+from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, nearest_plane, wrenches
+from relocbench.datasets.groundtruth.voxels.voxels import Grid
 from relocbench.geometry import so3_exp
 from relocbench.kernels import njit
 
 REACHES_M = (0.8, 0.25)
 """largest distances of a match, coarse and fine"""
-_SAMPLES = 800
-_OPTIONS = PlaneOptions(
-    thinning_m=(0.2, 0.0), reach_m=REACHES_M, samples=(_SAMPLES, _SAMPLES), near_m=(1e9, 1e9), rough=0.0
-)
+_OPTIONS = PlaneOptions(thinning_m=(0.2, 0.0), reach_m=REACHES_M, samples=(400, 800), near_m=(1e9, 1e9), rough=0.0)
 _KEPT = 4096
 """blocks of single lidars in memory, each of some 100 KiB: all that are compared, so that none is prepared twice"""
 _PATCH_M = 1.0
@@ -97,30 +89,46 @@ class LidarFits:
 
         Raises DatasetError if a block is missing or damaged.
         """
-        planes, points = self._maps(a).level(reach.level), self._maps(b).sample(0)
+        planes, points = self._maps(a).level(reach.level), self._maps(b).sample(reach.level)
         (R_a, t_a), (R_b, t_b) = corrections
         # Planes are sorted as they were measured, so they are found from where the points lie without the correction
         # of the planes, turned about the middle of where the rig was. Distances are from the corrected planes.
         middle = planes.lever_arms.mean(axis=0) if len(planes) else np.zeros(3)
-        moved, facing, back, back_facing = placed(
-            points.points, points.normals, points.lever_arms, R_b, t_b, np.ascontiguousarray(T_a_b), R_a, t_a, middle
-        )
-        match = planes.nearest(back, back_facing, REACHES_M[reach.level], reach.cosine)
-        m = _linearise(match, planes, points, moved, facing, np.ascontiguousarray(T_a_b), R_a, t_a)
-        square = np.square(m.residuals / reach.kernel_m)
-        weights = m.surface / np.square(1 + square)
-        slopes = m.surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
-        H = nearest_semidefinite((slopes[:, None] * m.by_points).T @ m.by_planes)
-        g = m.by_points.T @ (weights * m.residuals)
-        left = m.residuals + m.by_planes @ minimum(H, g)
-        scatter = scatter_by_patch((weights * left)[:, None] * m.by_points, m.patches)
-        rig_a, rig_b = _mean(m.rigs_a, weights), _mean(m.rigs_b, weights)
-        return CalibrationFit(H, g, scatter, len(m.residuals), rig_a, rig_b)
+        of_points = points.points, points.normals, points.weights, points.lever_arms
+        of_planes = planes.points, planes.normals, planes.weights, planes.lever_arms
+        return CalibrationFit(*_fit(
+            *of_points, *of_planes, planes.grid, R_b, t_b, np.ascontiguousarray(T_a_b), R_a, t_a, middle,
+            REACHES_M[reach.level], reach.cosine, reach.kernel_m,
+        ))  # fmt: skip
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit(
+    points: Array, normals: Array, of_points: Array, rigs_b: Array, planes: Array, facing: Array, of_planes: Array,
+    rigs_a: Array, grid: Grid, R_b: Array, t_b: Array, T_a_b: Array, R_a: Array, t_a: Array, middle: Array,
+    reach: float, cosine: float, kernel: float,
+) -> tuple[Array, Array, Array, int, Array, Array]:  # fmt: skip
+    """What a :class:`CalibrationFit` holds."""
+    moved, turned, back, back_turned = placed(points, normals, rigs_b, R_b, t_b, T_a_b, R_a, t_a, middle)
+    rows, match, count = np.empty(len(points), np.int64), np.empty(len(points), np.int64), 0
+    for i in range(len(points)):
+        match[count] = nearest_plane(back[i], back_turned[i], planes, facing, grid, reach, cosine)
+        rows[count] = i
+        count += match[count] >= 0
+    rows, match = rows[:count], match[:count]
+    q, own = moved[rows], turned[rows]
+    by_planes, residuals = distances(q, planes[match], facing[match], rigs_a[match], T_a_b, R_a, t_a)
+    weights, slopes = geman_mcclure(residuals, np.minimum(of_planes[match], of_points[rows]), kernel)
+    patches = patches_of(q, own, _PATCH_M)
+    H, g, scatter = normal_equations(wrenches(own, q), by_planes, residuals, weights, slopes, patches)
+    return H, g, scatter, count, _mean(rigs_a[match], weights), _mean(rigs_b[rows], weights)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _mean(places: Array, weights: Array) -> Array:
-    total = float(weights.sum())
-    return np.asarray(weights @ places / total) if total > 0 else np.zeros(3)
+    """(3,) weighted mean of places (M, 3)."""
+    total = weights.sum()
+    return weights @ places / total if total > 0 else np.zeros(3)
 
 
 def corrections_of(u: Array) -> list[Correction]:
@@ -161,39 +169,6 @@ def placed(
         x, y, z = _turn(inverse, x, y, z)
         back_facing[i, 0], back_facing[i, 1], back_facing[i, 2] = x, y, z
     return moved, facing, back, back_facing
-
-
-class _Matched(NamedTuple):
-    """The M points that are matched to a plane."""
-
-    by_planes: Array
-    """(M, 6) derivatives of the distances, by the planes' normals"""
-    by_points: Array
-    """(M, 6) the same by the points' own normals"""
-    residuals: Array
-    """(M,) distances, metres"""
-    surface: Array
-    """(M,) weights of the surfaces"""
-    patches: Indices
-    """(M,) numbers of the patches of surface"""
-    rigs_a: Array
-    """(M, 3) where the rig was when it measured each plane"""
-    rigs_b: Array
-    """(M, 3) the same of each point"""
-
-
-def _linearise(
-    match: Indices, planes: Planes, points: Sample, moved: Array, facing: Array, T_a_b: Array, R_a: Array, t_a: Array
-) -> _Matched:
-    """Linearise the distances of corrected points (N, 3), whose planes are ``match`` (N,), -1 where there is none."""
-    rows = np.flatnonzero(match >= 0)
-    matched, q, own = match[rows], moved[rows], facing[rows]
-    by_planes, residuals = distances(
-        q, planes.points[matched], planes.normals[matched], planes.lever_arms[matched], T_a_b, R_a, t_a
-    )
-    surface = np.minimum(planes.weights[matched], points.weights[rows])
-    rigs = planes.lever_arms[matched], points.lever_arms[rows]
-    return _Matched(by_planes, wrenches(own, q), residuals, surface, patches_of(q, own, _PATCH_M), *rigs)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -14,19 +14,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, Planes, Sample, wrenches
+from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, Planes, Sample, nearest_plane
+from relocbench.datasets.groundtruth.voxels.voxels import Grid
 from relocbench.geometry import adjoint, invert, project_to_rotation, robust_sigma, se3_exp
+from relocbench.kernels import njit
 
 CORRELATION = 20.0
 """The information matrix is divided by this, since residuals are correlated: neighbours share the noise of a plane's
 normal, of a scan's pose and of an uneven surface, and each match is counted from both sides. The value was found by
 comparing predicted with true errors on simulated drives with exact odometry; drift is added by ``drift_per_m``."""
 _RESCALED = 5e-4
-"""planes are moved and sorted anew when the scale error has changed by so much: 15 mm at 30 m"""
+"""at the last level, planes are moved and sorted anew when the scale error has changed by so much: 15 mm at 30 m"""
+_RESCALED_BEFORE = 2e-3
+"""the same at levels before"""
 _COARSER = 25.0
 """levels before the last end at steps so many times as large: 5 mm and 0.03 degrees"""
 _OPEN = 1e-4
@@ -74,7 +79,7 @@ class Linearised:
     count: int
     """number of matches M"""
 
-    @property
+    @cached_property
     def sigma_m(self) -> float:
         """Robust standard deviation of the residuals near the nodes."""
         return robust_sigma(self.residuals, self.surface_share)
@@ -122,26 +127,64 @@ def linearise(
         scale_m: of Geman-McClure's kernel, ``w = (1 + (r / scale)^2)^-2``.
         planes_rescaled: whether the scale error is that of the planes' drive instead of the points'.
     """
-    rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
-    moved, turned = sample.points @ rotation.T + translation, sample.normals @ rotation.T
-    match = planes.nearest(moved, turned, reach, options.cosine)
-    rows = np.flatnonzero(match >= 0)
-    if not len(rows):
-        return NOTHING
-    match = match[rows]
-    n, q = planes.normals[match], sample.points[rows]
-    residual = np.einsum("ni,ni->n", n, moved[rows] - planes.points[match])
-    of_points, of_planes = sample.lever_arms[rows], planes.lever_arms[match]
-    away = np.einsum("ni,ni->n", of_points, of_points) + np.einsum("ni,ni->n", of_planes, of_planes)
-    moves = -of_planes if planes_rescaled else of_points @ rotation.T
-    near = 1 / (1 + np.square(options.drift_per_m / options.sigma_m) * away)
-    standard = residual * np.sqrt(near)
-    w = near * np.minimum(planes.weights[match], sample.weights[rows])
-    w = w / np.square(1 + np.square(standard / scale_m))
-    m = n @ rotation
-    J = np.column_stack([wrenches(m, q), np.einsum("ni,ni->n", n, moves)])
-    H, g = J.T @ (w[:, None] * J), J.T @ (w * residual)
-    return Linearised(H, g, standard, float(np.sqrt(w @ away / max(w.sum(), 1e-12))), near, len(rows))
+    if reach > planes.grid.size_m * (1 + 1e-9):
+        raise ValueError(f"a grid of {planes.grid.size_m} m cells cannot be searched to a distance of {reach} m")
+    of_planes = planes.points, planes.normals, planes.weights, planes.lever_arms
+    of_points = sample.points, sample.normals, sample.weights, sample.lever_arms
+    growth = (options.drift_per_m / options.sigma_m) ** 2
+    H, g, standard, near, away = _linearised(
+        *of_planes, planes.grid, *of_points, np.ascontiguousarray(T_ref_query),
+        reach, options.cosine, scale_m, growth, planes_rescaled,
+    )  # fmt: skip
+    return Linearised(H, g, standard, float(np.sqrt(away)), near, len(standard))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _linearised(
+    planes: Array, facing: Array, of_planes: Array, plane_arms: Array, grid: Grid, points: Array, normals: Array,
+    of_points: Array, point_arms: Array, T: Array, reach: float, cosine: float, scale: float, growth: float,
+    planes_rescaled: bool,
+) -> tuple[Array, Array, Array, Array, float]:  # fmt: skip  # pragma: no cover - compiled
+    """H, g, the standardised residuals (M,), their shares due to surfaces (M,), and the mean squared lever length.
+
+    Args:
+        growth: of a residual's variance with the squared length of the lever arms, as a share of that near the nodes.
+    """
+    H, g = np.zeros((7, 7)), np.zeros(7)
+    standard, near = np.empty(len(points)), np.empty(len(points))
+    moved, turned, J = np.empty(3), np.empty(3), np.empty(7)
+    count, total, lengths = 0, 0.0, 0.0
+    for i in range(len(points)):
+        q = points[i]
+        for k in range(3):
+            moved[k] = T[k, 0] * q[0] + T[k, 1] * q[1] + T[k, 2] * q[2] + T[k, 3]
+            turned[k] = T[k, 0] * normals[i, 0] + T[k, 1] * normals[i, 1] + T[k, 2] * normals[i, 2]
+        j = nearest_plane(moved, turned, planes, facing, grid, reach, cosine)
+        if j < 0:
+            continue
+        n, c, d = facing[j], point_arms[i], plane_arms[j]
+        residual, away, J[6] = 0.0, 0.0, 0.0
+        for k in range(3):
+            residual += n[k] * (moved[k] - planes[j, k])
+            away += c[k] * c[k] + d[k] * d[k]
+            J[k] = T[0, k] * n[0] + T[1, k] * n[1] + T[2, k] * n[2]
+        for k in range(3):
+            J[6] += -n[k] * d[k] if planes_rescaled else J[k] * c[k]
+        J[3], J[4], J[5] = q[1] * J[2] - q[2] * J[1], q[2] * J[0] - q[0] * J[2], q[0] * J[1] - q[1] * J[0]
+        near[count] = 1 / (1 + growth * away)
+        standard[count] = residual * np.sqrt(near[count])
+        w = near[count] * min(of_planes[j], of_points[i]) / (1 + (standard[count] / scale) ** 2) ** 2
+        for k in range(7):
+            g[k] += w * residual * J[k]
+            for m in range(k + 1):
+                H[k, m] += w * J[k] * J[m]
+        total += w
+        lengths += w * away
+        count += 1
+    for k in range(7):
+        for m in range(k):
+            H[m, k] = H[k, m]
+    return H, g, standard[:count], near[:count], lengths / max(total, 1e-12)
 
 
 def linearise_both(
@@ -192,8 +235,9 @@ def run_icp(
         reach = min(ref.options.reach_m[level], query.options.reach_m[level])
         applied_scale_error = scale_error
         ref_sides, query_sides = _sides(ref, level, 0.0), _sides(query, level, scale_error)
+        rescaled = _RESCALED if k == last else _RESCALED_BEFORE
         for iteration in range(options.iterations[k]):
-            if abs(scale_error - applied_scale_error) >= _RESCALED:
+            if abs(scale_error - applied_scale_error) >= rescaled:
                 query_sides, applied_scale_error = _sides(query, level, scale_error), scale_error
             # The kernel narrows over a level's first iterations, so that large residuals have weight at its start.
             scale = options.scales_m[k] * max(1.0, 2.0 * 0.6**iteration)
@@ -207,7 +251,7 @@ def run_icp(
             still = (
                 np.linalg.norm(xi[:3]) < 2e-4 * least
                 and np.linalg.norm(xi[3:]) < 2e-5 * least
-                and abs(scale_error - applied_scale_error) < _RESCALED
+                and abs(scale_error - applied_scale_error) < rescaled
             )
             if iteration >= 2 and still:
                 break

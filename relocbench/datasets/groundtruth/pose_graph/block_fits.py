@@ -9,24 +9,34 @@ variables, 1954), so that noise does not count as information.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
-from relocbench.datasets.groundtruth.pose_graph.edge_information import (
-    minimum,
-    nearest_semidefinite,
-    patches_of,
-    scatter_by_patch,
-)
+from relocbench.datasets.groundtruth.pose_graph.edge_information import geman_mcclure, normal_equations, patches_of
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
-from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample
+from relocbench.datasets.groundtruth.submaps.planes import (
+    PlaneMap,
+    PlaneOptions,
+    Planes,
+    Sample,
+    nearest_plane,
+    wrenches,
+)
+from relocbench.datasets.groundtruth.voxels.voxels import Grid
+from relocbench.kernels import njit
 
 _OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(1500,), near_m=(1e9,))
-_KEPT = 64
+_KEPT = 16
+"""blocks that neighbours of a block are tied to"""
+_MOST_POINTS = 1_000_000
+"""of each drive that are kept in memory, some 130 bytes each"""
+Points = TypeVar("Points", bound=Sample)
 _SCALE_M = 0.05
 _REACH_M = 0.2
 _COSINE = 0.8
@@ -40,30 +50,42 @@ _MOVED_M = 0.015
 class BlockFits:
     """Computes the distances from points of a query block to planes of a reference block, linearised.
 
-    The planes and points of the blocks used last are kept in memory.
+    Planes and points are kept in memory as far as there is room.
     """
 
     def __init__(self, reference: BlockStore, query: BlockStore) -> None:
-        self._stores = reference, query
-        self._planes = lru_cache(maxsize=_KEPT)(self._make_planes)
+        self._planes = _Kept(lambda node: PlaneMap(reference.get(node), _OPTIONS).level(0))
+        self._samples = _Kept(lambda node: PlaneMap(query.get(node), _OPTIONS).sample(0))
 
     def __call__(self, ref: int, query: int, T_ref_query: Array, /) -> LocalFit:
         """The fit of two blocks, named by their nodes, at a pose ``T_ref_query`` (4, 4)."""
-        planes, points = self._planes(0, ref).level(0), self._planes(1, query).sample(0)
-        matches = match_points(planes, points, T_ref_query)
-        of_patches = weights_of_patches(matches.residuals, matches.patches)
-        weights = of_patches * matches.weights
-        product = matches.by_points.T @ ((of_patches * matches.slopes)[:, None] * matches.by_planes)
-        H = nearest_semidefinite(product)
-        gradients = (weights * matches.residuals)[:, None] * matches.by_points
-        g = gradients.sum(axis=0)
-        # The scatter is that of the residuals which are left at the minimum of this fit.
-        left = matches.residuals + matches.by_planes @ minimum(H, g)
-        scatter = scatter_by_patch((weights * left)[:, None] * matches.by_points, matches.patches)
-        return LocalFit(H, g, scatter, len(matches))
+        planes, points = self._planes(ref), self._samples(query)
+        m = match_points(planes, points, T_ref_query)
+        of_patches = weights_of_patches(m.residuals, m.patches)
+        return LocalFit(
+            *normal_equations(
+                m.by_points, m.by_planes, m.residuals, of_patches * m.weights, of_patches * m.slopes, m.patches
+            ),
+            len(m),
+        )
 
-    def _make_planes(self, side: int, node: int) -> PlaneMap:
-        return PlaneMap(self._stores[side].get(node), _OPTIONS)
+
+class _Kept(Generic[Points]):
+    """Points of blocks. Each iteration asks for all of them in the same order, so that what was made first is kept."""
+
+    def __init__(self, make: Callable[[int], Points]) -> None:
+        self._recent = lru_cache(maxsize=_KEPT)(make)
+        self._first: dict[int, Points] = {}
+        self._room = _MOST_POINTS
+
+    def __call__(self, node: int) -> Points:
+        if node in self._first:
+            return self._first[node]
+        points = self._recent(node)
+        if len(points) <= self._room:
+            self._first[node] = points
+            self._room -= len(points)
+        return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,21 +117,42 @@ def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
     The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``, and its derivative is ``(m, q x m)``
     with m = R^T n, or with the point's own normal as m.
     """
-    rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
-    moved = points.points @ rotation.T + translation
-    match = planes.nearest(moved, points.normals @ rotation.T, _REACH_M, _COSINE)
-    rows = np.flatnonzero(match >= 0)
-    match, q = match[rows], points.points[rows]
-    n = planes.normals[match]
-    residuals = np.einsum("ni,ni->n", n, moved[rows] - planes.points[match])
-    surface, square = np.minimum(planes.weights[match], points.weights[rows]), np.square(residuals / _SCALE_M)
-    weights = surface / np.square(1 + square)
-    slopes = surface * np.maximum(1 - 3 * square, 0.0) / (1 + square) ** 3
-    by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
-    patches = patches_of(q, points.normals[rows], _PATCH_M)
-    return Matches(by_planes, by_points, residuals, weights, slopes, patches, q)
+    R, t = np.ascontiguousarray(T_ref_query[:3, :3]), np.ascontiguousarray(T_ref_query[:3, 3])
+    return Matches(*_matched(
+        points.points, points.normals, points.weights, planes.points, planes.normals, planes.weights, planes.grid, R, t
+    ))  # fmt: skip
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _matched(
+    points: Array, normals: Array, weights: Array, planes: Array, facing: Array, of_planes: Array, grid: Grid,
+    R: Array, t: Array,
+) -> tuple[Array, Array, Array, Array, Array, Indices, Array]:  # fmt: skip
+    rows, match = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    moved, turned = np.empty(3), np.empty(3)
+    count = 0
+    for i in range(len(points)):
+        for k in range(3):
+            moved[k] = R[k, 0] * points[i, 0] + R[k, 1] * points[i, 1] + R[k, 2] * points[i, 2] + t[k]
+            turned[k] = R[k, 0] * normals[i, 0] + R[k, 1] * normals[i, 1] + R[k, 2] * normals[i, 2]
+        match[count] = nearest_plane(moved, turned, planes, facing, grid, _REACH_M, _COSINE)
+        rows[count] = i
+        count += match[count] >= 0
+    q, own, m = points[rows[:count]], normals[rows[:count]], np.empty((count, 3))
+    residuals, surface = np.empty(count), np.empty(count)
+    for i in range(count):
+        j, n = match[i], facing[match[i]]
+        residuals[i] = 0.0
+        for k in range(3):
+            there = R[k, 0] * q[i, 0] + R[k, 1] * q[i, 1] + R[k, 2] * q[i, 2] + t[k]
+            residuals[i] += n[k] * (there - planes[j, k])
+            m[i, k] = R[0, k] * n[0] + R[1, k] * n[1] + R[2, k] * n[2]
+        surface[i] = min(of_planes[j], weights[rows[i]])
+    robust, slopes = geman_mcclure(residuals, surface, _SCALE_M)
+    return wrenches(m, q), wrenches(own, q), residuals, robust, slopes, patches_of(q, own, _PATCH_M), q
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def weights_of_patches(residuals: Array, patches: Indices) -> Array:
     """(M,) weights of points by the mean distance of the patch that they lie on (Geman-McClure).
 
@@ -121,7 +164,14 @@ def weights_of_patches(residuals: Array, patches: Indices) -> Array:
         residuals: (M,) distances, metres.
         patches: (M,) number of the patch of surface that each point lies on.
     """
-    _, patch, count = np.unique(patches, return_inverse=True, return_counts=True)
-    mean = np.bincount(patch, residuals) / count
-    square = np.square(mean) / (_MOVED_M**2 + _SCALE_M**2 / count)
-    return np.asarray(1 / np.square(1 + square))[patch]
+    size = patches.max() + 1 if len(patches) else 0
+    sums, counts = np.zeros(size), np.zeros(size)
+    for i in range(len(patches)):
+        sums[patches[i]] += residuals[i]
+        counts[patches[i]] += 1
+    weights = np.empty(len(patches))
+    for i in range(len(patches)):
+        count = counts[patches[i]]
+        square = (sums[patches[i]] / count) ** 2 / (_MOVED_M**2 + _SCALE_M**2 / count)
+        weights[i] = 1 / (1 + square) ** 2
+    return weights

@@ -54,10 +54,10 @@ class Edges:
     @classmethod
     def of_registrations(
         cls,
-        first: Sequence[int],
-        second: Sequence[int],
+        first: Sequence[int] | Indices,
+        second: Sequence[int] | Indices,
         T_first_second: Sequence[Array] | Array,
-        information: Sequence[Array],
+        information: Sequence[Array] | Array,
     ) -> Edges:
         """Edges by registrations, in their order."""
         return cls(

@@ -8,7 +8,7 @@ Directions that a block leaves open, such as along a smooth wall, are constraine
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edge_information import (
+    LENGTH_M,
     minimum,
     sandwich_information,
     with_block_distortion,
@@ -34,7 +35,7 @@ from relocbench.datasets.groundtruth.pose_graph.selection import (
     noise_converged,
     reestimated,
 )
-from relocbench.geometry import invert, se3_exp
+from relocbench.geometry import invert, make_transform, rotation_angle, se3_exp
 
 _NOISE_ROUNDS = 4
 """number of times that the graph is solved and its noise estimated, in each iteration"""
@@ -87,7 +88,11 @@ class LocalOptions:
     estimate_noise: bool = True
     """whether the noise of odometry, and the overstatement of the edges' information, are estimated"""
     noise_edges: int = 400
-    """number of edges of each kind that noise is estimated from"""
+    """number of edges of odometry that its noise is estimated from"""
+    factor_edges: int = 120
+    """number of other edges that the overstatement of their information is estimated from, in six directions each"""
+    moved_m: float = 0.002
+    """a fit is linearised anew if its blocks have moved so far since, or turned so far at a distance of 10 m"""
 
 
 def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptions | None = None) -> Solution:
@@ -95,10 +100,10 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
 
     Args:
         solution: the one to improve, good enough to match points to the right planes; its verdicts are kept.
-        linearise: computes the fit of a pair of blocks; called for every pair in each iteration.
+        linearise: computes the fit of a pair of blocks; called in each iteration for every pair that has moved.
     """
     options = options or LocalOptions()
-    pairs = neighbouring_blocks(solution, options)
+    fits = _Fits(neighbouring_blocks(solution, options), linearise, options)
     T, noise, factor = solution.T_world_node, solution.noise, 1.0
     local = solution.edges[np.zeros(0, dtype=np.int64)]
     odometry = solution.drives.odometry(noise)
@@ -108,7 +113,7 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
         odometry = drives.odometry(noise)
         for _ in range(options.iterations):
             before = T
-            local = local_edges(solution, T, pairs, linearise, options, noise)
+            local = fits.edges(T, solution.drives.reference_count, noise)
             T, local = _without_outliers(T, odometry, local, factor, options)
             for _ in range(_NOISE_ROUNDS if options.estimate_noise else 0):
                 assumed = noise, factor
@@ -159,36 +164,40 @@ def _along(drives: BothDrives, node: int, others: Indices) -> Array:
     return np.where(drives.segment[others] == drives.segment[node], arc_length, np.inf)
 
 
-def local_edges(
-    solution: Solution,
-    T_world_node: Array,
-    pairs: list[tuple[int, int]],
-    linearise: Linearise,
-    options: LocalOptions,
-    noise: OdometryNoise,
-) -> Edges:
-    """Edges between pairs of blocks, at the minimum of their fits: ``T_ref_query @ se3_exp(-H^+ g)``.
+class _Fits:
+    """The fits of pairs of blocks, each linearised at about the present poses."""
 
-    The information is that of the fit, reduced by the noise of the odometry inside the blocks.
-    """
-    count = solution.drives.reference_count
-    first, second, poses, information = [], [], [], []
-    for ref, query in pairs:
-        T_ref_query = invert(T_world_node[ref]) @ T_world_node[count + query]
-        fit = linearise(ref, query, T_ref_query)
-        if fit.count < options.least_count:
-            continue
-        first.append(ref)
-        second.append(count + query)
-        poses.append(T_ref_query @ se3_exp(minimum(fit.H, fit.g)))
-        information.append(information_of(fit, noise, options))
-    return Edges.of_registrations(first, second, poses, information)
+    def __init__(self, pairs: list[tuple[int, int]], linearise: Linearise, options: LocalOptions) -> None:
+        self._pairs, self._linearise, self._options = pairs, linearise, options
+        self._poses = np.tile(make_transform(np.eye(3), np.full(3, 1e9)), (len(pairs), 1, 1))
+        """where each fit was linearised; far away before it was"""
+        self._fits: list[LocalFit | None] = [None] * len(pairs)
+
+    def edges(self, T_world_node: Array, reference_count: int, noise: OdometryNoise) -> Edges:
+        """Edges at the minimum of the fits: ``T_ref_query @ se3_exp(-H^+ g)``.
+
+        The information is that of the fit, reduced by the noise of the odometry inside the blocks.
+        """
+        first, second = np.array(self._pairs, dtype=np.int64).reshape(-1, 2).T
+        second = second + reference_count
+        T_ref_query = invert(T_world_node[first]) @ T_world_node[second]
+        moved = invert(self._poses) @ T_ref_query
+        far = np.linalg.norm(moved[:, :3, 3], axis=1) + LENGTH_M * rotation_angle(moved[:, :3, :3])
+        for k in np.flatnonzero(far > self._options.moved_m).tolist():
+            self._poses[k] = T_ref_query[k]
+            self._fits[k] = self._linearise(*self._pairs[k], T_ref_query[k])
+        rows = [k for k, fit in enumerate(self._fits) if fit is not None and fit.count >= self._options.least_count]
+        fits = [fit for k in rows if (fit := self._fits[k]) is not None]
+        steps = np.array([minimum(fit.H, fit.g) for fit in fits]).reshape(-1, 6)
+        poses = self._poses[rows] @ se3_exp(steps)
+        return Edges.of_registrations(first[rows], second[rows], poses, information_of(fits, noise, self._options))
 
 
-def information_of(fit: LocalFit, noise: OdometryNoise, options: LocalOptions) -> Array:
-    """(6, 6) information of the edge by a fit, less the noise of the odometry inside both blocks."""
+def information_of(fits: Sequence[LocalFit], noise: OdometryNoise, options: LocalOptions) -> Array:
+    """(F, 6, 6) information of the edges by F fits, less the noise of the odometry inside both blocks of each."""
+    H, scatter = (np.array([getattr(fit, name) for fit in fits]).reshape(-1, 6, 6) for name in ("H", "scatter"))
     floor = options.least_sigma_m**2 * options.correlation
-    own = sandwich_information(fit.H, options.repeats * fit.scatter, floor)
+    own = sandwich_information(H, options.repeats * scatter, floor)
     return with_block_distortion(own, options.inside_m * noise.sigma**2)
 
 
@@ -216,7 +225,7 @@ def _noise(
     odometry, local = drives.odometry(noise), downweighted(local, factor)
     covariances = Covariances(T, Edges.join([odometry, local]))
     noise = reestimated(noise, drives, odometry, T, covariances, options.noise_edges)
-    some = local[evenly_spaced(len(local), options.noise_edges)]
+    some = local[evenly_spaced(len(local), options.factor_edges)]
     tested = check_used(some.residuals(T), some.information, covariances.relative(some.first, some.second))
     more = variance_factor(tested.squares.ravel(), tested.redundancy_numbers.ravel())
     return noise, factor if more is None else max(1.0, factor * more)

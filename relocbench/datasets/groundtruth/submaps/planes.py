@@ -219,33 +219,46 @@ def wrenches(directions: Array, points: Array) -> Array:
 def _nearest(
     points: Array, normals: Array, planes: Array, facing: Array, grid: Grid, reach: float, cosine: float
 ) -> Indices:  # pragma: no cover - compiled
-    cell, starts = grid.size_m, grid.starts
-    nearest = np.full(len(points), -1, dtype=np.int64)
-    low, high = np.empty(3), np.empty(3)
+    nearest = np.empty(len(points), dtype=np.int64)
     for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
-        free = a * a + b * b + c * c < 0.25
-        cx, cy, cz = int(np.floor(x / cell)), int(np.floor(y / cell)), int(np.floor(z / cell))
-        low[0], low[1], low[2] = x - cx * cell, y - cy * cell, z - cz * cell
-        for k in range(3):
-            high[k] = cell - low[k]
-        best = reach * reach
-        for step in range(27):
-            turn = (step + 13) % 27  # the point's own cell first
-            dx, dy, dz = turn // 9 - 1, (turn // 3) % 3 - 1, turn % 3 - 1
-            gx = low[0] if dx < 0 else (high[0] if dx > 0 else 0.0)
-            gy = low[1] if dy < 0 else (high[1] if dy > 0 else 0.0)
-            gz = low[2] if dz < 0 else (high[2] if dz > 0 else 0.0)
-            if gx * gx + gy * gy + gz * gz > best:
-                continue
-            cell_row = cell_of(pack(cx + dx, cy + dy, cz + dz), grid.keys, grid.cells)
-            if cell_row < 0:
-                continue
-            for j in range(starts[cell_row], starts[cell_row + 1]):
-                ex, ey, ez = planes[j, 0] - x, planes[j, 1] - y, planes[j, 2] - z
-                squared = ex * ex + ey * ey + ez * ez
-                if squared < best and (free or a * facing[j, 0] + b * facing[j, 1] + c * facing[j, 2] >= cosine):
-                    best = squared
-                    nearest[i] = j
+        nearest[i] = nearest_plane(points[i], normals[i], planes, facing, grid, reach, cosine)
     return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_plane(
+    point: Array, normal: Array, planes: Array, facing: Array, grid: Grid, reach: float, cosine: float
+) -> int:  # pragma: no cover - compiled
+    """The row that :meth:`Planes.nearest` finds for one point (3,) with a normal (3,)."""
+    cell = grid.size_m
+    x, y, z = point[0], point[1], point[2]
+    a, b, c = normal[0], normal[1], normal[2]
+    free = a * a + b * b + c * c < 0.25
+    cx, cy, cz = int(np.floor(x / cell)), int(np.floor(y / cell)), int(np.floor(z / cell))
+    lx, ly, lz = x - cx * cell, y - cy * cell, z - cz * cell
+    found, best = -1, reach * reach
+    # The point's own cell comes first; a cell that is further away than the best plane so far is not looked at.
+    for ix in range(3):
+        dx = ix if ix < 2 else -1
+        gx = 0.0 if ix == 0 else (cell - lx if ix == 1 else lx)
+        if gx * gx > best:
+            continue
+        for iy in range(3):
+            dy = iy if iy < 2 else -1
+            gy = 0.0 if iy == 0 else (cell - ly if iy == 1 else ly)
+            if gx * gx + gy * gy > best:
+                continue
+            for iz in range(3):
+                dz = iz if iz < 2 else -1
+                gz = 0.0 if iz == 0 else (cell - lz if iz == 1 else lz)
+                if gx * gx + gy * gy + gz * gz > best:
+                    continue
+                row = cell_of(pack(cx + dx, cy + dy, cz + dz), grid.keys, grid.cells)
+                if row < 0:
+                    continue
+                for j in range(grid.starts[row], grid.starts[row + 1]):
+                    ex, ey, ez = planes[j, 0] - x, planes[j, 1] - y, planes[j, 2] - z
+                    squared = ex * ex + ey * ey + ez * ez
+                    if squared < best and (free or a * facing[j, 0] + b * facing[j, 1] + c * facing[j, 2] >= cosine):
+                        found, best = j, squared
+    return found

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from relocbench.arrays import Floats, Indices, Mask
-from relocbench.datasets.groundtruth.voxels.voxels import EMPTY, slot_of
+from relocbench.datasets.groundtruth.voxels.voxels import EMPTY, distinct_keys, slot_of
 from relocbench.kernels import njit
 
 _NONE = -1
@@ -32,8 +32,8 @@ class VoxelClaims:
 
     def enter(self, block: int, keys: Indices, ranks: Floats) -> None:
         """Add a block with the voxels (N,) of its points and their ranks (N,); a voxel gets the lowest rank in it."""
-        voxels, inverse = np.unique(keys, return_inverse=True)
-        best = np.full(len(voxels), np.inf, dtype=np.float32)
+        inverse, first = distinct_keys(keys)
+        voxels, best = keys[first], np.full(len(first), np.inf, dtype=np.float32)
         np.minimum.at(best, inverse, ranks)
         self._make_room(len(voxels))
         mine, self._free = self._free[: len(voxels)], self._free[len(voxels) :]

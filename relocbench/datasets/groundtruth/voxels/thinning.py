@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Indices
-from relocbench.datasets.groundtruth.voxels.voxels import EMPTY, slot_of, voxel_keys
+from relocbench.datasets.groundtruth.voxels.voxels import distinct_keys, voxel_keys
 from relocbench.kernels import njit
 
 _UNIT_M = 1e-6
@@ -33,27 +33,7 @@ def first_in_voxels(points: NDArray[np.floating], voxel_m: float) -> Indices:
     """(M,) rows of points (N, 3): the first in each voxel, in order; all rows for a ``voxel_m`` of 0."""
     if voxel_m <= 0:
         return np.arange(len(points))
-    return _first(voxel_keys(points, voxel_m))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _first(keys: Indices) -> Indices:
-    """(M,) rows of keys (N,) that no earlier row has."""
-    size = 8
-    while size < 2 * len(keys):
-        size *= 2
-    table = np.full(size, EMPTY, dtype=np.int64)
-    kept = np.empty(len(keys), dtype=np.int64)
-    count = 0
-    for i in range(len(keys)):
-        slot = slot_of(keys[i], size - 1)
-        while table[slot] != EMPTY and table[slot] != keys[i]:
-            slot = (slot + 1) & (size - 1)
-        if table[slot] == EMPTY:
-            table[slot] = keys[i]
-            kept[count] = i
-            count += 1
-    return kept[:count].copy()
+    return np.asarray(distinct_keys(voxel_keys(points, voxel_m))[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

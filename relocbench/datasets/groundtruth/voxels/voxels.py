@@ -43,8 +43,31 @@ def slot_of(key: int, mask: int) -> int:
     return (mixed ^ (mixed >> 29)) & mask
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def distinct_keys(keys: Indices) -> tuple[Indices, Indices]:
+    """(N,) numbers of the distinct values of keys (N,), in the order in which they appear first, and (C,) the row where
+    each does."""
+    size = 8
+    while size < 2 * len(keys):
+        size *= 2
+    table = np.full(size, -1, dtype=np.int32)
+    number, first = np.empty(len(keys), dtype=np.int64), np.empty(len(keys), dtype=np.int64)
+    count = 0
+    for i in range(len(keys)):
+        key = keys[i]
+        slot = slot_of(key, size - 1)
+        while table[slot] >= 0 and keys[first[table[slot]]] != key:
+            slot = (slot + 1) & (size - 1)
+        if table[slot] < 0:
+            table[slot] = count
+            first[count] = i
+            count += 1
+        number[i] = table[slot]
+    return number, first[:count].copy()
+
+
 class Grid(NamedTuple):
-    """Points sorted by voxel. Within a voxel they keep their order."""
+    """Points sorted by voxel. Within a voxel they keep their order, as voxels do by their first points."""
 
     size_m: float
     order: Indices
@@ -59,15 +82,33 @@ class Grid(NamedTuple):
 
 def make_grid(points: NDArray[np.floating], size_m: float) -> Grid:
     """Sort points (N, 3) into voxels of ``size_m``."""
-    keys = voxel_keys(points, size_m)
-    order = np.argsort(keys, kind="stable")
-    ordered = keys[order]
-    first = np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1)) if len(ordered) else np.zeros(0, np.int64)
+    return Grid(size_m, *_sorted(voxel_keys(points, size_m)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sorted(voxels: Indices) -> tuple[Indices, Indices, Indices, NDArray[np.int32]]:
+    """The order, the starts, and the table of a grid of points in these voxels (N,)."""
+    number, first = distinct_keys(voxels)
+    starts = np.zeros(len(first) + 1, dtype=np.int64)
+    for i in range(len(number)):
+        starts[number[i] + 1] += 1
+    for c in range(len(first)):
+        starts[c + 1] += starts[c]
+    place, order = starts[:-1].copy(), np.empty(len(number), dtype=np.int64)
+    for i in range(len(number)):
+        order[place[number[i]]] = i
+        place[number[i]] += 1
     size = 8
     while size < 3 * len(first):
         size *= 2
-    table, cells = _fill(ordered[first], size)
-    return Grid(size_m, order, np.append(first, len(keys)).astype(np.int64), table, cells)
+    keys, cells = np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int32)
+    for c in range(len(first)):
+        slot = slot_of(voxels[first[c]], size - 1)
+        while keys[slot] != EMPTY:
+            slot = (slot + 1) & (size - 1)
+        keys[slot] = voxels[first[c]]
+        cells[slot] = c
+    return order, starts, keys, cells
 
 
 def cells_of(grid: Grid) -> Indices:
@@ -75,19 +116,6 @@ def cells_of(grid: Grid) -> Indices:
     out = np.empty(len(grid.order), dtype=np.int64)
     out[grid.order] = np.repeat(np.arange(len(grid.starts) - 1), np.diff(grid.starts))
     return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill(unique: Indices, size: int) -> tuple[Indices, NDArray[np.int32]]:
-    keys = np.full(size, EMPTY, dtype=np.int64)
-    cells = np.zeros(size, dtype=np.int32)
-    for c in range(len(unique)):
-        slot = slot_of(unique[c], size - 1)
-        while keys[slot] != EMPTY:
-            slot = (slot + 1) & (size - 1)
-        keys[slot] = unique[c]
-        cells[slot] = c
-    return keys, cells
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
