@@ -127,8 +127,7 @@ def linearise(
         scale_m: of Geman-McClure's kernel, ``w = (1 + (r / scale)^2)^-2``.
         planes_rescaled: whether the scale error is that of the planes' drive instead of the points'.
     """
-    if reach > planes.grid.size_m * (1 + 1e-9):
-        raise ValueError(f"a grid of {planes.grid.size_m} m cells cannot be searched to a distance of {reach} m")
+    planes.check_reach(reach)
     of_planes = planes.points, planes.normals, planes.weights, planes.lever_arms
     of_points = sample.points, sample.normals, sample.weights, sample.lever_arms
     growth = (options.drift_per_m / options.sigma_m) ** 2

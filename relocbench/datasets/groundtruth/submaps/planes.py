@@ -80,6 +80,11 @@ class Planes(Sample):
         points = self.points + scale_error * self.lever_arms
         return grid_planes(points, self.normals, self.weights, self.lever_arms, self.grid.size_m)
 
+    def check_reach(self, reach_m: float) -> None:
+        """Raise ValueError if planes so far away could be missed."""
+        if reach_m > self.grid.size_m * (1 + 1e-9):
+            raise ValueError(f"a grid of {self.grid.size_m} m cells cannot be searched to a distance of {reach_m} m")
+
     def nearest(self, points: Array, normals: Array, reach_m: float, cosine: float = 0.7) -> Indices:
         """(M,) row of the plane nearest to each point and facing the same way, -1 where there is none.
 
@@ -89,8 +94,7 @@ class Planes(Sample):
             reach_m: largest distance, at most the voxel size of the grid.
             cosine: cosine of the largest angle between the normals.
         """
-        if reach_m > self.grid.size_m * (1 + 1e-9):
-            raise ValueError(f"a grid of {self.grid.size_m} m cells cannot be searched to a distance of {reach_m} m")
+        self.check_reach(reach_m)
         return np.asarray(_nearest(points, normals, self.points, self.normals, self.grid, reach_m, cosine))
 
 
