@@ -216,7 +216,7 @@ def _in_yard(kind: float, sizes: Array) -> _Detail:
             return _Detail(replace(detail, vertices=turned), (0.4, a), Semantic.HEDGE)
         return _Detail(detail, (a, 0.4), Semantic.HEDGE)
     a, b = 3.0 + 4.0 * sizes[0], 2.5 + 2.5 * sizes[1]
-    return _Detail(_flat(a, b, Material.ASPHALT), (a, b), Semantic.TERRAIN)
+    return _Detail(_flat(a, b, Material.FRESH_ASPHALT), (a, b), Semantic.TERRAIN)
 
 
 def _flat(a: float, b: float, material: Material) -> Shape:

@@ -36,11 +36,11 @@ class Look:
 
 
 LOOKS: dict[Material, Look] = {
-    Material.ASPHALT: Look(((92, 92, 95),), (70, 70, 74), 0.0, 0.0, 0.5, 0.6, 1.0),
+    Material.ASPHALT: Look(((86, 85, 85),), (64, 63, 64), 0.0, 0.0, 0.5, 0.6, 1.0),
     Material.COBBLES: Look(((128, 122, 116),), (72, 66, 60), 0.0, 0.0, 0.45, 0.5, 0.8),
     Material.PAVEMENT: Look(((158, 154, 148),), (108, 104, 98), 0.0, 0.0, 0.4, 0.4, 0.7),
     Material.KERB: Look(((172, 170, 165),), (100, 98, 94), 0.0, 0.0, 0.35, 0.3, 0.0),
-    Material.LANE_MARKING: Look(((226, 226, 220),), (110, 110, 110), 0.0, 0.0, 0.1, 0.6, 1.0),
+    Material.LANE_MARKING: Look(((222, 222, 215),), (88, 87, 86), 0.0, 0.0, 0.1, 0.6, 1.0),
     Material.GRASS: Look(((96, 122, 58),), (124, 126, 74), 0.0, 0.0, 0.2, 0.02, 0.0),
     Material.SOIL: Look(((122, 100, 76),), (92, 74, 56), 0.0, 0.0, 0.5, 0.1, 0.6),
     Material.BRICK: Look(
@@ -162,6 +162,7 @@ LOOKS: dict[Material, Look] = {
     ),
     Material.LIGHT_RED: Look(((255, 40, 30),), (255, 40, 30)),
     Material.LIGHT_GREEN: Look(((30, 255, 150),), (30, 255, 150)),
+    Material.KERB_LINE: Look(((206, 166, 62),), (88, 87, 86), 0.0, 0.0, 0.1, 0.6, 1.0),
 }
 
 SPRING: tuple[Colour, ...] = (

@@ -16,6 +16,8 @@ from relocbench.datasets.synthetic.renderer.textures import MACRO, SIZE, bake
 
 MAP = 768
 """texels along a side of the sky's map"""
+_SCATTERED = 0.35
+"""share of the light in shade that has lost the sky's colour"""
 _NIGHT = np.array([0.0009, 0.0012, 0.0021])
 
 
@@ -90,6 +92,8 @@ def make_sky(factors: Factors, seed: int) -> Sky:
 
     inside = (p * p + q * q < 1)[..., None] * (scale**2)[..., None]
     ambient = (radiance * inside).sum((0, 1)) / inside.sum()
+    # Walls in the sun scatter their light into shade, which is less blue than the sky.
+    ambient += _SCATTERED * (ambient.mean() - ambient)
     rim = ((high > 0.01) & (high < 0.12))[..., None] * inside
     horizon = (radiance * rim).sum((0, 1)) / rim.sum()
 

@@ -13,11 +13,12 @@ from relocbench.datasets.synthetic.renderer.materials import CHOICES, Looks, scr
 from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
 from relocbench.datasets.synthetic.renderer.textures import MACRO, Patterns, sample
 from relocbench.datasets.synthetic.renderer.vectors import Vector, add_scaled, cross, dot, smoothstep, subtract
+from relocbench.datasets.synthetic.renderer.wear import street_wear
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.datasets.synthetic.town.raycast import NOTHING
 from relocbench.kernels import njit
 
-_ASPHALT = int(Material.ASPHALT)
+_ASPHALT, _KERB_LINE = int(Material.ASPHALT), int(Material.KERB_LINE)
 _MARKING, _WINDOW, _SHOP = int(Material.LANE_MARKING), int(Material.WINDOW), int(Material.SHOP_WINDOW)
 _CURTAIN, _GOODS = int(Material.CURTAIN), int(Material.GOODS)
 _LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAMP)
@@ -135,7 +136,7 @@ def _paint(
     material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
     dice = np.int64(scramble(variant, material * 7919 + seed))
     layer = material
-    shift_u = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
+    shift_u = 0.0 if material in (_ASPHALT, _MARKING, _KERB_LINE) else (dice & 255) / 255.0 * 7.3
     shift_v = 0.37 * shift_u
     if patterns.lettering.pages[material] > 0:
         layer, shift_u, shift_v = chosen_cell(patterns.lettering, material, dice)
@@ -210,9 +211,18 @@ def surfaces(
         su, sv = u0 + dot(gu, q) + shift_u, v0 + dot(gv, q)
         dudx, dvdx, dudy, dvdy = dot(gu, px), dot(gv, px), dot(gu, py), dot(gv, py)
 
+        # The coordinates of a street tell where wheels roll; its grain goes on across streets and markings.
+        street = material in (_ASPHALT, _MARKING, _KERB_LINE)
+        laid = dice
+        worn, track, dirt = 1.0, 0.0, 0.0
+        if street:
+            along, across = su, sv
+            half_u, half_v = 0.5 * (abs(dudx) + abs(dudy)), 0.5 * (abs(dvdx) + abs(dvdy))
+            laid, su, sv, dudx, dvdx, dudy, dvdy = _ON_GROUND, p[0], p[1], px[0], px[1], py[0], py[1]
+
         # Reflections are dim or blurred and need fewer texture samples.
         most = 6 if samples.before[i] <= 0.0 else 3
-        share, bright = sample(patterns, layer, dice, 1.0, su, sv + shift_v, dudx, dvdx, dudy, dvdy, most)
+        share, bright = sample(patterns, layer, laid, 1.0, su, sv + shift_v, dudx, dvdx, dudy, dvdy, most)
         # Low-frequency stains, in surface coordinates on walls and in world coordinates on the ground.
         flat = nz > 0.7
         if flat:
@@ -223,19 +233,28 @@ def surfaces(
                 patterns, _NOISE, dice, 3.0, su + 2 * shift_u, 0.2 * sv, dudx, 0.2 * dvdx, dudy, 0.2 * dvdy, _ONE
             )
         tone = varied
-        stained = 0.19 if material == _ASPHALT else 0.12
+        stained = 0.12
         if material in _WALLS:
             stained = 0.12 + 0.34 * ((dice >> 3) & 31) / 31.0
             tone *= 1.0 - (0.1 + 0.25 * slow) * (1.0 - smoothstep(p[2], 0.1, 0.5 + 0.9 * slow))
         elif material == _TILES:
             stained = 0.3
+        if street:
+            variant = np.int64(geometry.variant[triangle])
+            worn, track, dirt = street_wear(along, across, variant, half_u, half_v, slow, setting.seed)
+            if material == _ASPHALT:
+                tone, stained = tone * worn, 0.3
+            else:
+                # Wheels wear paint off, and it is as dirty as the road.
+                share = min(1.0, share * (0.6 + 1.5 * slow + 1.2 * track) + 0.3 * dirt)
+                tone *= 0.9 + 0.1 * worn
         if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
             tone *= 1 - stained + stained * stain
         shine = tone * bright
         r, g, b = first_colour
         r = (r + (looks.second[material, 0] - r) * share) * shine
         g = (g + (looks.second[material, 1] - g) * share) * shine
-        b = (b + (looks.second[material, 2] - b) * share) * shine
+        b = (b + (looks.second[material, 2] - b) * share) * shine * (1 - 0.12 * dirt)
 
         fresnel = _fresnel(abs(slope) / np.sqrt(dot(d, d)))
         gloss, sharp = looks.gloss[material] * fresnel, 1.0
@@ -247,12 +266,15 @@ def surfaces(
         if setting.snow > 0.0 and nz > 0.2 and material != _LAMP:
             line = (1 - setting.snow) * 1.2 - 0.1
             grain = slow if flat else 0.5
+            if street:
+                # Wheels press it into dirty slush; ploughs leave it along kerbs.
+                grain = 0.6 * grain + 0.25 - 0.65 * track + 0.6 * dirt
             deep = smoothstep(grain + 0.25 * (bright - 1.0), line - 0.1, line + 0.1)
             # A thin layer remains where snow is swept or trodden; without it the ground would seem to have holes.
-            thin = 0.75 * setting.snow * setting.snow
+            thin = 0.75 * setting.snow * setting.snow * (1 - 0.6 * track)
             snow = (thin + (1 - thin) * deep) * smoothstep(nz, 0.3, 0.7)
             if snow > 0.0:
-                white = 0.80 + 0.12 * (bright - 1.0) + 0.09 * (stain - 1.0)
+                white = (0.80 + 0.12 * (bright - 1.0) + 0.09 * (stain - 1.0)) * (1 - 0.25 * track)
                 r, g, b = r + (white - r) * snow, g + (white * 1.01 - g) * snow, b + (white * 1.04 - b) * snow
                 gloss *= 1 - snow
 

@@ -125,7 +125,7 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
             stones, grit = _noise(rng, 128, 1), _noise(rng, 256, 1)
             light = np.clip(grit - 1.3, 0, 1)
             second = np.clip(0.35 + 0.12 * coarse + 0.3 * np.clip(-stones - 0.6, 0, 1) + 0.7 * crack, 0, 1)
-            return second, 1 + 0.10 * stones + 0.09 * grit + 0.3 * light + 0.05 * coarse - 0.25 * crack, 4.1, _NOISE
+            return second, 1 + 0.05 * stones + 0.08 * grit + 0.25 * light + 0.05 * coarse - 0.25 * crack, 4.1, _NOISE
         case Material.COBBLES:
             joints, tone = _bricks(rng, 16, 16, 2.2)
             return joints, 1 + 0.16 * tone + 0.07 * fine - 0.25 * joints, 2.0, Laying(16, 16, 0.5)
@@ -138,8 +138,10 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
             joints, tone = _bricks(rng, 3, 1, 0.8)
             joints[:] = joints[SIZE // 2]  # those across the kerb alone
             return joints, 1 + 0.05 * tone + 0.06 * fine, 3.0, Laying(3, 1)
-        case Material.LANE_MARKING:
-            return np.clip(coarse - 0.9, 0, 1) * 0.7, 1 + 0.05 * fine, 2.0, _NOISE
+        case Material.LANE_MARKING | Material.KERB_LINE:
+            # Paint goes first where stones stand out.
+            flaked = np.clip(0.6 * coarse + 0.5 * _noise(rng, 128, 2) - 0.55, 0, 1)
+            return flaked, 1 + 0.05 * fine, 2.0, _NOISE
         case Material.GRASS | Material.HEDGE | Material.LEAF:
             laying = _ALIKE if material == Material.LEAF else _NOISE
             return np.clip(0.4 + 0.35 * coarse, 0, 1), 1 + 0.22 * fine + 0.12 * coarse, 1.7, laying

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from relocbench.datasets.synthetic.town.carriageway import carriageway, laid_on
 from relocbench.datasets.synthetic.town.markings import markings
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.network import StreetNetwork
@@ -17,24 +18,19 @@ _KERB_TOP_M = 0.18
 
 def ground(network: StreetNetwork, blocks: tuple[Block, ...]) -> Mesh:
     """All flat surfaces: the road plane, raised pavements and blocks, the land to the horizon, and road markings."""
-    paint = join(markings(network, blocks))
+    road = carriageway(network)
+    paint = laid_on(join(markings(network, blocks)), road)
     return merge(
         [
-            single(_road(network), 0, 1, Semantic.ROAD),
+            single(road, 0, 0, Semantic.ROAD),
             *(single(_pavement(block), 0, 2, Semantic.PAVEMENT) for block in blocks),
             *(
                 single(_inside(block), 0, 3, Semantic.PAVEMENT if block.kind == "square" else Semantic.TERRAIN)
                 for block in blocks
             ),
-            single(paint, 0, 4, Semantic.MARKING),
+            single(paint, 0, 0, Semantic.MARKING),
         ]
     )
-
-
-def _road(network: StreetNetwork) -> Shape:
-    low, high = network.nodes.min(0) - 30.0, network.nodes.max(0) + 30.0
-    corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-    return quads(at_height(corners, 0.0), Material.ASPHALT)
 
 
 def _pavement(block: Block) -> Shape:

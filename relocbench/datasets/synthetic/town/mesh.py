@@ -20,6 +20,7 @@ class Material(IntEnum):
     """Material of a triangle, which determines its appearance in every weather."""
 
     ASPHALT = 0
+    """of a street, with the surface coordinates and variants of ``carriageway.py``, as have markings"""
     COBBLES = 1
     PAVEMENT = 2
     KERB = 3
@@ -76,6 +77,8 @@ class Material(IntEnum):
     """curtains and blinds behind glass"""
     GOODS = 45
     """what is shown in shop windows, behind glass"""
+    KERB_LINE = 46
+    """yellow lines where nobody may park"""
 
 
 class Semantic(IntEnum):
