@@ -8,8 +8,9 @@ import pytest
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer.lettering import invented_word
+from relocbench.datasets.synthetic.renderer.patterns import SIZE
 from relocbench.datasets.synthetic.renderer.render import Renderer
-from relocbench.datasets.synthetic.renderer.textures import SIZE, bake
+from relocbench.datasets.synthetic.renderer.textures import bake
 from relocbench.datasets.synthetic.town.houses.facades import name_board
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.datasets.synthetic.town.moving import Kind, Moving, moving_mesh

@@ -121,3 +121,11 @@ def test_the_average_over_many_tiles_is_the_pattern_s() -> None:
         mean = PATTERNS.mean[material] / (255.0, 128.0)
         np.testing.assert_allclose(wide.mean(axis=(0, 1)), mean, atol=0.03)
         assert math.isfinite(float(wide.std()))
+
+
+def test_number_plates_differ() -> None:
+    written = PATTERNS.second(Material.NUMBER_PLATE)
+    plates = [written[32 * k : 32 * k + 32, 128 * j : 128 * j + 128] for k in range(8) for j in range(2)]
+    assert all(0.05 < plate.mean() < 0.4 for plate in plates)
+    assert len({plate.tobytes() for plate in plates}) == 16
+    assert not any(plate[[0, -1]].any() or plate[:, [0, -1]].any() for plate in plates)

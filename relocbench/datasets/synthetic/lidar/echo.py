@@ -30,6 +30,7 @@ _REFLECTANCE_OF = {
     Material.STREET_NAME: 2.0, Material.POSTER: 0.45, Material.LIGHT_RED: 0.30, Material.LIGHT_GREEN: 0.30,
     Material.CURTAIN: 0.06, Material.GOODS: 0.06,
     Material.KERB_LINE: 0.55,
+    Material.NUMBER_PLATE: 1.5, Material.LIGHT_METAL: 0.40, Material.TAIL_LAMP: 1.0,
 }  # fmt: skip
 """diffuse reflectance near 905 nm: leaves are bright there, glass deflects the beam, signs are retroreflective"""
 _REFLECTANCE = np.array([_REFLECTANCE_OF[material] for material in Material])

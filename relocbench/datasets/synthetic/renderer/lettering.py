@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from relocbench.arrays import Bytes, Floats, Indices
-from relocbench.datasets.synthetic.town.mesh import BOARD_M, POSTER_M, SIGN_M, Material
+from relocbench.datasets.synthetic.town.mesh import BOARD_M, PLATE_M, POSTER_M, SIGN_M, Material
 from relocbench.kernels import njit
 
 Cell = tuple[Floats, Floats]
@@ -26,6 +26,7 @@ PAGES: dict[Material, tuple[tuple[int, int], float, tuple[str, ...]]] = {
     Material.SHOP_SIGN: (_BOARDS, BOARD_M, ("board", "negative", "board", "negative")),
     Material.STREET_NAME: (_BOARDS, BOARD_M, ("street", "street")),
     Material.POSTER: (_SQUARES, POSTER_M, ("poster", "poster")),
+    Material.NUMBER_PLATE: (_BOARDS, PLATE_M, ("plate",)),
     Material.TRAFFIC_SIGN: (_SQUARES, SIGN_M, ("pictograms",)),
     Material.GUIDE_SIGN: (_SQUARES, SIGN_M, ("pictograms",)),
 }
@@ -133,6 +134,15 @@ def _street_name(rng: np.random.Generator, height: int, width: int) -> Cell:
     out[1:-1, 1:-1] = 1
     out[2:-2, 2:-2] = 0
     out[5:-5, 6:-6] = written(word, height - 10, width - 12, cv2.FONT_HERSHEY_DUPLEX)
+    return out, np.ones_like(out)
+
+
+def _number_plate(rng: np.random.Generator, height: int, width: int) -> Cell:
+    """Letters and digits in the second colour."""
+    letters = "".join(rng.choice(list("ABCDEFGHKLMNPRSTUVWXYZ"), 4))
+    text = f"{letters[:2]}{rng.integers(10, 99)} {letters[2:]}{rng.integers(1, 9)}"
+    out = np.zeros((height, width), dtype=np.float32)
+    out[4:-4, 6:-6] = written(text, height - 8, width - 12, cv2.FONT_HERSHEY_SIMPLEX, 1.3)
     return out, np.ones_like(out)
 
 
@@ -252,12 +262,13 @@ _DRAWN: dict[str, Callable[[np.random.Generator, int, int], Cell]] = {
     "board": _name_board,
     "negative": _negative,
     "street": _street_name,
+    "plate": _number_plate,
     "poster": _poster,
 }
 
 
 def page(kind: str, size: int, cells: tuple[int, int], rng: np.random.Generator) -> Cell:
-    """A page of a kind: board, negative (of letters on white), street, poster or pictograms.
+    """A page of a kind: board, negative (of letters on white), street, plate, poster or pictograms.
 
     Args:
         size: texels along each side.

@@ -106,7 +106,7 @@ LOOKS: dict[Material, Look] = {
         0.05,
         1.0,
     ),
-    Material.CAR_GLASS: Look(((30, 34, 36),), (44, 46, 48), 0.0, 1.0),
+    Material.CAR_GLASS: Look(((22, 25, 27),), (52, 56, 58), 0.0, 1.0),
     Material.RUBBER: Look(((38, 38, 39),), (58, 56, 54), 0.0, 0.0, 0.2),
     Material.TRAFFIC_SIGN: Look(((196, 36, 38),), (240, 240, 238), 0.0, 0.05),
     Material.LAMP: Look(((226, 224, 214),), (226, 224, 214), 0.0, 0.1),
@@ -163,6 +163,15 @@ LOOKS: dict[Material, Look] = {
     Material.LIGHT_RED: Look(((255, 40, 30),), (255, 40, 30)),
     Material.LIGHT_GREEN: Look(((30, 255, 150),), (30, 255, 150)),
     Material.KERB_LINE: Look(((206, 166, 62),), (88, 87, 86), 0.0, 0.0, 0.1, 0.6, 1.0),
+    Material.NUMBER_PLATE: Look(
+        ((222, 221, 212), (222, 221, 212), (216, 186, 74), (222, 221, 212), (216, 186, 74), (222, 221, 212)),
+        (28, 28, 30),
+        0.05,
+    ),
+    Material.LIGHT_METAL: Look(
+        ((150, 152, 154), (166, 168, 170), (96, 98, 100), (164, 164, 162)), (90, 86, 82), 0.1, 0.3
+    ),
+    Material.TAIL_LAMP: Look(((150, 22, 20),), (110, 16, 18), 0.1, 0.6),
 }
 
 SPRING: tuple[Colour, ...] = (

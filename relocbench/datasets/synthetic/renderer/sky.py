@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.renderer.textures import MACRO, SIZE, bake
+from relocbench.datasets.synthetic.renderer.patterns import SIZE
+from relocbench.datasets.synthetic.renderer.textures import MACRO, bake
 
 MAP = 768
 """texels along a side of the sky's map"""

@@ -28,6 +28,7 @@ _WALLS = tuple(
     int(m) for m in (Material.BRICK, Material.PLASTER, Material.STONE, Material.CONCRETE, Material.PAINTED_WALL)
 )
 _TILES = int(Material.ROOF_TILES)
+_TAIL_LAMP, _LIGHT_METAL = int(Material.TAIL_LAMP), int(Material.LIGHT_METAL)
 _SKY = int(Semantic.SKY)
 _MOVING, _PARKED = int(Semantic.MOVING_CAR), int(Semantic.PARKED_CAR)
 _GLOW = 2.2
@@ -136,7 +137,7 @@ def _paint(
     material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
     dice = np.int64(scramble(variant, material * 7919 + seed))
     layer = material
-    shift_u = 0.0 if material in (_ASPHALT, _MARKING, _KERB_LINE) else (dice & 255) / 255.0 * 7.3
+    shift_u = 0.0 if material in (_ASPHALT, _MARKING, _KERB_LINE, _CAR_GLASS) else (dice & 255) / 255.0 * 7.3
     shift_v = 0.37 * shift_u
     if patterns.lettering.pages[material] > 0:
         layer, shift_u, shift_v = chosen_cell(patterns.lettering, material, dice)
@@ -157,6 +158,13 @@ def _paint(
         light *= (0.84 + 0.32 * ((dice >> 4) & 255) / 255.0) * (1.0 - 0.19 * (variant & 3))
         yellow = 0.1 * (((tree >> 16) & 255) / 255.0 - 0.5) + 0.12 * (((clump >> 8) & 255) / 255.0 - 0.5)
         r, g, b = r * light * (1.0 + 1.6 * yellow), g * light, b * light * (1.0 - yellow)
+    elif material == _PAINT:
+        # Towards black or grey, mostly a little.
+        other = 1 + ((dice >> 19) & 1)
+        turned = 0.7 * (((dice >> 24) & 255) / 255.0) ** 2
+        r += (looks.first[material, other, 0] - r) * turned
+        g += (looks.first[material, other, 1] - g) * turned
+        b += (looks.first[material, other, 2] - b) * turned
     return material, layer, dice, shift_u, shift_v, tone, (float(r), float(g), float(b))
 
 
@@ -262,6 +270,12 @@ def surfaces(
         if glass:
             gloss = min(1.0, 1.6 * gloss + 0.07)
 
+        if material in (_PAINT, _LIGHT_METAL):
+            # Spray dries on sills and rims.
+            splashed = (0.1 + 0.4 * (dice & 255) / 255.0) * (1 - smoothstep(p[2] + 0.25 * (slow - 0.5), 0.2, 0.75))
+            r, g, b = r + (0.16 - r) * splashed, g + (0.14 - g) * splashed, b + (0.115 - b) * splashed
+            gloss *= 1 - splashed
+
         snow = 0.0
         if setting.snow > 0.0 and nz > 0.2 and material != _LAMP:
             line = (1 - setting.snow) * 1.2 - 0.1
@@ -305,6 +319,8 @@ def surfaces(
                 emission[i, 0], emission[i, 1], emission[i, 2] = 6.0, 4.8, 3.2
         elif material in (_LIGHT_RED, _LIGHT_GREEN):
             emission[i, 0], emission[i, 1], emission[i, 2] = _GLOW * r, _GLOW * g, _GLOW * b
+        elif material == _TAIL_LAMP and setting.headlights and geometry.semantic[triangle] == _MOVING:
+            emission[i, 0], emission[i, 1], emission[i, 2] = 1.6, 0.06, 0.04
         of_shop = material in (_SHOP, _GOODS)
         room = np.int64(scramble(np.int64(geometry.variant[triangle]), setting.seed)) if glass else np.int64(0)
         if setting.night > 0.0 and glass and (of_shop or (room >> 5) % 100 < 24):

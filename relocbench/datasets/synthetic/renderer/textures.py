@@ -14,14 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array, Floats
+from relocbench.arrays import Floats
 from relocbench.datasets.synthetic.renderer.lettering import PAGES, Lettering, make_lettering, page
 from relocbench.datasets.synthetic.renderer.materials import scramble
+from relocbench.datasets.synthetic.renderer.patterns import ALIKE, NOISE, SIZE, Laying, noise, pattern
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.kernels import njit
 
-SIZE = 256
-"""texels along a side of the finest level"""
 LEVELS = 9
 LAYER = (4 * SIZE * SIZE - 1) // 3
 """number of texels in all levels of a layer"""
@@ -37,19 +36,6 @@ _BLENDS = 16
 _PARTS = np.array([0, *(1 / k for k in range(1, 9))])
 _ZONE = 0.08
 """half the width of the zone, in tiles, in which neighbouring tiles of noise change into each other"""
-
-
-class Laying(NamedTuple):
-    """How tiles of a pattern lie side by side."""
-
-    columns: int
-    """units such as bricks in a tile; 0: noise, whose tiles change into each other; -1: all tiles are alike"""
-    rows: int = 0
-    bond: float = 0.0
-    """by how much of a unit odd rows are shifted"""
-
-
-_NOISE, _ALIKE = Laying(0), Laying(-1)
 
 
 class Patterns(NamedTuple):
@@ -71,132 +57,6 @@ class Patterns(NamedTuple):
         return (finest & 0xFF).astype(np.float32) / np.float32(255)
 
 
-def _noise(rng: np.random.Generator, cells: int, octaves: int, gain: float = 0.5, stretch: int = 1) -> Floats:
-    """Tileable value noise (SIZE, SIZE) with zero mean and unit deviation; ``stretch`` elongates it along v."""
-    total = np.zeros((SIZE, SIZE))
-    for k in range(octaves):
-        n = min(cells * 2**k, SIZE)
-        m = max(1, n // stretch)
-        total += gain**k * _enlarge(_enlarge(rng.standard_normal((m, n)), 0), 1)
-    return np.asarray((total - total.mean()) / total.std(), dtype=np.float32)
-
-
-def _enlarge(values: Array, axis: int) -> Array:
-    """Periodic smooth interpolation to SIZE along an axis."""
-    n = values.shape[axis]
-    x = np.arange(SIZE) * n / SIZE
-    i = np.floor(x).astype(int)
-    t = x - i
-    t = t * t * (3 - 2 * t)
-    shape = [1, 1]
-    shape[axis] = SIZE
-    t = t.reshape(shape)
-    out: Array = values.take(i % n, axis) * (1 - t) + values.take((i + 1) % n, axis) * t
-    return out
-
-
-def _bricks(
-    rng: np.random.Generator, columns: int, rows: int, joint: float, shift: float = 0.5
-) -> tuple[Floats, Floats]:
-    """Running bond of bricks: mask of the joints, ``joint`` texels wide, and a random brightness of each brick."""
-    y, x = np.mgrid[:SIZE, :SIZE].astype(np.float32)
-    row = np.floor(y * rows / SIZE).astype(int)
-    along = (x * columns / SIZE + shift * (row % 2)) % columns
-    width, height = SIZE / columns, SIZE / rows
-    to_side = np.minimum(along % 1, 1 - along % 1) * width
-    below = (y * rows / SIZE) % 1
-    to_bed = np.minimum(below, 1 - below) * height
-    joints = np.clip(joint + 0.5 - np.minimum(to_side, to_bed), 0, 1)
-    tone = rng.standard_normal((rows, columns))[row, np.floor(along).astype(int) % columns]
-    return joints.astype(np.float32), tone.astype(np.float32)
-
-
-def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floats, float, Laying]:
-    """Share of the second colour, brightness (about 1 on average), metres per tile, and how tiles are laid."""
-    fine, coarse = _noise(rng, 64, 3), _noise(rng, 6, 5, 0.6)
-    none = np.zeros((SIZE, SIZE), dtype=np.float32)
-    match material:
-        case Material.ASPHALT | Material.FRESH_ASPHALT:
-            y, x = np.mgrid[:SIZE, :SIZE] / SIZE
-            wander = 0.12 * np.sin(2 * np.pi * x) + 0.02 * _noise(rng, 12, 3)
-            crack = np.clip(1 - np.abs(y - 0.5 - wander) / 0.004, 0, 1) * (_noise(rng, 3, 1) > 0.6)
-            crack = crack if material == Material.ASPHALT else none
-            # Stones of one to three centimetres in bitumen, some of them light, with dark gaps in between.
-            stones, grit = _noise(rng, 128, 1), _noise(rng, 256, 1)
-            light = np.clip(grit - 1.3, 0, 1)
-            second = np.clip(0.35 + 0.12 * coarse + 0.3 * np.clip(-stones - 0.6, 0, 1) + 0.7 * crack, 0, 1)
-            return second, 1 + 0.05 * stones + 0.08 * grit + 0.25 * light + 0.05 * coarse - 0.25 * crack, 4.1, _NOISE
-        case Material.COBBLES:
-            joints, tone = _bricks(rng, 16, 16, 2.2)
-            return joints, 1 + 0.16 * tone + 0.07 * fine - 0.25 * joints, 2.0, Laying(16, 16, 0.5)
-        case Material.PAVEMENT:
-            # Slabs of half a metre. Their rows are even in number, so that the bond goes on from tile to tile.
-            joints, tone = _bricks(rng, 6, 6, 0.8)
-            bright = 1 + 0.09 * tone + 0.05 * fine + 0.04 * coarse
-            return np.clip(joints + 0.15 * coarse, 0, 1), bright, 3.0, Laying(6, 6, 0.5)
-        case Material.KERB:
-            joints, tone = _bricks(rng, 3, 1, 0.8)
-            joints[:] = joints[SIZE // 2]  # those across the kerb alone
-            return joints, 1 + 0.05 * tone + 0.06 * fine, 3.0, Laying(3, 1)
-        case Material.LANE_MARKING | Material.KERB_LINE:
-            # Paint goes first where stones stand out.
-            flaked = np.clip(0.6 * coarse + 0.5 * _noise(rng, 128, 2) - 0.55, 0, 1)
-            return flaked, 1 + 0.05 * fine, 2.0, _NOISE
-        case Material.GRASS | Material.HEDGE | Material.LEAF:
-            laying = _ALIKE if material == Material.LEAF else _NOISE
-            return np.clip(0.4 + 0.35 * coarse, 0, 1), 1 + 0.22 * fine + 0.12 * coarse, 1.7, laying
-        case Material.SOIL:
-            return np.clip(0.4 + 0.3 * coarse, 0, 1), 1 + 0.2 * fine + 0.1 * coarse, 2.3, _NOISE
-        case Material.BRICK:
-            joints, tone = _bricks(rng, 8, 24, 0.9)
-            return joints, 1 + 0.13 * tone + 0.05 * fine, 2.0, Laying(8, 24, 0.5)
-        case Material.STONE:
-            joints, tone = _bricks(rng, 4, 8, 0.9)
-            return joints * 0.8, 1 + 0.09 * tone + 0.05 * fine + 0.04 * coarse, 2.8, Laying(4, 8, 0.5)
-        case Material.PLASTER | Material.PAINTED_WALL:
-            streaks = _noise(rng, 24, 2, stretch=12)
-            return np.clip(0.15 * coarse + 0.12 * streaks, 0, 1), 1 + 0.05 * coarse + 0.03 * fine, 3.7, _NOISE
-        case Material.CONCRETE:
-            joints, tone = _bricks(rng, 4, 4, 0.8, 0.0)
-            streaks = _noise(rng, 16, 3, stretch=8)
-            return np.clip(0.25 * streaks + joints, 0, 1), 1 + 0.05 * tone + 0.06 * coarse, 4.8, Laying(4, 4)
-        case Material.ROOF_TILES:
-            y = np.mgrid[:SIZE, :SIZE][0] / SIZE
-            joints, tone = _bricks(rng, 10, 8, 1.0)
-            bright = 0.85 + 0.3 * ((y * 8) % 1) + 0.12 * tone + 0.05 * coarse
-            return joints, bright, 2.4, Laying(10, 8, 0.5)
-        case Material.WINDOW | Material.SHOP_WINDOW | Material.CAR_GLASS:
-            return np.clip(0.5 + 0.5 * coarse, 0, 1), 1 + 0.12 * coarse, 2.9, _ALIKE
-        case Material.CURTAIN:
-            folds = _noise(rng, 48, 2, stretch=24)
-            return np.clip(0.3 + 0.3 * folds, 0, 1), 1 + 0.1 * folds, 1.6, _ALIKE
-        case Material.GOODS:
-            things = _noise(rng, 24, 2)
-            return (things > 0.2) * np.float32(0.8), 1 + 0.2 * things, 2.1, _ALIKE
-        case Material.WOOD | Material.DOOR:
-            joints, tone = _bricks(rng, 8, 1, 0.8, 0.0)
-            joints[:] = joints[SIZE // 2]  # planks without an end
-            grain = _noise(rng, 64, 2, stretch=16)
-            return np.clip(joints + 0.2 * grain, 0, 1), 1 + 0.06 * tone + 0.07 * grain, 1.0, Laying(8, 1)
-        case Material.BARK:
-            ridges = _noise(rng, 32, 3, stretch=6)
-            return np.clip(0.4 + 0.4 * ridges, 0, 1), 1 + 0.18 * ridges, 0.9, _ALIKE
-        case Material.AWNING:
-            stripes = (np.mgrid[:SIZE, :SIZE][1] * 8 // SIZE % 2) * 0.9
-            return stripes.astype(np.float32), 1 + 0.04 * coarse, 2.4, _ALIKE
-        case Material.SHEET | Material.CLOTH | Material.TROUSERS:
-            folds = _noise(rng, 8, 3, stretch=8)
-            tile = 2.6 if material == Material.SHEET else 1.1
-            return np.clip(0.2 * folds, 0, 1), 1 + 0.1 * folds + 0.03 * fine, tile, _NOISE
-        case (
-            Material.METAL | Material.RUBBER | Material.PLASTIC | Material.ROOF_FLAT
-            | Material.SIGNAL_RED | Material.SIGNAL_WHITE | Material.CONTAINER
-        ):  # fmt: skip
-            return np.clip(0.25 * coarse - 0.1, 0, 1), 1 + 0.05 * coarse + 0.03 * fine, 2.1, _ALIKE
-        case _:
-            return none, np.ones_like(none), 2.0, _ALIKE
-
-
 @lru_cache(maxsize=2)
 def bake(seed: int) -> Patterns:
     """Make the patterns of all materials; the same seed gives the same bytes."""
@@ -215,20 +75,20 @@ def bake(seed: int) -> Patterns:
 
 
 def _layer(layer: int, rng: np.random.Generator) -> tuple[Floats, Floats, float, Laying]:
-    """What :func:`_pattern` returns, of any layer."""
+    """What :func:`pattern` returns, of any layer."""
     if layer == MACRO:
-        slow = _noise(rng, 5, 6, 0.55)
+        slow = noise(rng, 5, 6, 0.55)
         rank = np.argsort(np.argsort(slow.ravel(), kind="stable"), kind="stable")
         return (
             (rank.reshape(slow.shape) / slow.size).astype(np.float32),
-            1 + 0.5 * _noise(rng, 7, 4),
+            1 + 0.5 * noise(rng, 7, 4),
             MACRO_TILE_M,
-            _NOISE,
+            NOISE,
         )
     if Material(layer) in PAGES:
         grid, width, kinds = PAGES[Material(layer)]
-        return *page(kinds[0], SIZE, grid, rng), grid[0] * width, _ALIKE
-    return _pattern(Material(layer), rng)
+        return *page(kinds[0], SIZE, grid, rng), grid[0] * width, ALIKE
+    return pattern(Material(layer), rng)
 
 
 def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint64]:

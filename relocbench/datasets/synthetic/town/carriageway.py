@@ -40,7 +40,9 @@ def carriageway(network: StreetNetwork) -> Shape:
     seen from there. Halves of streets have variants of their own, which are odd where a parking lane is beside.
     """
     runs = _runs(network)
-    corners, coordinates, variants = [], [], []
+    corners: list[Array] = []
+    coordinates: list[Array] = []
+    variants: list[int] = []
     for face in network.faces:
         line, pieces = _around(network, runs, face)
         outer = offset_loop(line, [_REACH_M] * len(line))
@@ -107,7 +109,8 @@ def _runs(network: StreetNetwork) -> dict[tuple[int, ...], _Run]:
 def _run(network: StreetNetwork, chain: list[int], number: int) -> _Run:
     nodes = network.nodes[chain]
     turns = turns_of(nodes)
-    parts, edges = [nodes[:1]], []
+    parts = [nodes[:1]]
+    edges: list[HalfEdge] = []
     for i, turn in enumerate(turns, start=1):
         arc = arc_at(nodes[i - 1], nodes[i], nodes[i + 1], network.bend_radius(chain[i], float(turn)))
         parts.append(arc)

@@ -106,7 +106,7 @@ def _kerb_lines(network: StreetNetwork, block: Block) -> list[Shape]:
         0 if network.kerb[block.edge(i)] > LANE_M + 0.1 else block.sides[i].variant % len(_KERB_LINES)
         for i in range(count)
     ]
-    lines = []
+    lines: list[Shape] = []
     for i, kind in enumerate(kinds):
         arc, after = block.kerb_arcs[i], block.kerb_arcs[(i + 1) % count]
         line = np.concatenate([arc, after[:1]] if kinds[i - 1] == kind else [arc[-1:], after[:1]])

@@ -14,6 +14,8 @@ from relocbench.arrays import Bytes, Floats, Mask
 BOARD_M, POSTER_M, SIGN_M = 2.4, 0.9, 0.8
 """widths in surface coordinates of a board with a word, whose height is a quarter of it, and of a poster and of what is
 on a traffic sign, whose heights are the same"""
+PLATE_M = 0.52
+"""the same of a number plate, whose height is a quarter of it"""
 
 
 class Material(IntEnum):
@@ -79,6 +81,10 @@ class Material(IntEnum):
     """what is shown in shop windows, behind glass"""
     KERB_LINE = 46
     """yellow lines where nobody may park"""
+    NUMBER_PLATE = 47
+    LIGHT_METAL = 48
+    """rims of wheels"""
+    TAIL_LAMP = 49
 
 
 class Semantic(IntEnum):
