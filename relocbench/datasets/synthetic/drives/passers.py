@@ -15,7 +15,7 @@ from relocbench.datasets.synthetic.town.footpaths import Footpath
 from relocbench.datasets.synthetic.town.moving import Kind, Moving
 from relocbench.geometry import invert
 
-_SEEN_M = 60.0
+_SEEN_M = 50.0
 """farthest distance of a person from our car; beyond, one is a few pixels high"""
 _STANDING = 0.3
 """share of the groups of people that stand"""

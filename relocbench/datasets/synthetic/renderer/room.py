@@ -60,5 +60,6 @@ class Room:
             out[:first] = values[:first]
             return out
 
-        self.geometry = Geometry(*(with_room(getattr(self.geometry, name), name) for name in Geometry._fields))
+        for name in Geometry._fields:  # one by one, so that there are never two of all
+            self.geometry = self.geometry._replace(**{name: with_room(getattr(self.geometry, name), name)})
         self.names = with_room(self.names, "names")

@@ -81,7 +81,8 @@ def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
     shape = len(_HEIGHTS), ny, nx
     nx, ny = (np.ceil((high - low) / _FINE_M).astype(int) + 2).tolist()
     standing = ~np.isin(mesh.semantic, _FAR_GROUND)
-    ground = _ground(mesh, standing, scene, low, (ny, nx))
+    ground = np.ones((ny, nx), dtype=np.float32)
+    _darken(ground, low, mesh, standing, scene, _FINE_DIRECTIONS)
     return Skylight(low.astype(np.float32), shape, values.reshape(-1, 4), _HEIGHTS, ground)
 
 
@@ -90,18 +91,17 @@ def with_moving(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
 
     The small effect on everything else is ignored.
     """
-    rows, columns = light.ground.shape
-    everything = np.ones(len(mesh), dtype=np.bool_)
-    under = _ground(mesh, everything, scene, light.low, (rows, columns), _MOVING_DIRECTIONS)
-    return light._replace(ground=np.minimum(light.ground, under))
+    ground = light.ground.copy()
+    _darken(ground, light.low, mesh, np.ones(len(mesh), dtype=np.bool_), scene, _MOVING_DIRECTIONS)
+    return light._replace(ground=ground)
 
 
-def _ground(
-    mesh: Mesh, standing: Mask, scene: Scene, low: Floats, shape: tuple[int, int], count: int = _FINE_DIRECTIONS
-) -> Floats:
-    """Cosine-weighted sky visibility (y, x) of the ground near the low ones of the triangles (T,); 1 elsewhere."""
-    ny, nx = shape
-    ground = np.ones(shape, dtype=np.float32)
+def _darken(ground: Floats, low: Floats, mesh: Mesh, standing: Mask, scene: Scene, count: int) -> None:
+    """Lower the values of a grid (y, x) near the low ones of the triangles (T,) to the visibility of the sky there.
+
+    It is weighted by the cosine, over ``count`` directions.
+    """
+    ny, nx = ground.shape
     near = np.zeros((-(-ny // 4) + 2, -(-nx // 4) + 2), dtype=np.bool_)
     steps = np.linspace(0, 1, 25, dtype=np.float32)[:, None, None]
     for corners in _corners(mesh, standing):
@@ -124,15 +124,15 @@ def _ground(
         rows = inner[first // 4 : first // 4 + _ROWS_AT_ONCE]
         if not rows.any():
             continue
-        iy, ix = np.nonzero(rows.repeat(4, axis=0).repeat(4, axis=1)[: ny - first, :nx])
-        iy += first
+        left = int(rows.any(axis=0).argmax())
+        iy, ix = np.nonzero(rows[:, left:].repeat(4, axis=0).repeat(4, axis=1)[: ny - first, : nx - 4 * left])
+        iy, ix = iy + first, ix + 4 * left
         points = np.stack([low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, np.full(len(ix), _GROUND_M)], 1)
         points = points.astype(np.float32)
         seen = np.zeros(len(points), dtype=np.float32)
         for d, w in zip(directions, weight, strict=True):
             seen += w * _sees(scene, points, d, 1.2)
-        ground[iy, ix] = seen
-    return ground
+        ground[iy, ix] = np.minimum(ground[iy, ix], seen)
 
 
 def _corners(mesh: Mesh, chosen: Mask) -> Iterator[Floats]:
