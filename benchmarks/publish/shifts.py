@@ -71,8 +71,9 @@ def main() -> None:
 
 
 def shifts(dataset: Dataset, results: Path) -> tuple[Array, dict[str, Found]]:
-    """The true shifts (N,) of all pairs, and what each method of the results found."""
-    folders = dataset_results(results, dataset).methods()
+    """The true shifts (N,) of all pairs, and what each method of the results found that answered them all."""
+    methods, names = dataset_results(results, dataset).methods(), dataset.pair_set_names
+    folders = [folder for folder in methods if all(folder.complete(name) for name in names)]
     true: list[float] = []
     found: dict[str, list[tuple[float, float]]] = {folder.label: [] for folder in folders}
     for pair_set in dataset.pair_sets():
