@@ -44,7 +44,7 @@ def test_a_street_is_covered_once_and_knows_how_far_its_centre_line_is(
     inside = weights(asphalt, points)
     held = (inside > 1e-9).all(axis=2)
     assert (held.sum(axis=1) == 1).mean() > 0.99  # the others are on edges
-    assert (inside > -1e-6).all(axis=2).any(axis=1).all()
+    assert np.all(np.any(np.all(inside > -1e-6, axis=2), axis=1))
     v = np.array([(inside[n, t] @ asphalt.uv[t, :, 1]) for n, t in zip(*np.nonzero(held), strict=True)])
     expected = abs(lateral_m - LANE_M / 2)
     assert np.median(np.abs(np.abs(v) - expected)) < 0.02  # drives turn at crossings and cut bends a little
@@ -76,7 +76,7 @@ def test_yellow_lines_are_along_kerbs_without_parking(district: District) -> Non
 
 
 def wear(u: float, v: float, half: float = 0.004, variant: int = 6) -> Array:
-    return np.array(street_wear(u, v, variant, half, half, 0.5, 3))
+    return np.array(street_wear(u, v, np.int64(variant), half, half, 0.5, 3))
 
 
 def test_wheels_roll_in_two_tracks_of_each_lane_and_dirt_lies_at_the_kerb() -> None:

@@ -96,7 +96,7 @@ def pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Float
         case Material.LANE_MARKING | Material.KERB_LINE:
             # Paint goes first where stones stand out.
             flaked = np.clip(0.6 * coarse + 0.5 * noise(rng, 128, 2) - 0.55, 0, 1)
-            return flaked, 1 + 0.05 * fine, 2.0, NOISE
+            return np.asarray(flaked, np.float32), np.asarray(1 + 0.05 * fine, np.float32), 2.0, NOISE
         case Material.GRASS | Material.HEDGE | Material.LEAF:
             laying = ALIKE if material == Material.LEAF else NOISE
             return np.clip(0.4 + 0.35 * coarse, 0, 1), 1 + 0.22 * fine + 0.12 * coarse, 1.7, laying

@@ -83,7 +83,7 @@ def _in_cell(dice: int, x: float, y: float, half_x: float, half_y: float) -> flo
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def street_wear(
-    u: float, v: float, variant: int, half_u: float, half_v: float, slow: float, seed: int
+    u: float, v: float, variant: np.int64, half_u: float, half_v: float, slow: float, seed: int
 ) -> tuple[float, float, float]:
     """Brightness of the asphalt at a place, how much wheels roll there, and how much dirt lies there, both in [0, 1].
 

@@ -30,7 +30,7 @@ class _Run:
     def from_crossing(self) -> Array:
         """Distances (P,) along the line from the nearer end."""
         at = arc_lengths(self.points)
-        return np.minimum(at, at[-1] - at)
+        return np.asarray(np.minimum(at, at[-1] - at))
 
 
 def carriageway(network: StreetNetwork) -> Shape:

@@ -137,14 +137,14 @@ def _skin_materials(car: _Type, x: Array, size: int) -> Indices:
     result = np.full((len(middle), size), int(Material.CAR_PAINT))
     side = np.any([(middle > a) & (middle < b) for a, b in car.glass], axis=0)
     screen = np.any([(middle > a) & (middle < b) for a, b in car.screens], axis=0)
-    for faces, where in (((2, size - 4), side), ((4, 5, 6), screen)):
-        for face in faces:
-            result[where, face] = Material.CAR_GLASS
+    for face in (2, size - 4):
+        result[side, face] = Material.CAR_GLASS
+    for face in (4, 5, 6):
+        result[screen, face] = Material.CAR_GLASS
     # The ends of the profile are steep: lamps at the sides, the grille or the boot's lid in between.
     front, back = middle > car.profile[-2][0], middle < car.profile[1][0]
-    for faces, where, lamp in (((3, 4, 6, 7), front, Material.LAMP), ((3, 4, 6, 7), back, Material.TAIL_LAMP)):
-        for face in faces:
-            result[where, face] = lamp
+    for face in (3, 4, 6, 7):
+        result[front, face], result[back, face] = Material.LAMP, Material.TAIL_LAMP
     result[front, 5] = Material.PLASTIC
     result[:, size - 1] = Material.RUBBER
     return result

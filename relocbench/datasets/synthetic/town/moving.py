@@ -75,7 +75,9 @@ _NOTHING = Mesh(
     np.zeros((0, 3), np.float32),
     np.zeros((0, 3), np.uint32),
     np.zeros((0, 3, 2), np.float32),
-    *np.zeros((2, 0), np.uint8),
-    *np.zeros((2, 0), np.uint32),
+    np.zeros(0, np.uint8),
+    np.zeros(0, np.uint8),
+    np.zeros(0, np.uint32),
+    np.zeros(0, np.uint32),
     np.zeros(0, np.float32),
 )

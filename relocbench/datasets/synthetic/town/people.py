@@ -260,7 +260,7 @@ def _in_groups(
 def _phase(transforms: Array, length_m: float) -> Indices:
     """Phase (N,) of who has come to these poses (N, 4, 4) straight on, by cycles of a length."""
     along = (transforms[:, :2, 3] * transforms[:, :2, 0]).sum(axis=1)
-    return np.floor(along / length_m * _PHASES).astype(np.int64) % _PHASES
+    return np.asarray(np.floor(along / length_m * _PHASES).astype(np.int64) % _PHASES)
 
 
 def _grown(transforms: Array, variant: ArrayLike) -> Array:
