@@ -7,13 +7,12 @@ first images, for which the district, the ray tree and compiled code are loaded.
 - *bare rays*: in the same two processes, the time of Embree for one primary ray per pixel and one shadow ray for every
   surface that faces the sun, of the same frames, without edges, mirrors, colours and files.
 - *Mitsuba 3*: the same triangles and cameras, the sun and a constant sky, direct illumination (`direct`), one grey
-diffuse
-  material instead of textures, no mirrors and no files. Both cores work on one frame. Mitsuba samples illumination,
-  which
-  our renderer does not: the number of samples is the smallest for which the median noise over all surface pixels, after
-  our exposure and tone curve, is no larger than the noise of our camera model. This favours Mitsuba: edges, where its
-  noise is largest, do not change the median, and sampling noise as large as the camera's is accepted. The ratio at 16
-  samples, which are far too few, is also given, to show how much the conclusion depends on the number.
+  diffuse material instead of textures, no mirrors and no files. Both cores work on one frame. Mitsuba samples
+  illumination, which our renderer does not: the number of samples is the smallest for which the median noise over all
+  surface pixels, after our exposure and tone curve, is no larger than the noise of our camera model. This favours
+  Mitsuba: edges, where its noise is largest, do not change the median, and sampling noise as large as the camera's is
+  accepted. The ratio at 16 samples, which are far too few, is also given, to show how much the conclusion depends on
+  the number.
 
 The peak memory of each worker, including set-up, is measured too. Ratios are of processor seconds, which other programs
 hardly affect. Images per second are by wall-clock time; the number that two undisturbed cores would reach is also
