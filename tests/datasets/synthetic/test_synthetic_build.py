@@ -77,6 +77,12 @@ def resumed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 @pytest.fixture(scope="module")
+def empty(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """The same without people, so that all that is seen stands still."""
+    return build(tmp_path_factory.mktemp("empty") / "out", people=0.0)
+
+
+@pytest.fixture(scope="module")
 def wet() -> Mesh:
     """What stands still in the query's condition."""
     return compose(scenes.district(PLACE), condition_named("WetNoon").factors)
@@ -245,8 +251,8 @@ def nearest_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> float:
 
 
 @pytest.mark.thorough
-def test_depth_is_that_of_an_independent_ray_cast(town: Dataset, wet: Mesh) -> None:
-    traversal = town.traversal(QUERY)
+def test_depth_is_that_of_an_independent_ray_cast(empty: Dataset, wet: Mesh) -> None:
+    traversal = empty.traversal(QUERY)
     time_ns = traversal.timestamps("front")[1]
     depth, camera = traversal.depth("front", time_ns), traversal.camera("front")
     assert depth is not None
@@ -284,11 +290,11 @@ def test_correspondences_hold_forward_and_backward_on_static_surfaces(town: Data
 
 
 @pytest.mark.thorough
-def test_what_is_called_hidden_is_hidden(town: Dataset, wet: Mesh) -> None:
+def test_what_is_called_hidden_is_hidden(empty: Dataset, wet: Mesh) -> None:
     """Visibility against a loop over all triangles, for points that the query sees and points that it does not."""
-    pair = town.pair_set(ACROSS).pairs[0]
-    rows = read_correspondences(town.layout.correspondence_file(ACROSS), pair.key)
-    reference, query = town.traversal(REFERENCE), town.traversal(QUERY)
+    pair = empty.pair_set(ACROSS).pairs[0]
+    rows = read_correspondences(empty.layout.correspondence_file(ACROSS), pair.key)
+    reference, query = empty.traversal(REFERENCE), empty.traversal(QUERY)
     T_world_ref = reference.T_world_cam("front", pair.ref_timestamp_ns)
     centre = query.T_world_cam("front", pair.query_timestamp_ns)[:3, 3]
     rays, _ = reference.camera("front").unproject(rows.uv_ref)
