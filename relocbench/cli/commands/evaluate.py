@@ -99,13 +99,19 @@ def _print_report(report: Report, progress: Reporter) -> None:
 
 
 def _print_together(reports: Sequence[Report], progress: Reporter) -> None:
-    """What is found on all datasets together, each of which counts once; the tables of one are a leaderboard's."""
+    """What is found on all datasets together, each of which counts once; each for itself where that says nothing.
+
+    That of each dataset alone is a leaderboard's to show.
+    """
     from relocbench.cli.boards import print_over
     from relocbench.leaderboard.tracking.write import compare
 
     entries = [_entry(report, scored) for report in reports if (scored := _scored(report))]
-    if entries:
-        print_over(compare(entries, reporter=progress).over)
+    over = compare(entries, reporter=progress).over if len(entries) == len(reports) else ()
+    print_over(over)
+    if not over:
+        for report in reports:
+            _print_report(report, progress)
 
 
 def _scored(report: Report) -> list[str]:

@@ -70,6 +70,15 @@ def test_results_on_a_whole_edition_are_shown_together_and_scored_again_with_its
     assert board.status == 0, board.err
 
 
+def test_where_a_district_cannot_be_scored_each_is_shown_for_itself(edition: Path, tmp_path: Path) -> None:
+    shutil.rmtree(edition / "easy" / "02")
+    make_small_dataset(edition / "easy" / "02", name="district-02", truth=False)
+    evaluated = relocbench("evaluate", "-d", edition, "-m", "identity", "--out", tmp_path / "results", "--workers", "0")
+    assert evaluated.status == 0
+    assert "district-01: " in evaluated.out
+    assert "ground truth is withheld" in evaluated.err
+
+
 def test_predictions_of_one_dataset_are_refused_for_several(edition: Path) -> None:
     results = edition.parent / "results"
     refused = relocbench("evaluate", "-d", edition, "--predictions", edition, "-m", "mine", "--out", results)

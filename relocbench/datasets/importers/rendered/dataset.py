@@ -69,7 +69,9 @@ class Options(RuleOptions):
         None, ge=0, le=10, description="moving cars per 100 m of lane, in all conditions; default: each condition's own"
     )
     people: float | None = Field(None, ge=0, le=50, description="people per 100 m of pavement; default: by condition")
-    months: float | None = Field(None, gt=0, le=24, description="age of the street in all conditions but the first")
+    months: float | None = Field(
+        None, gt=0, le=24, description="months by which the street has aged, in all conditions but the first"
+    )
     imaging: Literal["ideal", "varied"] = Field(
         "ideal",
         description="'varied': each traversal has a camera of its own, drawn from the seed: response, white balance, "

@@ -27,8 +27,6 @@ _CLEAR_M = (3.2, 1.5)
 """half the length and width of the space around our car's middle in which nobody is"""
 _CLEAR_ON_ROAD_M = (9.0, 2.6)
 """the same for those who cross the road"""
-
-
 _SHELTERED = 0.6
 """share of those who walk in the rain that have an umbrella"""
 _RIDERS = 0.08

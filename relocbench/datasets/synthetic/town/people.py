@@ -235,7 +235,7 @@ def rider(build: int, phase: int) -> Shape:
     ]
     thighs, knees = (legs[0][0], legs[1][0]), (legs[0][1], legs[1][1])
     sitting = _Posture(thighs, knees, (0.95, 0.95), (0.25, 0.25), 0.42, hip)
-    build = {2: 0, 3: 1}.get(build, build)
+    build = {2: 0, 3: 1}.get(build, build)  # nobody rides in a long coat or a skirt
     return join([_figure(_BUILDS[build], sitting), *_bicycle()])
 
 
