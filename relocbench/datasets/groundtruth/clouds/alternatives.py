@@ -1,8 +1,8 @@
 """Alternatives of the pose of two clouds: turns by quarters, shifts along the axes of the scene, and the next step.
 
 Rooms and streets have surfaces that face along few axes, so that a pose that is turned by a quarter, or shifted along
-one of them, may fit as well. Shifts by less than a metre, as from one step of a staircase to the next, are found on a
-finer grid, by how close surfaces lie to those of the other cloud.
+one of them, may fit as well. Shifts by less than a metre, as from one step of a staircase to the next, and by the period
+of a street, are found on a finer grid, by how close surfaces lie to those of the other cloud.
 """
 
 from __future__ import annotations
@@ -30,26 +30,51 @@ _LEVEL, _REACH_M, _CLOSE_M, _COSINE = 1, 0.5, 0.2, 0.8
 """level of the planes that are compared on it, the largest distance of a match, the distance from its plane at which a
 match counts nothing, and the cosine of the largest angle between normals"""
 _POINTS = 400
-MOST_BESIDE = 4
-"""shifts by less than a metre that are tried at most"""
+MOST_BESIDE = 8
+"""shifts on the finer grid that are tried at most, half of them by less than a metre"""
 _AS_CLOSE = 0.6
 """share of the closeness of a pose that another one must reach to be tried"""
 
 
-def steps_beside(a: PlaneMap, b: PlaneMap, T_a_b: Array) -> list[Array]:
-    """Shifts of a pose by less than a metre at which surfaces lie about as close, closest first."""
-    axes = _axes(a)
-    steps = np.arange(-_GRID, _GRID + 1) * _GRID_M
-    here, found = _closeness(a, b, T_a_b), []
-    for first, second in combinations(axes, 2):
-        shifts = steps[:, None, None] * first + steps[None, :, None] * second
+def shifts_as_close(a: PlaneMap, b: PlaneMap, T_a_b: Array, scale: SceneScale) -> list[Array]:
+    """Shifts of a pose by less than a metre, and along one axis by more, at which surfaces lie about as close.
+
+    They lie within half a step of where they lead to: a refinement that looks further would be drawn from a facade one
+    period on to where trees or the ends of the street fit.
+    """
+    axes, reach = _axes(a), round(_reach_m(scale) / _GRID_M)
+    least = _AS_CLOSE * _closeness(a, b, T_a_b)
+
+    def closest(shifts: Array, sides: tuple[int, int]) -> list[tuple[float, Array]]:
+        """The best shifts of a grid (2 n + 1, 2 m + 1, 3) that are maxima of it and not next to its middle."""
         close = np.array([[_closeness(a, b, make_transform(np.eye(3), s) @ T_a_b) for s in row] for row in shifts])
-        for i, j in zip(*np.nonzero(close >= _AS_CLOSE * here), strict=True):
+        found: list[tuple[float, Array]] = []
+        for i, j in zip(*np.nonzero(close >= least), strict=True):
             around = close[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
-            if close[i, j] == around.max() and max(abs(i - _GRID), abs(j - _GRID)) > 1:
+            if close[i, j] == around.max() and max(abs(i - sides[0]), abs(j - sides[1])) > 1:
                 found.append((close[i, j], shifts[i, j]))
-    found.sort(key=lambda pair: -pair[0])
-    return [make_transform(np.eye(3), shift) @ T_a_b for _, shift in found[:MOST_BESIDE]]
+        return sorted(found, key=lambda pair: -pair[0])
+
+    near, far = _steps(_GRID), _steps(reach)
+    beside = [
+        pair
+        for first, second in combinations(axes, 2)
+        for pair in closest(near[:, None, None] * first + near[None, :, None] * second, (_GRID, _GRID))
+    ]
+    along = [pair for axis in axes for pair in closest(far[:, None, None] * axis, (reach, 0))]
+    return [
+        make_transform(np.eye(3), shift) @ T_a_b
+        for found in (beside, along)
+        for _, shift in sorted(found, key=lambda pair: -pair[0])[: MOST_BESIDE // 2]
+    ]
+
+
+def _steps(count: int) -> Array:
+    return np.arange(-count, count + 1) * _GRID_M
+
+
+def _reach_m(scale: SceneScale) -> float:
+    return min(SHIFT.reach_m, scale.radius_m * scale.factor)
 
 
 def _closeness(a: PlaneMap, b: PlaneMap, T_a_b: Array) -> float:
@@ -67,8 +92,7 @@ def _closeness(a: PlaneMap, b: PlaneMap, T_a_b: Array) -> float:
 def alternatives_of(a: PlaneMap, b: PlaneMap, T_a_b: Array, scale: SceneScale) -> list[Array]:
     """Shifts of a pose along the axes of A's surfaces, and of the pose turned by quarters about the axes of B's."""
     axes_a, axes_b = _axes(a), _axes(b)
-    reach = min(SHIFT.reach_m, scale.radius_m * scale.factor)
-    options = replace(SHIFT, reach_m=reach)
+    options = replace(SHIFT, reach_m=_reach_m(scale))
     turns = [np.zeros(3), *(k * _QUARTER * axis for axis in axes_b for k in (1, 2, 3))]
     out = []
     for turn in turns:

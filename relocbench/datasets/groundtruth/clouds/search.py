@@ -16,7 +16,7 @@ from relocbench.datasets.groundtruth.clouds.alternatives import (
     MOST_BESIDE,
     SHIFT,
     alternatives_of,
-    steps_beside,
+    shifts_as_close,
 )
 from relocbench.datasets.groundtruth.clouds.distinct import Distinct, distinct_evidence
 from relocbench.datasets.groundtruth.clouds.judging import WITH_FREE_SPACE, FreeSpaceKnown, Verdict, holds_nearly, judge
@@ -140,7 +140,7 @@ def search(
         return CloudSearchResult(None, "no guess: the clouds have too few features in common", 0)
     best = _most_plausible(tried)
     others = judged.all_of(judged.best_fitting(alternatives_of(a.planes, b.planes, best.T_a_b, scale), _FITS))
-    others += judged.all_of(steps_beside(a.planes, b.planes, best.T_a_b), by_icp=False)
+    others += judged.all_of(shifts_as_close(a.planes, b.planes, best.T_a_b, scale), by_icp=False)
     everything = [*tried, *others]
     best = _most_plausible(everything)
     count = len(everything)
