@@ -64,8 +64,8 @@ demo: kernels    ## small dataset -> trackers -> what each finds in which condit
 bench: setup     ## speed and memory; each benchmark prints one JSON line last
 	@for script in benchmarks/speed/*.py; do echo "== $$script"; $(RUN)/python $$script || exit 1; done
 
-prove: setup     ## the long proofs: truth of ground truth and of rendering, kills, other processors (hours)
-	@for script in $$(grep -l __main__ benchmarks/truth/*.py); do echo "== $$script"; $(RUN)/python $$script || exit 1; done
+prove: setup     ## the long proofs: ground truth by lidar, exactness of rendering, kills, other processors (hours)
+	@for script in $$(grep -l __main__ benchmarks/lidar/*.py benchmarks/truth/*.py); do echo "== $$script"; $(RUN)/python $$script || exit 1; done
 
 docs: setup      ## check links and commands of docs/ and README.md, build the pages into site/
 	$(RUN)/python tools/check_docs.py

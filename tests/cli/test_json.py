@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from command_line import Outcome, relocbench
 from made_pairs import SETTINGS
-from repository import DOCS, TRUTH
+from repository import DOCS, LIDAR
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
 from submissions import salt_file, submit
@@ -25,7 +25,7 @@ from relocbench.datasets import importers
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.weights import PublishedFile
 
-sys.path.insert(0, str(TRUTH))
+sys.path.insert(0, str(LIDAR))
 from register_scenes import room_view
 
 pytestmark = pytest.mark.usefixtures("workers_kept")

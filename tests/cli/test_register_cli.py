@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import relocbench
-from repository import TRUTH
+from repository import LIDAR
 
 from relocbench.geometry import invert, make_transform, so3_exp
 
-sys.path.insert(0, str(TRUTH))
+sys.path.insert(0, str(LIDAR))
 from register_scenes import Pair, room_pair
 
 FindData = Callable[[str], Path]

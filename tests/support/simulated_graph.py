@@ -1,6 +1,6 @@
 """Two drives of one road without lidar: exact nodes, odometry that drifts, and registrations of known noise.
 
-``benchmarks/truth/stated_uncertainty.py`` measures on them how honest stated uncertainties are.
+``benchmarks/lidar/stated_uncertainty.py`` measures on them how honest stated uncertainties are.
 """
 
 from __future__ import annotations

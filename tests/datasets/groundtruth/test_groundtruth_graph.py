@@ -1,6 +1,6 @@
 """The pose graph of two drives: covariances, wrong registrations named, pairs refused for true reasons.
 
-``benchmarks/truth/stated_uncertainty.py`` shows over many drives that covariances are those of the errors.
+``benchmarks/lidar/stated_uncertainty.py`` shows over many drives that covariances are those of the errors.
 """
 
 from __future__ import annotations

@@ -493,7 +493,7 @@ def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch: p
 
 
 def test_registrations_of_drives_whose_lengths_differ_are_refused_for_that(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Here they are given; ``benchmarks/truth/sensor_faults.py`` finds them where odometry is too long."""
+    """Here they are given; ``benchmarks/lidar/sensor_faults.py`` finds them where odometry is too long."""
     ref, query = straight(1.0, 30), straight(0.9, 30)
     found = [Registration(k, k, np.eye(4), np.eye(6), GOOD) for k in range(30)]
     monkeypatch.setattr(along_drive._DriveRegistration, "run", lambda self, first: found)

@@ -1,6 +1,6 @@
 """Registration of real clouds: one pose from all starts, and wrong ones refused.
 
-``benchmarks/truth/real_clouds.py`` compares registrations with those of other methods and holds its figures to limits;
+``benchmarks/lidar/real_clouds.py`` compares registrations with those of other methods and holds its figures to limits;
 its own tools are tested here.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from refusals import refused
-from repository import TRUTH
+from repository import LIDAR
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.icp.icp import run_icp
@@ -26,7 +26,7 @@ from relocbench.datasets.groundtruth.verification.verification import verdict, v
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, so3_exp
 
-sys.path.insert(0, str(TRUTH))
+sys.path.insert(0, str(LIDAR))
 from limits import Limits
 from real_clouds_methods import Candidate, adjusted, allowed, apart, best, methods, turned_identities
 from real_clouds_scans import SOURCES, Scans, Source, read_scans, submap
@@ -127,7 +127,7 @@ def test_without_recordings_the_benchmark_says_so_and_ends_well(
     monkeypatch.setattr(os, "environ", os.environ.copy())
     monkeypatch.setattr(sys, "argv", ["real_clouds.py", "--data", str(tmp_path)])
     with pytest.raises(SystemExit) as ended:
-        runpy.run_path(str(TRUTH / "real_clouds.py"), run_name="__main__")
+        runpy.run_path(str(LIDAR / "real_clouds.py"), run_name="__main__")
     assert ended.value.code == 0
     said = capsys.readouterr()
     assert json.loads(said.out.splitlines()[-1]) == {"benchmark": "real_clouds"}

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
-from repository import TRUTH
+from repository import LIDAR
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
@@ -31,7 +31,7 @@ from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, se3_exp, se3_log, so3_exp
 
-sys.path.insert(0, str(TRUTH))
+sys.path.insert(0, str(LIDAR))
 from register_scenes import Pair, depth_pair, room_pair, unrelated_depth
 
 NAN = float("nan")

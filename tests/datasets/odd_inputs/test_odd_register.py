@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from odd_inputs import odd_input
 from refusals import assert_names
-from repository import TRUTH
+from repository import LIDAR
 
 from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud, cloud_of_file
@@ -24,7 +24,7 @@ from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.datasets.sensors.cloud_files import read_cloud
 from relocbench.geometry import apply, make_transform, so3_exp
 
-sys.path.insert(0, str(TRUTH))
+sys.path.insert(0, str(LIDAR))
 from register_scenes import room_pair
 from register_shapes import shape_pair
 

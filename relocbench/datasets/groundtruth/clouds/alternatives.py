@@ -1,8 +1,8 @@
 """Alternatives of the pose of two clouds: turns by quarters, shifts along the axes of the scene, and the next step.
 
 Rooms and streets have surfaces that face along few axes, so that a pose that is turned by a quarter, or shifted along
-one of them, may fit as well. Shifts by less than a metre, as from one step of a staircase to the next, and by the period
-of a street, are found on a finer grid, by how close surfaces lie to those of the other cloud.
+one of them, may fit as well. Shifts by less than a metre, as from one step of a staircase to the next, and by the
+period of a street, are found on a finer grid, by how close surfaces lie to those of the other cloud.
 """
 
 from __future__ import annotations

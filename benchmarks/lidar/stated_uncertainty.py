@@ -12,7 +12,7 @@ side, which is 1 if covariances are correct.
   with odometry that drifts and whose noise is estimated; ``of rigid`` is the median error over that of rigid submaps;
 - ``icp``: registrations of two submaps of a street by their points, whose noise is that of single points only.
 
-    python benchmarks/truth/stated_uncertainty.py [--seeds 8]
+    python benchmarks/lidar/stated_uncertainty.py [--seeds 8]
 
 The table goes to standard error; the last line of standard output is JSON. Means outside of their limits are named, and
 the exit code is 1.

@@ -16,7 +16,7 @@ one, that pose is off. NES is the squared error normalised by the stated informa
 honest. A registration within 0.3 m and 1 deg is right, in scenes smaller than a street within 3 cm and 1 deg.
 ``--from-truth`` starts at the true pose instead of a search, to measure NES on many seeds in less time.
 
-    python benchmarks/truth/register_clouds.py [--seeds 0,1,2] [--parts street,room,...] [--data DIR] [--from-truth]
+    python benchmarks/lidar/register_clouds.py [--seeds 0,1,2] [--parts street,room,...] [--data DIR] [--from-truth]
 
 Real clouds are read from --data, by default $RELOCBENCH_REAL_DATA or ../shared/data; missing ones are skipped.
 Tables go to standard error; the last line of standard output is JSON.

@@ -6,7 +6,7 @@ from a real recording: a lidar whose clock is late, extrinsics that are off, GNS
 that the motion distorts. A pair is wrong if it is off by more than 0.3 m or 1 degree; the normalised error squared is
 the mean of ``e^T C^-1 e / 6``, which is 1 if covariances are correct.
 
-    python benchmarks/truth/sensor_faults.py [--split train] [--seed 0] [--work DIR] [--cases late,turned]
+    python benchmarks/lidar/sensor_faults.py [--split train] [--seed 0] [--work DIR] [--cases late,turned]
 
 The error of extrinsics is drawn from the seed. The table goes to standard error; the last line of standard output is
 JSON.

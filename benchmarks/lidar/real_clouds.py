@@ -17,7 +17,7 @@ searches in addition. A result within 0.3 m and 1 deg of the graph is ``right``.
 ``kitti00``: along-track distances of odometry from scans against those of scan-to-scan registration, and the depth of
 an image from the builder's submap against semi-global matching of the stereo pair, in pixels of disparity.
 
-    python benchmarks/truth/real_clouds.py [--data DIR] [--starts N] [--seed N] [--parts precision,starts,kitti00]
+    python benchmarks/lidar/real_clouds.py [--data DIR] [--starts N] [--seed N] [--parts precision,starts,kitti00]
 
 Recordings are read from --data, by default $RELOCBENCH_REAL_DATA or ../shared/data; missing ones are skipped.
 Tables go to standard error; the last line of standard output is JSON. Figures outside of their limits are named,

@@ -8,7 +8,7 @@ scale itself. A pair is wrong if it is off by more than 0.3 m divided by this sc
 of a street, or by 1 degree; the normalised error squared is the mean of ``e^T C^-1 e / 6``, which is 1 if covariances
 are correct.
 
-    python benchmarks/truth/small_scenes.py [--seeds 1,2] [--cases lidar,depth] [--scale 8]
+    python benchmarks/lidar/small_scenes.py [--seeds 1,2] [--cases lidar,depth] [--scale 8]
 
 The table goes to standard error; the last line of standard output is JSON.
 """

@@ -9,7 +9,7 @@ that looks ahead) is paired with the nearest keyframe. A pair is ``overlapping``
 accepted pair is ``wrong`` if its error exceeds 0.3 m or 1 deg. The normalised error squared is the mean of ``e^T C^-1 e
 / 6`` over accepted pairs, which is 1 if covariances are correct.
 
-    python benchmarks/truth/ground_truth.py [--split train] [--work DIR] [--parts pairs,starts,ablation,speed] [--long]
+    python benchmarks/lidar/ground_truth.py [--split train] [--work DIR] [--parts pairs,starts,ablation,speed] [--long]
 
 The parts are ``pairs``, the tables above; ``starts``, the beginning of a registration without a prior, and with correct
 and wrong ones given by hand; ``ablation``, single pairs, then with one stage of the builder after the other; and

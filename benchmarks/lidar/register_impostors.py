@@ -10,7 +10,7 @@ has every second point only, and lost one side, as a scan of the way back does.
 A pose within 0.3 m and 1 deg is right, in scenes smaller than a street within 3 cm and 1 deg; of KITTI 00, whose
 reference has no rotation, within 0.3 m and 3 deg.
 
-    python benchmarks/truth/register_impostors.py [--seeds 7101,7102] [--parts street,...] [--data DIR]
+    python benchmarks/lidar/register_impostors.py [--seeds 7101,7102] [--parts street,...] [--data DIR]
 
 A table goes to standard error; the last line of standard output is JSON. A wrong pose that is trusted is named, and the
 exit code is then 1.

@@ -5,7 +5,7 @@ time for each point, and post-processed GNSS/INS. They are read by the importer,
 ``ground_truth.py`` does it, which explains the columns: a Sunny reference against Overcast and Snow, with odometry by
 the poses of the recording, and against Snow with odometry computed from the scans.
 
-    python benchmarks/truth/boreas_layout.py [--split train] [--seed N] [--work DIR] [--workers N]
+    python benchmarks/lidar/boreas_layout.py [--split train] [--seed N] [--work DIR] [--workers N]
 
 Recordings, odometry, blocks and registrations are kept in ``--work`` and reused. Tables go to standard error; the last
 line of standard output is JSON.
