@@ -47,6 +47,8 @@ _TRIED = 10
 """guesses and alternatives of each kind that are refined, those that fit best"""
 _FITS = 0.5
 """share of the best fit that an alternative must reach to be refined"""
+_ROUNDS = 2
+"""how often the best pose is shifted on the fine grid, since a shift of it may be the best one then"""
 _TIMES, _MORE = 2.5, 0.03
 """a second pose that holds, or nearly, must leave more unexplained than the best: by this factor and this much more"""
 _TIMES_BESIDE = 1.25
@@ -140,8 +142,13 @@ def search(
         return CloudSearchResult(None, "no guess: the clouds have too few features in common", 0)
     best = _most_plausible(tried)
     others = judged.all_of(judged.best_fitting(alternatives_of(a.planes, b.planes, best.T_a_b, scale), _FITS))
-    others += judged.all_of(shifts_as_close(a.planes, b.planes, best.T_a_b, scale), by_icp=False)
-    everything = [*tried, *others]
+    everything, shifted = [*tried, *others], None
+    for _ in range(_ROUNDS):
+        best = _most_plausible(everything)
+        if best is shifted:
+            break
+        everything += judged.all_of(shifts_as_close(a.planes, b.planes, best.T_a_b, scale), by_icp=False)
+        shifted = best
     best = _most_plausible(everything)
     count = len(everything)
     if not best.trusted:
@@ -165,7 +172,7 @@ def _spread(T: Array, alike: Sequence[Array]) -> Array:
 def steps(options: SearchOptions) -> int:
     """The number of steps of a search, for a progress bar: guesses and alternatives that are refined, and searches."""
     searches = 0 if options.initial is not None else len(options.matching.attempts())
-    return 1 + searches * (_TRIED + 1) + _TRIED + MOST_BESIDE
+    return 1 + searches * (_TRIED + 1) + _TRIED + _ROUNDS * MOST_BESIDE
 
 
 def _attempts(matching: GlobalOptions, scale: SceneScale) -> list[GlobalOptions]:
