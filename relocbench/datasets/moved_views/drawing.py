@@ -1,27 +1,26 @@
-"""What is made up for a photograph, drawn by seed: the part that is the keyframe, the surface behind it, motions.
-
-A query shows nothing but the photograph: a motion after which it would see beyond the photograph's border is drawn
-again, smaller. Motions forward or back along the viewing direction, as a car's, have a share of their own.
-"""
+"""What is made up for a photograph, drawn by seed: the part that is the keyframe, and the surface behind it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Mask
+from relocbench.datasets.moved_views.faces import Face, cube_faces, located
 from relocbench.datasets.moved_views.kinds import SurfaceKind
-from relocbench.datasets.moved_views.surfaces import Planes, Relief, Surface, seen_at, shown_at
-from relocbench.geometry import Camera, make_transform, so3_exp
+from relocbench.datasets.moved_views.surfaces import Planes, Relief, Surface, points_seen
+from relocbench.geometry import Camera, so3_exp
 
 LEAST_CROP, MOST_CROP = 0.62, 0.8
 """the keyframe's share of the largest part of the photograph that has its shape, along either side"""
 _ASIDE = 0.25
 """the keyframe's distance from the photograph's middle, as a share of the room around it"""
 _FIELD_DEG = 50.0, 80.0
-"""horizontal field of view of photographs that do not tell it"""
+"""horizontal field of view of photographs that do not tell it, and of keyframes of cube maps"""
+_UP_DEG, _ROLL_DEG = 12.0, 5.0
+"""a keyframe of a cube map looks up or down and is rolled by up to so much"""
 _DISTANCE_M = 4.0, 20.0
 """of a plane or relief, along the photograph's axis"""
 _SLANT = 0.65
@@ -30,75 +29,65 @@ _EYE_M = 1.2, 2.0
 """height of the camera above a street"""
 _FRONT_M = 8.0, 50.0
 _SIDE_M = 2.5, 12.0
+_SKY_M = 60.0
+"""above the camera, the upper end of a room around it"""
 _LOG_RELIEF = 0.3
 """standard deviation of the logarithm of a relief's numbers"""
 _RELIEF_CELLS = 3
 """distances between the numbers of a relief over the photograph's longer side"""
 _FARTHEST_M, _NEAREST_M = 150.0, 0.5
-_MOST_ZOOM = 2.0
-"""between the depths of a point in keyframe and query"""
-_FORWARD_CONE_DEG = 8.0
-_AHEAD = 0.7
-"""share of forward motions after which the query is ahead of the keyframe rather than behind"""
 _TRIES = 400
-_SHRINK = 0.985
-"""of motions from one try to the next"""
 _MARGIN = 1.0
-"""pixels of the photograph around the last ones that a query may show"""
+"""pixels of the photograph around the last ones that are shown"""
+LEAST_CONTENT = 0.75
+"""share of the pixels of a view that show something, where not all do"""
 
 
-@dataclass(frozen=True)
-class Crop:
-    """The part of a photograph that is the keyframe, in pixels of the photograph."""
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera that moved."""
 
-    left: float
-    """of the outer edge of its first column; that of the photograph is 0"""
-    top: float
-    scale: float
-    """pixels of the keyframe for each of the photograph, at most 1"""
-
-    def to_photograph(self, pixels: Array) -> Array:
-        """Pixels (N, 2) of the photograph at pixels of the keyframe; centres are at integers in both."""
-        return np.asarray((pixels + 0.5) / self.scale + (self.left, self.top) - 0.5)
-
-    def to_keyframe(self, pixels: Array) -> Array:
-        """The opposite."""
-        return np.asarray((pixels + 0.5 - (self.left, self.top)) * self.scale - 0.5)
-
-
-@dataclass(frozen=True)
-class Motions:
-    """How far cameras move."""
-
-    translation: float
-    """largest distance as a share of the keyframe's median depth"""
-    most_m: float
-    """largest distance in metres"""
-    rotation_deg: float
-    """largest angle"""
-    forward: float
-    """share of motions along the viewing direction, whose rotation is at most half of the largest"""
+    camera: Camera
+    T_query_ref: Array
+    """(4, 4)"""
 
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A part of a photograph with a camera and a surface."""
+    """A part of a photograph, or of a cube map, with a camera and a surface."""
 
-    size: tuple[int, int]
-    """(width, height) of the photograph"""
-    crop: Crop
+    faces: tuple[Face, ...]
+    """what it is part of, in its frame; the first one is level"""
     camera: Camera
     surface: Surface
 
+    @property
+    def down(self) -> Array:
+        """(3,) the direction of gravity."""
+        return np.asarray(self.faces[0].R_face_ref[1])
+
+    def content(self, pixels: Array, view: View | None = None) -> Mask:
+        """(...,) bool: whether the keyframe, or a view of it, shows something at pixels (..., 2)."""
+        if view is None:
+            directions, _ = self.camera.unproject(pixels)
+        else:
+            directions = points_seen(self.surface, view.camera, view.T_query_ref, pixels)
+        return np.asarray(located(self.faces, directions)[0] >= 0)
+
     def depth(self) -> Array:
-        """(H, W) metres along z."""
+        """(H, W) metres along z; 0 where the keyframe shows nothing."""
         rays, _ = self.camera.unproject(grid(self.camera))
-        return np.asarray(1.0 / self.surface.inverse_depth(rays))
+        return np.where(self.content(grid(self.camera)), 1.0 / self.surface.inverse_depth(rays), 0.0)
 
 
 def least_size(size: tuple[int, int]) -> tuple[int, int]:
     """Width and height in pixels that a photograph needs at least for keyframes of a size."""
     return int(np.ceil(size[0] / MOST_CROP)), int(np.ceil(size[1] / MOST_CROP))
+
+
+def least_side(size: tuple[int, int]) -> int:
+    """Side in pixels that the faces of a cube map need at least for keyframes of a size."""
+    return int(np.ceil(max(size) / np.tan(np.radians(_FIELD_DEG[1]) / 2)))
 
 
 def drawn_keyframe(
@@ -118,39 +107,40 @@ def drawn_keyframe(
     share = rng.uniform(max(LEAST_CROP, 1 / largest), MOST_CROP)
     scale = 1 / (share * largest)
     room = np.array([width - wanted[0] / scale, height - wanted[1] / scale])
-    left, top = room * (0.5 + _ASIDE * rng.uniform(-1, 1, size=2))
-    crop = Crop(float(left), float(top), float(scale))
-    cx, cy = crop.to_keyframe(np.array([width - 1, height - 1]) / 2)
-    camera = Camera("pinhole", *wanted, focal * scale, focal * scale, float(cx), float(cy))
-    rays, _ = camera.unproject(crop.to_keyframe(_lattice(width, height, 24)))
+    corner = room * (0.5 + _ASIDE * rng.uniform(-1, 1, size=2))
+    cx, cy = ((np.array(size) / 2 - corner) * scale - 0.5).tolist()
+    camera = Camera("pinhole", *wanted, focal * scale, focal * scale, cx, cy)
+    whole = Camera("pinhole", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    faces = (Face(whole, np.eye(3), _MARGIN),)
+    rays, _ = whole.unproject(lattice(whole, 24))
     for _ in range(_TRIES):
         surface = _DRAWN[kind](rays, rng)
         inverse = surface.inverse_depth(rays)
         if inverse.min() >= 1 / _FARTHEST_M and inverse.max() <= 1 / _NEAREST_M:
-            return Keyframe(size, crop, camera, surface)
-    return Keyframe(size, crop, camera, Planes(np.array([[0.0, 0.0, 1 / _DISTANCE_M[0]]])))
+            return Keyframe(faces, camera, surface)
+    return Keyframe(faces, camera, Planes(np.array([[0.0, 0.0, 1 / _DISTANCE_M[0]]])))
 
 
-def drawn_motion(keyframe: Keyframe, motions: Motions, rng: np.random.Generator) -> Array:
-    """A motion ``T_query_ref`` (4, 4) after which the query shows nothing but the photograph."""
-    camera = keyframe.camera
-    coarse = _lattice(camera.width, camera.height, 16)
-    rays, _ = camera.unproject(_lattice(camera.width, camera.height, 24))
-    median = float(np.median(1.0 / keyframe.surface.inverse_depth(rays)))
-    forward = rng.uniform() < motions.forward
-    most = min(motions.translation * median, motions.most_m)
-    for attempt in range(_TRIES):
-        smaller = _SHRINK**attempt
-        T_query_ref = (
-            _along(most * smaller, motions.rotation_deg / 2 * smaller, rng)
-            if forward
-            else _anyhow(most * smaller, motions.rotation_deg * smaller, rng)
-        )
-        if not _shows_photograph(keyframe, T_query_ref, coarse) or not _keeps_scale(keyframe, T_query_ref):
-            continue
-        if _shows_photograph(keyframe, T_query_ref, _lattice(camera.width, camera.height, None)):
-            return T_query_ref
-    return np.eye(4)
+def drawn_cube_keyframe(names: Sequence[str], side: int, wanted: tuple[int, int], rng: np.random.Generator) -> Keyframe:
+    """Draw a view of a cube map that is a keyframe, and a room around it.
+
+    Args:
+        names: of the faces, the sides first.
+        side: of the faces in pixels, at least :func:`least_side`.
+        wanted: (width, height) of the keyframe.
+    """
+    largest, smallest = np.tan(np.radians(_FIELD_DEG[1]) / 2), np.tan(np.radians(_FIELD_DEG[0]) / 2)
+    field = np.exp(rng.uniform(np.log(max(smallest, max(wanted) / side)), np.log(largest)))
+    focal = max(wanted) / 2 / field
+    camera = Camera("pinhole", *wanted, focal, focal, (wanted[0] - 1) / 2, (wanted[1] - 1) / 2)
+    room = _room(rng)
+    for _ in range(_TRIES):
+        yaw, up, roll = rng.uniform(-1, 1, size=3) * np.radians([180.0, _UP_DEG, _ROLL_DEG])
+        R_cube_ref = so3_exp([0, yaw, 0]) @ so3_exp([up, 0, 0]) @ so3_exp([0, 0, roll])
+        keyframe = Keyframe(cube_faces(names, side, R_cube_ref), camera, Planes(room @ R_cube_ref))
+        if keyframe.content(lattice(camera, 24)).mean() >= LEAST_CONTENT:
+            break
+    return keyframe
 
 
 def _plane(rays: Array, rng: np.random.Generator) -> Planes:
@@ -186,6 +176,14 @@ def _relief(rays: Array, rng: np.random.Generator) -> Relief:
     return Relief(np.maximum(plane, 1 / _FARTHEST_M) * hills, (float(origin[0]), float(origin[1])), spacing)
 
 
+def _room(rng: np.random.Generator) -> Array:
+    """(6, 3) n / d, for each plane of a room around the camera: a road, walls on four sides, a sky."""
+    turn = so3_exp([0, np.radians(rng.uniform(-45, 45)), 0])
+    ahead, beside = ([_log_uniform(bounds, rng) for _ in range(2)] for bounds in (_FRONT_M, _SIDE_M))
+    walls = [[0, 0, 1 / ahead[0]], [0, 0, -1 / ahead[1]], [1 / beside[0], 0, 0], [-1 / beside[1], 0, 0]]
+    return np.array([[0, 1 / rng.uniform(*_EYE_M), 0], [0, -1 / _SKY_M, 0], *walls]) @ turn
+
+
 _DRAWN: dict[SurfaceKind, Callable[[Array, np.random.Generator], Surface]] = {
     "plane": _plane,
     "street": _street,
@@ -193,48 +191,8 @@ _DRAWN: dict[SurfaceKind, Callable[[Array, np.random.Generator], Surface]] = {
 }
 
 
-def _along(most_m: float, most_deg: float, rng: np.random.Generator) -> Array:
-    """A motion along the viewing direction, with a turn mostly to the side."""
-    cone = np.tan(np.radians(_FORWARD_CONE_DEG)) * rng.uniform(-1, 1, size=2)
-    direction = np.array([cone[0], 0.5 * cone[1], 1.0]) * (1.0 if rng.uniform() < _AHEAD else -1.0)
-    centre = most_m * rng.uniform(0.1, 1.0) * direction / np.linalg.norm(direction)
-    turn = np.radians(most_deg) * rng.uniform(-1, 1, size=3) * (0.3, 1.0, 0.2)
-    return _moved(centre, turn)
-
-
-def _anyhow(most_m: float, most_deg: float, rng: np.random.Generator) -> Array:
-    """A motion in any direction, with a turn about any axis."""
-    direction, axis = rng.normal(size=3), rng.normal(size=3)
-    centre = most_m * rng.uniform(0.1, 1.0) * direction / np.linalg.norm(direction)
-    return _moved(centre, np.radians(most_deg) * rng.uniform() * axis / np.linalg.norm(axis))
-
-
-def _moved(centre: Array, turn: Array) -> Array:
-    """``T_query_ref`` of a query's centre (3,) and rotation vector (3,) in the keyframe's frame."""
-    rotation = so3_exp(turn)
-    return make_transform(rotation, -rotation @ centre)
-
-
 def _log_uniform(bounds: tuple[float, float], rng: np.random.Generator) -> float:
     return float(np.exp(rng.uniform(*np.log(bounds))))
-
-
-def _shows_photograph(keyframe: Keyframe, T_query_ref: Array, pixels: Array) -> bool:
-    """Whether the query shows the photograph at all of its pixels (N, 2)."""
-    camera = keyframe.camera
-    at = keyframe.crop.to_photograph(seen_at(keyframe.surface, camera, camera, T_query_ref, pixels))
-    last = np.array(keyframe.size) - 1 - _MARGIN
-    return bool(np.all((at >= _MARGIN) & (at <= last)))  # also false for NaN
-
-
-def _keeps_scale(keyframe: Keyframe, T_query_ref: Array) -> bool:
-    """Whether no point of the keyframe that the query shows comes much nearer or goes much farther away."""
-    camera = keyframe.camera
-    uv, depth, moved = shown_at(
-        keyframe.surface, camera, camera, T_query_ref, _lattice(camera.width, camera.height, 24)
-    )
-    ratio = moved[camera.contains(uv)] / depth[camera.contains(uv)]
-    return bool(len(ratio) and np.all((ratio > 1 / _MOST_ZOOM) & (ratio < _MOST_ZOOM)))
 
 
 def grid(camera: Camera) -> Array:
@@ -242,8 +200,7 @@ def grid(camera: Camera) -> Array:
     return np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(np.float64)
 
 
-def _lattice(width: int, height: int, count: int | None) -> Array:
+def lattice(camera: Camera, count: int | None) -> Array:
     """(N, 2) pixels evenly over an image, to the outer edges of the border's pixels; None: the corners of all."""
-    x = np.linspace(-0.5, width - 0.5, width + 1 if count is None else count + 1)
-    y = np.linspace(-0.5, height - 0.5, height + 1 if count is None else count + 1)
+    x, y = (np.linspace(-0.5, side - 0.5, (count or side) + 1) for side in camera.size)
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

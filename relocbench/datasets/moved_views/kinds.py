@@ -1,4 +1,4 @@
-"""The kinds of surfaces and of changes of light, for options that are read before anything is drawn."""
+"""The kinds of surfaces, of motions and of changes of light, for options that are read before anything is drawn."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from typing import Literal
 
 SurfaceKind = Literal["plane", "street", "relief"]
 SURFACES: tuple[SurfaceKind, ...] = ("plane", "street", "relief")
+
+Viewpoint = Literal["normal", "strong"]
 
 Change = Literal["none", "exposure", "shading", "night"]
 WORDS: dict[Change, str] = {

@@ -1,19 +1,21 @@
-"""Keyframes and queries made of a photograph: each pixel is the mean of four places, found exactly.
+"""Keyframes and queries made of photographs: each pixel is the mean of four places, found exactly.
 
-Both are made alike, so that a query that has not moved is the keyframe, but for rounding. A photograph of much higher
-resolution is first reduced to two pixels for each of theirs.
+Both are made alike, so that a query that has not moved is the keyframe, but for rounding. Photographs of much higher
+resolution are first reduced to two pixels for each of a view's. Pixels that show nothing of them are black.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from relocbench.arrays import Array, Floats, Image
-from relocbench.datasets.moved_views.drawing import Crop, Keyframe, grid
-from relocbench.datasets.moved_views.surfaces import seen_at
+from relocbench.datasets.moved_views.drawing import Keyframe, View, grid
+from relocbench.datasets.moved_views.faces import Face, located
+from relocbench.datasets.moved_views.surfaces import points_seen
 
 _OVERSAMPLED = 2.0
 """pixels of the reduced photograph along each side of one of a view"""
@@ -23,36 +25,52 @@ _PLACES = [(u, v) for v in (-0.25, 0.25) for u in (-0.25, 0.25)]
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """A photograph at a resolution that suits the views of a keyframe."""
+    """Photographs at a resolution that suits a view."""
 
-    image: Floats
-    """(H, W, 3) float32"""
-    ratio: tuple[float, float]
-    """its pixels for each of the photograph's, along u and v"""
+    faces: tuple[Face, ...]
+    """as they were before"""
+    images: tuple[Floats, ...]
+    """(H, W, 3) float32 of each face"""
 
     @classmethod
-    def of(cls, photograph: Image, crop: Crop) -> Reduced:
-        """Reduce a photograph (H, W, 3)."""
-        height, width = photograph.shape[:2]
-        wanted = min(_OVERSAMPLED * crop.scale, 1.0)
-        size = round(width * wanted), round(height * wanted)
-        small = photograph if wanted == 1.0 else cv2.resize(photograph, size, interpolation=cv2.INTER_AREA)
-        return cls(np.asarray(small, dtype=np.float32), (small.shape[1] / width, small.shape[0] / height))
+    def of(cls, faces: tuple[Face, ...], photographs: Sequence[Image], focal_px: float) -> Reduced:
+        """Reduce the photograph (H, W, 3) of each face for views of this focal length."""
+        return cls(faces, tuple(_reduced(*both, focal_px) for both in zip(faces, photographs, strict=True)))
 
-    def at(self, pixels: Array) -> Floats:
-        """Values (H, W, 3) at pixels (H, W, 2) of the photograph, between pixels by cubic interpolation."""
-        at = ((pixels + 0.5) * self.ratio - 0.5).astype(np.float32)
-        u, v = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
-        return np.asarray(cv2.remap(self.image, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+    def at(self, directions: Array) -> tuple[Floats, Array]:
+        """Values (H, W, 3) in directions (H, W, 3), between pixels by cubic interpolation, and whether there is one."""
+        number, pixels = located(self.faces, directions)
+        values = np.zeros(directions.shape, dtype=np.float32)
+        for k, image in enumerate(self.images):
+            shown = number == k
+            if not shown.any():
+                continue
+            ratio = np.array(image.shape[1::-1]) / self.faces[k].camera.size
+            at = np.where(shown[..., None], (pixels + 0.5) * ratio - 0.5, 0.0).astype(np.float32)
+            u, v = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+            values[shown] = cv2.remap(image, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)[shown]
+        return values, (number >= 0)[..., None].astype(np.float64)
 
 
-def view_of(photograph: Reduced, keyframe: Keyframe, T_query_ref: Array | None = None) -> Image:
-    """What the camera sees (H, W, 3) after a motion (4, 4), or as the keyframe without one."""
-    camera = keyframe.camera
+def _reduced(face: Face, photograph: Image, focal_px: float) -> Floats:
+    wanted = min(_OVERSAMPLED * focal_px / face.camera.fx, 1.0)
+    size = round(face.camera.width * wanted), round(face.camera.height * wanted)
+    small = photograph if wanted == 1.0 else cv2.resize(photograph, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)
+
+
+def view_of(photographs: Reduced, keyframe: Keyframe, view: View | None = None) -> Image:
+    """What the camera of a view sees (H, W, 3), or that of the keyframe without one."""
+    camera = view.camera if view else keyframe.camera
     total = np.zeros((camera.height, camera.width, 3), dtype=np.float32)
+    count = np.zeros((camera.height, camera.width, 1))
     for place in _PLACES:
         pixels = grid(camera) + place
-        if T_query_ref is not None:
-            pixels = seen_at(keyframe.surface, camera, camera, T_query_ref, pixels.reshape(-1, 2)).reshape(pixels.shape)
-        total += photograph.at(keyframe.crop.to_photograph(pixels))
-    return np.clip(np.rint(total / len(_PLACES)), 0, 255).astype(np.uint8)
+        if view is None:
+            directions, _ = camera.unproject(pixels)
+        else:
+            directions = points_seen(keyframe.surface, camera, view.T_query_ref, pixels)
+        values, shown = photographs.at(directions)
+        total += values
+        count += shown
+    return np.clip(np.rint(total / np.maximum(count, 1)), 0, 255).astype(np.uint8)

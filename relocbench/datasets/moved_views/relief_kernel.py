@@ -19,15 +19,9 @@ _NARROW = 1e-12
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _weight(t: float, k: int) -> float:
-    """Weight of the k-th of the four numbers around a place, a share t behind the second."""
-    if k == 0:
-        return (1 - t) ** 3 / 6
-    if k == 1:
-        return (3 * t**3 - 6 * t**2 + 4) / 6
-    if k == 2:
-        return (-3 * t**3 + 3 * t**2 + 3 * t + 1) / 6
-    return t**3 / 6
+def _weights(t: float) -> tuple[float, float, float, float]:
+    """Weights of the four numbers around a place, a share t behind the second."""
+    return (1 - t) ** 3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (-3 * t**3 + 3 * t**2 + 3 * t + 1) / 6, t**3 / 6
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -36,14 +30,14 @@ def _value(numbers: Array, x0: float, y0: float, spacing: float, x: float, y: fl
     u = min(max((x - x0) / spacing, -1e6), 1e6)
     v = min(max((y - y0) / spacing, -1e6), 1e6)
     i, j = math.floor(v), math.floor(u)
-    a, b = v - i, u - j
+    down, across = _weights(v - i), _weights(u - j)
     total = 0.0
     for k in range(4):
         row = min(max(i - 1 + k, 0), rows - 1)
         along = 0.0
         for m in range(4):
-            along += _weight(b, m) * numbers[row, min(max(j - 1 + m, 0), columns - 1)]
-        total += _weight(a, k) * along
+            along += across[m] * numbers[row, min(max(j - 1 + m, 0), columns - 1)]
+        total += down[k] * along
     return total
 
 

@@ -15,7 +15,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.moved_views.relief_kernel import first_meeting, spline
 from relocbench.geometry import Camera, invert
 
-_STEP = 1 / 25
+_STEP = 1 / 12
 """of a ray through a relief, as a share of the distance between two of the relief's numbers"""
 _MOST_STEPS = 2000
 
@@ -106,15 +106,19 @@ def plane_homography(camera_ref: Camera, camera_query: Camera, T_query_ref: Arra
     return np.asarray(camera_query.matrix @ moved @ np.linalg.inv(camera_ref.matrix))
 
 
-def seen_at(surface: Surface, camera_ref: Camera, camera_query: Camera, T_query_ref: Array, pixels: Array) -> Array:
-    """The pixels (N, 2) of the reference whose points the query sees at its pixels (N, 2); NaN where it sees none.
+def points_seen(surface: Surface, camera_query: Camera, T_query_ref: Array, pixels: Array) -> Array:
+    """The points (..., 3), in the reference's frame, that the query sees at its pixels (..., 2); NaN if there is none.
 
-    The reference's pixels are not clipped to its image: the photograph goes on around it.
+    The surface goes on around the reference's image.
     """
     rays, _ = camera_query.unproject(pixels)
     T_ref_query = invert(T_query_ref)
-    points = surface.meet(T_ref_query[:3, 3], rays @ T_ref_query[:3, :3].T)
-    return camera_ref.project(points)[0]
+    return surface.meet(T_ref_query[:3, 3], rays @ T_ref_query[:3, :3].T)
+
+
+def seen_at(surface: Surface, camera_ref: Camera, camera_query: Camera, T_query_ref: Array, pixels: Array) -> Array:
+    """The pixels (..., 2) of the reference, or around its image, of :func:`points_seen`; NaN behind its camera."""
+    return camera_ref.project(points_seen(surface, camera_query, T_query_ref, pixels))[0]
 
 
 def shown_at(

@@ -11,11 +11,18 @@ from PIL import Image as Pillow
 from PIL import ImageOps
 
 from relocbench.arrays import Array, Image
-from relocbench.datasets.moved_views.drawing import Keyframe, Motions, drawn_keyframe, drawn_motion, least_size
+from relocbench.datasets.moved_views.drawing import (
+    Keyframe,
+    View,
+    drawn_keyframe,
+    least_size,
+)
 from relocbench.datasets.moved_views.exact_correspondences import exact_correspondences
 from relocbench.datasets.moved_views.exif import Exif, read_exif
+from relocbench.datasets.moved_views.faces import SIDES, cube_faces
 from relocbench.datasets.moved_views.kinds import SURFACES, SurfaceKind
 from relocbench.datasets.moved_views.light import changed
+from relocbench.datasets.moved_views.motions import Motions, drawn_motion
 from relocbench.datasets.moved_views.pictures import Reduced, view_of
 from relocbench.datasets.moved_views.surfaces import Planes, Relief, plane_homography, seen_at, shown_at
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
@@ -62,7 +69,7 @@ def test_a_query_sees_a_plane_through_its_homography() -> None:
 @pytest.mark.parametrize("kind", SURFACES)
 def test_a_ray_of_a_moved_camera_ends_at_the_first_point_of_the_surface(kind: SurfaceKind) -> None:
     keyframe = keyframe_of(kind, 3)
-    T_ref_query = invert(drawn_motion(keyframe, FAR, np.random.default_rng(1)))
+    T_ref_query = invert(drawn_motion(keyframe, FAR, np.random.default_rng(1)).T_query_ref)
     rays, _ = keyframe.camera.unproject(all_pixels(keyframe.camera)[::7])
     directions, centre = rays @ T_ref_query[:3, :3].T, T_ref_query[:3, 3]
     points = keyframe.surface.meet(centre, directions)
@@ -100,12 +107,13 @@ def seen_as(keyframe: Keyframe, image: Image) -> Reference:
 def test_what_a_hill_hides_is_hidden_and_what_is_visible_is_hidden_by_nothing() -> None:
     numbers = np.full((9, 9), 0.08)
     numbers[3:6, 4] = 0.4
-    keyframe = keyframe_of("plane", 0)
     camera = Camera("pinhole", *SIZE, 90.0, 90.0, 47.5, 35.5)
-    hill = Keyframe(PHOTOGRAPH, keyframe.crop, camera, Relief(numbers, (-0.8, -0.8), 0.2))
+    hill = Keyframe(cube_faces(SIDES, 64, np.eye(3)), camera, Relief(numbers, (-0.8, -0.8), 0.2))
     T_query_ref = make_transform(np.eye(3), [-1.2, 0.0, 0.0])
     blank = np.zeros((SIZE[1], SIZE[0]), np.uint8)
-    found = exact_correspondences(hill, seen_as(hill, blank), blank, T_query_ref, 3000, np.random.default_rng(0))
+    found = exact_correspondences(
+        hill, seen_as(hill, blank), blank, View(camera, T_query_ref), 3000, np.random.default_rng(0)
+    )
     assert found.measures.similarity is None
     assert 0.05 < np.mean(~found.visible) < 0.5
     # Independently: all pixels of the keyframe, drawn into the query, of which the nearest is seen.
@@ -123,14 +131,14 @@ def test_what_a_hill_hides_is_hidden_and_what_is_visible_is_hidden_by_nothing() 
 def test_a_query_shows_each_point_where_its_correspondence_says_and_no_border(kind: SurfaceKind, seed: int) -> None:
     size = (PHOTOGRAPH[0] * 5, PHOTOGRAPH[1] * 5) if seed == 3 else PHOTOGRAPH
     keyframe = keyframe_of(kind, seed, size)
-    T_query_ref = drawn_motion(keyframe, FAR, np.random.default_rng(seed))
-    assert not np.allclose(T_query_ref, np.eye(4), atol=1e-3)
-    reduced = Reduced.of(coded(size), keyframe.crop)
-    reference, query = view_of(reduced, keyframe), view_of(reduced, keyframe, T_query_ref)
+    view = drawn_motion(keyframe, FAR, np.random.default_rng(seed))
+    assert not np.allclose(view.T_query_ref, np.eye(4), atol=1e-3)
+    reduced = Reduced.of(keyframe.faces, [coded(size)], keyframe.camera.fx)
+    reference, query = view_of(reduced, keyframe), view_of(reduced, keyframe, view)
     for image in (reference, query):
         assert image[..., 2].max() < 20
     rng = np.random.default_rng(0)
-    found = exact_correspondences(keyframe, seen_as(keyframe, reference), query, T_query_ref, 400, rng)
+    found = exact_correspondences(keyframe, seen_as(keyframe, reference), query, view, 400, rng)
     seen = found.visible
     assert found.measures.overlap is not None
     assert found.measures.overlap > 0.25
@@ -149,8 +157,8 @@ def test_a_query_shows_each_point_where_its_correspondence_says_and_no_border(ki
 def test_a_query_that_has_not_moved_is_the_keyframe() -> None:
     keyframe = keyframe_of("relief", 2)
     noise = np.random.default_rng(0).integers(0, 256, size=(*PHOTOGRAPH[::-1], 3)).astype(np.uint8)
-    reduced = Reduced.of(noise, keyframe.crop)
-    same, reference = view_of(reduced, keyframe, np.eye(4)), view_of(reduced, keyframe)
+    reduced = Reduced.of(keyframe.faces, [noise], keyframe.camera.fx)
+    same, reference = view_of(reduced, keyframe, View(keyframe.camera, np.eye(4))), view_of(reduced, keyframe)
     # Places are rounded to 1/32 pixel by OpenCV, some of them to another side.
     assert np.abs(same.astype(int) - reference).mean() < 1
 
@@ -159,10 +167,10 @@ def test_forward_motions_are_along_the_viewing_direction_and_no_motion_is_larger
     forward, far = Motions(0.3, 50.0, 8.0, 1.0), Motions(0.3, 0.2, 8.0, 0.0)
     for seed in range(12):
         keyframe = keyframe_of("street", seed)
-        T_ref_query = invert(drawn_motion(keyframe, forward, np.random.default_rng(seed)))
+        T_ref_query = invert(drawn_motion(keyframe, forward, np.random.default_rng(seed)).T_query_ref)
         along = T_ref_query[:3, 3] / np.linalg.norm(T_ref_query[:3, 3])
         assert abs(along[2]) > np.cos(np.radians(10))
-        anyhow = drawn_motion(keyframe, far, np.random.default_rng(seed))
+        anyhow = drawn_motion(keyframe, far, np.random.default_rng(seed)).T_query_ref
         assert np.linalg.norm(anyhow[:3, 3]) <= 0.2 + 1e-9
 
 
@@ -170,9 +178,9 @@ def test_a_photograph_just_large_enough_serves() -> None:
     least = least_size(SIZE)
     for seed in range(5):
         keyframe = keyframe_of("plane", seed, least)
-        assert keyframe.crop.scale <= 1
-        assert np.allclose(keyframe.crop.to_keyframe(keyframe.crop.to_photograph(np.array([[3.0, 4.0]]))), [[3.0, 4.0]])
-        assert drawn_motion(keyframe, FAR, np.random.default_rng(seed)).shape == (4, 4)
+        assert keyframe.camera.fx <= keyframe.faces[0].camera.fx * (1 + 1e-9)
+        assert np.all(keyframe.content(all_pixels(keyframe.camera)))
+        assert drawn_motion(keyframe, FAR, np.random.default_rng(seed)).T_query_ref.shape == (4, 4)
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

@@ -2,7 +2,8 @@
 
 Each photograph becomes a keyframe with a made-up surface behind its pixels. What a moved camera sees of a surface is
 known exactly, so that every pose has its view of a real photograph. Only what the photographs show is real: depth,
-motion and the change of light are made up.
+motion and the change of light are made up. A camera that only turns sees the same whatever the depth, so that such
+queries of a cube map, which shows all sides of a place, have nothing made up but their light.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.core.build_options import ImageSize, ImportOptions, width_height
 from relocbench.datasets.core.salt import SALT_FILE, salted
-from relocbench.datasets.moved_views.kinds import SURFACES, WORDS, Change, SurfaceKind
+from relocbench.datasets.moved_views.kinds import SURFACES, WORDS, Change, SurfaceKind, Viewpoint
 from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.progress import Reporter
@@ -47,16 +48,28 @@ class Options(ImportOptions):
         ("exposure", "shading", "night"),
         description="changes of light, a query of each keyframe for each: exposure, shading, night or none",
     )
+    viewpoint: Viewpoint = Field(
+        "normal",
+        description="size of motions; strong: up to 45 degrees around what a photograph shows, up to twice as near or "
+        "far; in cube maps up to 60 degrees to the side, up to twice the focal length; both rolled by up to 40 degrees",
+    )
     translation: float = Field(
         0.25, ge=0, le=0.5, description="farthest query as a share of the keyframe's median depth"
     )
     max_distance: float = Field(5.0, gt=0, description="farthest query in metres")
-    max_angle: float = Field(10.0, ge=0, le=45, description="widest pair in degrees; half for forward motions")
-    forward: float = Field(0.5, ge=0, le=1, description="share of motions along the viewing direction, as a car's")
-    validation: float = Field(
-        0.1, ge=0, lt=1, description="share of each folder's photographs in the split 'validation', by name before test"
+    max_angle: float = Field(
+        10.0, ge=0, le=45, description="widest pair in degrees; half for forward motions; not if strong"
     )
-    test: float = Field(0.0, ge=0, lt=1, description="share of each folder's photographs in the split 'test', the last")
+    forward: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="share of motions along the viewing direction, as a car's; not if strong",
+    )
+    validation: float = Field(
+        0.1, ge=0, lt=1, description="share of each folder's places in the split 'validation', by name before test"
+    )
+    test: float = Field(0.0, ge=0, lt=1, description="share of each folder's places in the split 'test', the last")
     salt_file: Path | None = Field(None, description=SALT_FILE)
 
     @model_validator(mode="after")
@@ -83,10 +96,11 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.importers.assembly import configuration
     from relocbench.datasets.importers.single_photographs.photographs import digest_of, divided, find_photographs
     from relocbench.datasets.importers.single_photographs.work import make_views, query_traversal, write_pairs
-    from relocbench.datasets.moved_views.drawing import least_size
+    from relocbench.datasets.moved_views.drawing import least_side, least_size
 
     assert isinstance(options, Options)
-    folders = find_photographs(sources, least_size(width_height(options.size)), reporter)
+    size = width_height(options.size)
+    folders = find_photographs(sources, least_size(size), least_side(size), reporter)
     splits = divided(folders, options.validation, options.test)
     options.check_conditions([t for s in splits for t in (s, *(query_traversal(s, c) for c in options.changes))])
     # A folder whose photographs have changed is another dataset, which a resumed build must not mix with the first.
@@ -108,9 +122,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 
 def _recipe(options: Options) -> Recipe:
     from relocbench.datasets.importers.single_photographs.work import Recipe
-    from relocbench.datasets.moved_views.drawing import Motions
+    from relocbench.datasets.moved_views.motions import Motions
 
-    motions = Motions(options.translation, options.max_distance, options.max_angle, options.forward)
+    motions = Motions(options.translation, options.max_distance, options.max_angle, options.forward, options.viewpoint)
     return Recipe(width_height(options.size), options.surfaces, options.changes, motions, options.seed)
 
 
@@ -126,28 +140,32 @@ def _write_traversals(
     writer: DatasetWriter, recipe: Recipe, split: str, made: Sequence[Made], options: Options, source: str
 ) -> None:
     """Describe the keyframes of a split and the queries of each change: cameras, poses and names."""
+    import numpy as np
+
     from relocbench.datasets.core.names import write_names
     from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
     from relocbench.datasets.importers.single_photographs.work import CAMERA, query_traversal
+    from relocbench.datasets.moved_views.drawing import View
     from relocbench.geometry import invert
 
-    cameras = {one.place.time: one.keyframe.camera for one in made}
-    usual = next(iter(cameras.values()))
     names = {
         one.place.time: one.place.photograph.name + (f"@{one.place.number + 1}" if options.keyframes > 1 else "")
         for one in made
     }
-    poses = {split: {one.place.time: one.T_world_ref for one in made}}
+    views = {split: {one.place.time: View(one.keyframe.camera, np.eye(4)) for one in made}}
     words = {split: WORDS["none"]}
     for change in recipe.changes:
         name = query_traversal(split, change)
-        poses[name] = {one.place.time: one.T_world_ref @ invert(one.T_query_ref[change]) for one in made}
+        views[name] = {one.place.time: one.views[change] for one in made}
         words[name] = WORDS[change]
-    for name, T_world_cam in poses.items():
+    for name, own in views.items():
         condition = options.conditions.get(name, Condition(tags=(words[name],)))
+        cameras = {time: view.camera for time, view in own.items()}
+        usual = next(iter(cameras.values()))
+        T_world_cam = {one.place.time: one.T_world_ref @ invert(own[one.place.time].T_query_ref) for one in made}
         entry = {CAMERA: CameraEntry.of(usual)}
         writer.traversal(TraversalFile(name=name, condition=condition, cameras=entry, source=source), T_world_cam)
         write_names(writer.layout.traversal(name).names, names)
-        own = {time: camera for time, camera in cameras.items() if camera != usual}
-        if own:
-            writer.intrinsics(name, CAMERA, own)
+        unusual = {time: camera for time, camera in cameras.items() if camera != usual}
+        if unusual:
+            writer.intrinsics(name, CAMERA, unusual)

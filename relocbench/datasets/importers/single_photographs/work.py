@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -15,15 +16,11 @@ from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.single_photographs.photographs import Photograph
-from relocbench.datasets.moved_views.drawing import (
-    Keyframe,
-    Motions,
-    drawn_keyframe,
-    drawn_motion,
-)
+from relocbench.datasets.moved_views.drawing import Keyframe, View, drawn_cube_keyframe, drawn_keyframe
 from relocbench.datasets.moved_views.exact_correspondences import exact_correspondences
 from relocbench.datasets.moved_views.kinds import Change, SurfaceKind
 from relocbench.datasets.moved_views.light import changed
+from relocbench.datasets.moved_views.motions import Motions, drawn_motion
 from relocbench.datasets.moved_views.pictures import Reduced, view_of
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.writing import is_finished, write_measured
@@ -80,7 +77,7 @@ class Made:
 
     place: Place
     keyframe: Keyframe
-    T_query_ref: dict[Change, Array]
+    views: dict[Change, View]
 
     @property
     def T_world_ref(self) -> Array:
@@ -97,7 +94,7 @@ class _Unit:
     place: Place
 
     def __str__(self) -> str:
-        return f"the views of {self.place.photograph.path}"
+        return f"the views of {self.place.photograph.images[0].path}"
 
 
 def query_traversal(split: str, change: Change) -> str:
@@ -119,14 +116,8 @@ def make_views(job: Build[ImportOptions], recipe: Recipe, places: Sequence[Place
 def _make(unit: _Unit) -> Made:
     place, recipe, writer = unit.place, unit.recipe, unit.writer
     photograph = place.photograph
-    keyframe = drawn_keyframe(
-        photograph.size,
-        photograph.exif.focal_px(photograph.size),
-        recipe.size,
-        recipe.surface(place),
-        recipe.rng(photograph, place.number, _KEYFRAME),
-    )
-    motions: dict[Change, Array] = {
+    keyframe = _keyframe(recipe, place)
+    views: dict[Change, View] = {
         change: drawn_motion(keyframe, recipe.motions, recipe.rng(photograph, place.number, _MOTION, *change.encode()))
         for change in recipe.changes
     }
@@ -134,16 +125,30 @@ def _make(unit: _Unit) -> Made:
     missing = [c for c in recipe.changes if writer.needs_image(query_traversal(split, c), CAMERA, time)]
     alone = writer.needs_image(split, CAMERA, time)
     if missing or alone:
-        reduced = Reduced.of(photograph.read(), keyframe.crop)
+        images = [image.read() for image in photograph.images]
+
+        @cache
+        def reduced(focal_px: float) -> Reduced:
+            return Reduced.of(keyframe.faces, images, focal_px)
+
         if alone:
-            writer.image(split, CAMERA, time, view_of(reduced, keyframe))
+            writer.image(split, CAMERA, time, view_of(reduced(keyframe.camera.fx), keyframe))
         for change in missing:
-            seen = view_of(reduced, keyframe, motions[change])
+            seen = view_of(reduced(views[change].camera.fx), keyframe, views[change])
             rng = recipe.rng(photograph, place.number, _LIGHT, *change.encode())
             writer.image(query_traversal(split, change), CAMERA, time, changed(seen, change, rng))
     if writer.needs_depth(split, CAMERA, time):
         writer.depth(split, CAMERA, time, keyframe.depth())
-    return Made(place, keyframe, motions)
+    return Made(place, keyframe, views)
+
+
+def _keyframe(recipe: Recipe, place: Place) -> Keyframe:
+    photograph = place.photograph
+    rng = recipe.rng(photograph, place.number, _KEYFRAME)
+    first = photograph.images[0]
+    if photograph.faces:
+        return drawn_cube_keyframe(photograph.faces, first.size[0], recipe.size, rng)
+    return drawn_keyframe(first.size, first.exif.focal_px(first.size), recipe.size, recipe.surface(place), rng)
 
 
 def write_pairs(job: Build[ImportOptions], recipe: Recipe, made: Sequence[Made], change: Change) -> str:
@@ -157,7 +162,7 @@ def write_pairs(job: Build[ImportOptions], recipe: Recipe, made: Sequence[Made],
         Pair(
             one.place.time,
             one.place.time,
-            one.T_query_ref[change],
+            one.views[change].T_query_ref,
             sigma_translation_m=0.0,
             sigma_rotation_deg=0.0,
             source="made-up depth and motion",
@@ -175,7 +180,7 @@ def write_pairs(job: Build[ImportOptions], recipe: Recipe, made: Sequence[Made],
                 place = one.place
                 rng = recipe.rng(place.photograph, place.number, _CORRESPONDENCES, *change.encode())
                 keyframe = reference.reference(CAMERA, place.time), query.image(CAMERA, place.time)
-                yield pair.key, exact_correspondences(one.keyframe, *keyframe, one.T_query_ref[change], count, rng)
+                yield pair.key, exact_correspondences(one.keyframe, *keyframe, one.views[change], count, rng)
                 advance(1)
 
         write_measured(layout, name, pairs, measured(), with_correspondences=count > 0)
