@@ -24,6 +24,9 @@ _FOLLOWED = 2
 _QUARTER = np.pi / 2
 _DIRECTIONS, _ALIKE = 1500, 0.97
 """normals that axes are found with, and the cosine of the angle within which two face the same way"""
+_CONES = (_ALIKE, 0.99, 0.998)
+"""cosines of the angles within which an axis is the mean of all normals, one after the other: a street's length from
+here, a degree is half a metre"""
 _GRID_M, _GRID = 0.2, 5
 """step of the fine grid of shifts, and the number of steps either way along two axes"""
 _LEVEL, _REACH_M, _CLOSE_M, _COSINE = 1, 0.5, 0.2, 0.8
@@ -110,15 +113,16 @@ def _axes(planes: PlaneMap) -> list[Array]:
     Those of a box are its edges, about which quarter turns map it to itself. Principal axes would not do: of a cube
     any three are.
     """
-    normals = planes.sample(1).normals
+    every = planes.level(_LEVEL).normals
+    normals = planes.sample(_LEVEL).normals
     normals = normals[np.linspace(0, len(normals) - 1, min(_DIRECTIONS, len(normals))).astype(np.int64)]
     if not len(normals):
         return list(np.eye(3))
     alike = np.abs(normals @ normals.T) > _ALIKE
-    first = _mean_axis(normals, int(np.argmax(alike.sum(axis=1))))
+    first = _mean_axis(every, normals[int(np.argmax(alike.sum(axis=1)))])
     across = np.abs(normals @ first) < 0.5
     if across.any():
-        second = _mean_axis(normals, int(np.argmax(np.where(across, alike.sum(axis=1), -1))))
+        second = _mean_axis(every, normals[int(np.argmax(np.where(across, alike.sum(axis=1), -1)))])
     else:
         second = np.eye(3)[int(np.argmin(np.abs(first)))]
     second = second - (second @ first) * first
@@ -128,9 +132,13 @@ def _axes(planes: PlaneMap) -> list[Array]:
     return [axes[k] for k in np.argsort(facing, kind="stable")]
 
 
-def _mean_axis(normals: Array, row: int) -> Array:
-    """(3,) the mean direction, of either sign, of the normals that face about as one of them does."""
-    cosine = normals @ normals[row]
-    near = np.abs(cosine) > _ALIKE
-    mean = np.sum(normals[near] * np.sign(cosine[near])[:, None], axis=0)
-    return np.asarray(mean / np.linalg.norm(mean))
+def _mean_axis(normals: Array, axis: Array) -> Array:
+    """(3,) the mean direction, of either sign, of the normals that face about along an axis (3,)."""
+    for cosine in _CONES:
+        along = normals @ axis
+        near = np.abs(along) > cosine
+        if not near.any():
+            break
+        axis = np.sum(normals[near] * np.sign(along[near])[:, None], axis=0)
+        axis = axis / np.linalg.norm(axis)
+    return np.asarray(axis)
