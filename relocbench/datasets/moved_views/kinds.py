@@ -9,11 +9,15 @@ SURFACES: tuple[SurfaceKind, ...] = ("plane", "street", "relief")
 
 Viewpoint = Literal["normal", "strong"]
 
-Change = Literal["none", "exposure", "shading", "night"]
+Change = Literal["none", "exposure", "shading", "night", "lamplight", "fog", "snow", "low-sun"]
 WORDS: dict[Change, str] = {
     "none": "photograph",
     "exposure": "photograph, changed exposure",
     "shading": "photograph, changed shading",
     "night": "photograph, darkened",
+    "lamplight": "photograph, made-up night",
+    "fog": "photograph, made-up fog",
+    "snow": "photograph, made-up snow",
+    "low-sun": "photograph, made-up low sun",
 }
 """the condition of images so changed, in words"""

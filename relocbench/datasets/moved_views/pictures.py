@@ -16,6 +16,8 @@ from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.moved_views.drawing import Keyframe, View, grid
 from relocbench.datasets.moved_views.faces import Face, located
 from relocbench.datasets.moved_views.surfaces import points_seen
+from relocbench.datasets.moved_views.weather import Sight
+from relocbench.geometry import invert
 
 _OVERSAMPLED = 2.0
 """pixels of the reduced photograph along each side of one of a view"""
@@ -74,3 +76,9 @@ def view_of(photographs: Reduced, keyframe: Keyframe, view: View | None = None) 
         total += values
         count += shown
     return np.clip(np.rint(total / np.maximum(count, 1)), 0, 255).astype(np.uint8)
+
+
+def sight_of(keyframe: Keyframe, view: View) -> Sight:
+    """What a view sees of the keyframe's surface, and how it stands to the horizon."""
+    points = points_seen(keyframe.surface, view.camera, view.T_query_ref, grid(view.camera))
+    return Sight((points - invert(view.T_query_ref)[:3, 3]) @ keyframe.faces[0].R_face_ref.T, view.camera.fx)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -82,7 +83,7 @@ def test_the_views_of_a_place_are_in_one_split_in_whichever_folder_they_are(tmp_
 
 def test_views_of_cube_maps_depend_on_the_seed_and_on_nothing_else(tmp_path: Path) -> None:
     source = write_cube(tmp_path / "cubes", "square")
-    options = {"keyframes": 9, "viewpoint": "strong", "validation": 0}
+    options: dict[str, Any] = {"keyframes": 9, "viewpoint": "strong", "validation": 0}
     alone, shared = built([source], tmp_path / "1", **options), built([source], tmp_path / "2", workers=2, **options)
     files = sorted(path.relative_to(alone.root) for path in alone.root.rglob("*") if path.is_file())
     assert len(files) > 20
@@ -102,7 +103,7 @@ def resized(folder: Path, width: int, height: int) -> None:
         (lambda folder: (folder / "square_negx.png").unlink(), "square_posx.png", ("square_negx",)),
         (lambda folder: resized(folder, 128, 120), "square_negx.png", ("128x120", "square")),
         (lambda folder: resized(folder, 192, 192), "square_negx.png", ("192x192", "128x128", "square_posx.png")),
-        (lambda folder: [resized(folder, 90, 90)], "square_negx.png", ("90x90", "96")),
+        (lambda folder: resized(folder, 90, 90), "square_negx.png", ("90x90", "96")),
         (
             lambda folder: (folder / "square_posz.jpg").write_bytes((folder / "square_posz.png").read_bytes()),
             "square_posz.png",

@@ -23,7 +23,7 @@ TURNS = Motions(0.0, 5.0, 10.0, 0.5, "strong")
 def colours(directions: Array) -> Array:
     """A smooth picture of all directions (..., 3), never black: (..., 3), 40 to 215."""
     unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-    return 127.5 + 87.5 * np.sin(2.0 * unit + [0.3, 1.1, 2.0])
+    return np.asarray(127.5 + 87.5 * np.sin(2.0 * unit + [0.3, 1.1, 2.0]))
 
 
 def cube_map(faces: tuple[str, ...]) -> list[Image]:

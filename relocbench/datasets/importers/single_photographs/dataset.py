@@ -46,7 +46,8 @@ class Options(ImportOptions):
     )
     changes: tuple[Change, ...] = Field(
         ("exposure", "shading", "night"),
-        description="changes of light, a query of each keyframe for each: exposure, shading, night or none",
+        description="changes of light, a query of each keyframe for each: exposure, shading, night, lamplight, fog, "
+        "snow, low-sun or none",
     )
     viewpoint: Viewpoint = Field(
         "normal",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from relocbench.datasets.moved_views.exact_correspondences import exact_correspo
 from relocbench.datasets.moved_views.kinds import Change, SurfaceKind
 from relocbench.datasets.moved_views.light import changed
 from relocbench.datasets.moved_views.motions import Motions, drawn_motion
-from relocbench.datasets.moved_views.pictures import Reduced, view_of
+from relocbench.datasets.moved_views.pictures import Reduced, sight_of, view_of
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.writing import is_finished, write_measured
 from relocbench.geometry import make_transform
@@ -136,7 +136,8 @@ def _make(unit: _Unit) -> Made:
         for change in missing:
             seen = view_of(reduced(views[change].camera.fx), keyframe, views[change])
             rng = recipe.rng(photograph, place.number, _LIGHT, *change.encode())
-            writer.image(query_traversal(split, change), CAMERA, time, changed(seen, change, rng))
+            image = changed(seen, change, rng, partial(sight_of, keyframe, views[change]))
+            writer.image(query_traversal(split, change), CAMERA, time, image)
     if writer.needs_depth(split, CAMERA, time):
         writer.depth(split, CAMERA, time, keyframe.depth())
     return Made(place, keyframe, views)
