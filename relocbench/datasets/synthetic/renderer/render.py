@@ -31,7 +31,7 @@ from relocbench.datasets.synthetic.renderer.response import apply_response, expo
 from relocbench.datasets.synthetic.renderer.room import Room
 from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, Samples, View, direct_samples
 from relocbench.datasets.synthetic.renderer.sky import Sky, make_sky
-from relocbench.datasets.synthetic.renderer.skylight import Skylight, make_skylight, with_moving
+from relocbench.datasets.synthetic.renderer.skylight import MovingSkylight, Skylight, make_skylight
 from relocbench.datasets.synthetic.renderer.surfaces import Hits, Setting
 from relocbench.datasets.synthetic.renderer.textures import bake
 from relocbench.datasets.synthetic.renderer.weather import draw_precipitation, falling_extinction
@@ -100,6 +100,7 @@ class Renderer:
             self._sky, self._skylight = make_sky(factors, seed), make_skylight(mesh, scene)
         else:
             self._sky, self._skylight = surroundings.sky, surroundings.skylight
+        self._with_moving = MovingSkylight(self._skylight)
         self._lamps = lighting.make_lamps(lamps)
         self._by_lamp = not self._sky.sun.any()
         extinction = factors.fog_density + falling_extinction(factors.rain_mm_h, factors.snowfall_mm_h)
@@ -123,12 +124,12 @@ class Renderer:
     def with_moving(self, mesh: Mesh) -> Renderer:
         """A renderer of the same scene with what moves at one moment.
 
-        It takes the place of the one that was made before: all have one :class:`Room`.
+        It takes the place of the one that was made before: all have one :class:`Room` and one :class:`MovingSkylight`.
         """
         other = copy(self)
         self._room.put(mesh)
         scene = ScenePair(self._still, self._room.triangles, mesh)
-        other._scene, other._skylight = scene, with_moving(self._skylight, mesh, scene.second)
+        other._scene, other._skylight = scene, self._with_moving.put(mesh, scene.second)
         return other
 
     def render(

@@ -28,8 +28,10 @@ _GROUND_M = 0.17
 """just above the pavement"""
 _LOW_M = 0.9
 """height below which objects darken the ground"""
-_ROWS_AT_ONCE = 64
-"""blocks of four rows of the fine grid that are processed together, which bounds the memory"""
+_NEAR_M = 1.2
+"""farthest distance of what darkens the ground"""
+_BLOCKS_AT_ONCE = 4096
+"""blocks of four by four points of the fine grid that are processed together, which bounds the memory"""
 _TRIANGLES_AT_ONCE = 100_000
 _SIDE_M = 600.0
 _FAR_GROUND = (Semantic.NONE, Semantic.ROAD, Semantic.PAVEMENT, Semantic.MARKING, Semantic.TERRAIN)
@@ -86,14 +88,30 @@ def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
     return Skylight(low.astype(np.float32), shape, values.reshape(-1, 4), _HEIGHTS, ground)
 
 
-def with_moving(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
-    """The skylight of a town with the ground darkened under and beside what moves, whose mesh and scene these are.
+class MovingSkylight:
+    """The skylight of a town with the ground darkened under and beside what moves, for one moment after another.
 
     The small effect on everything else is ignored.
     """
-    ground = light.ground.copy()
-    _darken(ground, light.low, mesh, np.ones(len(mesh), dtype=np.bool_), scene, _MOVING_DIRECTIONS)
-    return light._replace(ground=ground)
+
+    def __init__(self, light: Skylight) -> None:
+        self._still, self._light = light.ground, light._replace(ground=light.ground.copy())
+        self._last = np.s_[:0, :0]
+
+    def put(self, mesh: Mesh, scene: Scene) -> Skylight:
+        """The skylight with what moves at one moment; it takes the place of the one that was made before."""
+        ground = self._light.ground
+        ground[self._last] = self._still[self._last]
+        if len(mesh):
+            # Whole blocks, so that the points in them are those of the whole grid.
+            block_m = 4 * _FINE_M
+            first = np.floor((mesh.vertices.min(axis=0)[:2] - self._light.low) / block_m).astype(int) - 2
+            end = np.ceil((mesh.vertices.max(axis=0)[:2] - self._light.low) / block_m).astype(int) + 2
+            (x0, y0), (x1, y1) = 4 * np.maximum(first, 0), 4 * np.maximum(end, 0)
+            self._last = np.s_[y0:y1, x0:x1]
+            low = self._light.low + np.float32(_FINE_M) * np.array([x0, y0], dtype=np.float32)
+            _darken(ground[self._last], low, mesh, np.ones(len(mesh), dtype=np.bool_), scene, _MOVING_DIRECTIONS)
+        return self._light
 
 
 def _darken(ground: Floats, low: Floats, mesh: Mesh, standing: Mask, scene: Scene, count: int) -> None:
@@ -119,20 +137,18 @@ def _darken(ground: Floats, low: Floats, mesh: Mesh, standing: Mask, scene: Scen
             grown |= np.roll(near, (dy, dx), (0, 1))
     directions = upper_directions(count)
     weight = directions[:, 2] / directions[:, 2].sum()
-    inner = grown[1:-1, 1:-1]
-    for first in range(0, ny, 4 * _ROWS_AT_ONCE):
-        rows = inner[first // 4 : first // 4 + _ROWS_AT_ONCE]
-        if not rows.any():
-            continue
-        left = int(rows.any(axis=0).argmax())
-        iy, ix = np.nonzero(rows[:, left:].repeat(4, axis=0).repeat(4, axis=1)[: ny - first, : nx - 4 * left])
-        iy, ix = iy + first, ix + 4 * left
-        points = np.stack([low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, np.full(len(ix), _GROUND_M)], 1)
-        points = points.astype(np.float32)
-        seen = np.zeros(len(points), dtype=np.float32)
-        for d, w in zip(directions, weight, strict=True):
-            seen += w * _sees(scene, points, d, 1.2)
-        ground[iy, ix] = np.minimum(ground[iy, ix], seen)
+    down, across = np.divmod(np.arange(16), 4)
+    rows, columns = np.nonzero(grown[1:-1, 1:-1])
+    for first in range(0, len(rows), _BLOCKS_AT_ONCE):
+        part = slice(first, first + _BLOCKS_AT_ONCE)
+        iy, ix = (4 * rows[part, None] + down).ravel(), (4 * columns[part, None] + across).ravel()
+        inside = (iy < ny) & (ix < nx)
+        iy, ix = iy[inside], ix[inside]
+        rays = np.empty((count, len(ix), 6), dtype=np.float32)
+        rays[..., 0], rays[..., 1], rays[..., 2] = low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, _GROUND_M
+        rays[..., 3:] = directions[:, None]
+        free = ~scene.occluded(rays.reshape(-1, 6), _NEAR_M).reshape(count, -1)
+        ground[iy, ix] = np.minimum(ground[iy, ix], np.add.reduce(weight[:, None] * free))
 
 
 def _corners(mesh: Mesh, chosen: Mask) -> Iterator[Floats]:
