@@ -157,9 +157,8 @@ def _wheels(car: _Type) -> list[Shape]:
     outer = car.half_width - 0.02
     for axle in car.axles:
         for side in (-1, 1):
-            y = np.array([outer - 0.2, outer - 0.17, outer - 0.03, outer]) * side
-            girth = [radius - 0.03, radius, radius, radius - 0.03]
-            tyre = tube(np.stack([0 * y, y, 0 * y], 1), girth, 16, Material.RUBBER)
+            y = np.array([outer - 0.2, outer - 0.03, outer]) * side
+            tyre = tube(np.stack([0 * y, y, 0 * y], 1), [radius, radius, radius - 0.03], 16, Material.RUBBER)
             parts.append(moved(tyre, axle, 0, radius))
         parts.append(boxes([axle - 0.3, 0.2 - outer, 0.25], [axle + 0.3, outer - 0.2, 0.5], Material.RUBBER))
     return parts

@@ -157,7 +157,7 @@ def bollard() -> Shape:
     """A cast post of 0.95 m with a ball on top."""
     height = [0, 0.1, 0.12, 0.72, 0.74, 0.78, 0.8, 0.86, 0.92, 0.95]
     radius = [0.1, 0.1, 0.07, 0.055, 0.08, 0.08, 0.05, 0.075, 0.05, 0.01]
-    return tube(np.column_stack([np.zeros((10, 2)), height]), radius, 12, Material.METAL)
+    return tube(np.column_stack([np.zeros((10, 2)), height]), radius, 9, Material.METAL)
 
 
 @cache

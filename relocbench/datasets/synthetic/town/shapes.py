@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -153,34 +154,50 @@ def boxes_of(rows: ArrayLike, material: ArrayLike, without: str = "", variant: A
 def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int) -> Shape:
     """A closed tube along a polyline (P, 3) with a radius at each point; along a straight line, a solid of revolution.
 
-    Surface coordinates are the arc lengths around and along it.
+    Surface coordinates are the arc lengths around and along it, and on its ends those of the plane.
     """
     axis = np.asarray(points, dtype=float)
     radius = np.broadcast_to(np.asarray(radii, dtype=float), (len(axis),))
-    along = np.gradient(axis, axis=0)
+    step = axis[1:] - axis[:-1]
+    along = np.empty_like(axis)
+    along[0], along[-1], along[1:-1] = step[0], step[-1], (step[1:] + step[:-1]) / 2
     chord = axis[-1] - axis[0]
-    if np.linalg.norm(cross(axis - axis[0], chord[None])) < 1e-9:
+    off = cross(axis - axis[0], chord[None])
+    if np.sqrt((off * off).sum()) < 1e-9:
         along[:] = chord  # the profile of a solid of revolution may go back and forth along its axis
     along /= _lengths(along)
     start = np.eye(3)[np.abs(along).max(axis=0).argmin()]
     side = cross(along, start[None])
     side /= _lengths(side)
     other = cross(along, side)
-    angle = 2 * np.pi * np.arange(sides) / sides
-    ring = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * other[:, None]
+    turn = 2 * np.pi * np.arange(sides) / sides
+    circle = _columns(np.cos(turn), np.sin(turn))
+    ring = circle[None, :, :1] * side[:, None] + circle[None, :, 1:] * other[:, None]
     vertices = (axis[:, None] + radius[:, None, None] * ring).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(len(axis) - 1), np.arange(sides), indexing="ij")
+    rows, around, at = _tube_rows(len(axis), sides)
+    length = np.concatenate([[0], np.cumsum(_lengths(step))])
+    arc = 2 * np.pi * radius.mean() / sides
+    walls = len(rows) - 2 * (sides - 2)
+    uv = np.empty((len(rows), 3, 2))
+    uv[:walls, :, 0], uv[:walls, :, 1] = around * arc, length[at]
+    uv[walls:] = circle[rows[walls:] % sides]
+    uv[walls : walls + sides - 2] *= radius[0]
+    uv[walls + sides - 2 :] *= radius[-1]
+    return triangle_shape(vertices, rows, material, uv)
+
+
+@cache
+def _tube_rows(points: int, sides: int) -> tuple[Indices, Indices, Indices]:
+    """Of a tube's triangles, first those around and then those of both ends: rows of vertices (T, 3), and of those
+    around it the number of the side and of the point (., 3) at each corner."""
+    i, j = np.meshgrid(np.arange(points - 1), np.arange(sides), indexing="ij")
     a, b = i * sides + j, i * sides + (j + 1) % sides
     c, d = b + sides, a + sides
     rows = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 3)
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1))])
-    arc = 2 * np.pi * radius.mean() / sides
-    u = np.stack([np.stack([j, j + 1, j + 1], -1), np.stack([j, j + 1, j], -1)], axis=2) * arc
-    v = np.stack([length[np.stack([i, i, i + 1], -1)], length[np.stack([i, i + 1, i + 1], -1)]], axis=2)
-    wall = triangle_shape(vertices, rows, material, np.stack([u, v], axis=-1).reshape(-1, 3, 2))
+    around = np.stack([np.stack([j, j + 1, j + 1], -1), np.stack([j, j + 1, j], -1)], axis=2).reshape(-1, 3)
+    at = np.stack([np.stack([i, i, i + 1], -1), np.stack([i, i + 1, i + 1], -1)], axis=2).reshape(-1, 3)
     fan = np.array([[0, k + 1, k] for k in range(1, sides - 1)])
-    ends = np.concatenate([fan, fan[:, ::-1] + (len(axis) - 1) * sides])
-    return join([wall, triangle_shape(vertices, ends, material)])
+    return np.concatenate([rows, fan, fan[:, ::-1] + (points - 1) * sides]), around, at
 
 
 def ear_clip(polygon: Array) -> Indices:

@@ -124,18 +124,31 @@ def _twigs(side: tuple[Array, Array], rng: np.random.Generator) -> Shape:
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         starts.append(start)
         ends.append(start + turned * (length * rng.uniform(0.4, 0.75, len(length)))[:, None])
-    return spikes(np.concatenate(starts), np.concatenate(ends), np.full(4 * len(foot), 0.01))
+    return blades(np.concatenate(starts), np.concatenate(ends), 0.014)
+
+
+def blades(feet: Array, tips: Array, radius: float) -> Shape:
+    """Flat triangles from (N, 3) to (N, 3), each turned otherwise about its axis: twigs, too thin for more."""
+    side, other = _across(tips - feet)
+    angle = 2.4 * np.arange(len(feet))[:, None]
+    out = radius * (np.cos(angle) * side + np.sin(angle) * other)
+    corners = np.stack([feet - out, feet + out, tips], axis=1)
+    return triangle_shape(corners.reshape(-1, 3), np.arange(3 * len(feet)).reshape(-1, 3), Material.BARK)
+
+
+def _across(along: Array) -> tuple[Array, Array]:
+    """Two unit vectors (N, 3) at right angles to vectors (N, 3) and to each other."""
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    start = np.where(np.abs(along[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(along, start)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    return side, np.cross(along, side)
 
 
 def spikes(feet: Array, tips: Array, radius: Array) -> Shape:
     """Closed three-sided spikes of wood from (N, 3) to (N, 3), with radii (N,) at their feet."""
-    along = tips - feet
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    along = along / length
-    start = np.where(np.abs(along[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    side = np.cross(along, start)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    other = np.cross(along, side)
+    length = np.linalg.norm(tips - feet, axis=1, keepdims=True)
+    side, other = _across(tips - feet)
     ring = [feet + radius[:, None] * (np.cos(a) * side + np.sin(a) * other) for a in 2 * np.pi * np.arange(3) / 3]
     corners = np.stack([*ring, tips], axis=1)
     rows = 4 * np.arange(len(feet))[:, None, None] + np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3], [0, 2, 1]])
@@ -150,7 +163,7 @@ def spikes(feet: Array, tips: Array, radius: Array) -> Shape:
 
 def _leaves(habit: _Habit, clumps: Array, rng: np.random.Generator, coarse: bool) -> Shape:
     """Leaves scattered around the side branches, darker where they are deep in the crown."""
-    each, length = (7, 2.1 * habit.leaf) if coarse else (17, 1.25 * habit.leaf)
+    each, length = (5, 2.45 * habit.leaf) if coarse else (17, 1.25 * habit.leaf)
     chosen = np.repeat(np.arange(len(clumps)), each)
     size = np.maximum(0.085 * habit.spread, 0.16) * rng.uniform(0.8, 1.6, (len(clumps), 1))
     scattered = rng.normal(0, 1, (len(chosen), 3)).clip(-1.8, 1.8)
@@ -235,7 +248,7 @@ def hedge_shapes(length: float, height: float, seed: int) -> tuple[Shape, Shape]
     core = triangle_shape(
         vertices, np.concatenate([rows, fan, fan[:, ::-1] + (columns - 1) * 6]), Material.HEDGE, variant=_SHADES - 1
     )
-    count = int(110 * length * height)
+    count = int(92 * length * height)
     side = rng.integers(0, 3, count)
     y = np.where(side == 1, rng.uniform(-0.33, 0.33, count), np.where(side == 0, -0.34, 0.34))
     z = np.where(side == 1, 0.98, rng.uniform(0.03, 0.98, count)) * height
@@ -244,4 +257,4 @@ def hedge_shapes(length: float, height: float, seed: int) -> tuple[Shape, Shape]
     outward = np.stack([np.zeros(count), np.sign(y) * (side != 1), 1.0 * (side == 1)], axis=1)
     clump = (along / 0.5).astype(int) * 3 + side
     low = np.clip(2.2 * (1 - z / height), 0, 2).astype(int)
-    return core, leaf_triangles(centre, 0.14, Material.HEDGE, rng, outward, clump, low)
+    return core, leaf_triangles(centre, 0.153, Material.HEDGE, rng, outward, clump, low)

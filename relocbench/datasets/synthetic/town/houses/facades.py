@@ -78,17 +78,16 @@ def openings(
     parts.append(quads(ring_quads(inner, inner, deep, deep + 0.05), style.frame))
     parts += glazed(inner, back, glass, variant, style.salt)
     x0, x1, z0, z1 = inner.T
-    low, high = [], []
     for k in range(style.mullions):
         x = x0 + (x1 - x0) * (k + 1) / (style.mullions + 1)
-        low.append(np.stack([x - 0.025, zero + style.recess + 0.01, z0], axis=1))
-        high.append(np.stack([x + 0.025, zero + back, z1], axis=1))
+        low = np.stack([x - 0.025, zero + style.recess + 0.01, z0], axis=1)
+        high = np.stack([x + 0.025, zero + back, z1], axis=1)
+        parts.append(boxes(low, high, style.frame, without="back bottom top"))
     if style.transom:
         z = z0 + 0.68 * (z1 - z0)
-        low.append(np.stack([x0, zero + style.recess + 0.015, z - 0.025], axis=1))
-        high.append(np.stack([x1, zero + back, z + 0.025], axis=1))
-    if low:
-        parts.append(boxes(np.concatenate(low), np.concatenate(high), style.frame, without="back"))
+        low = np.stack([x0, zero + style.recess + 0.015, z - 0.025], axis=1)
+        high = np.stack([x1, zero + back, z + 0.025], axis=1)
+        parts.append(boxes(low, high, style.frame, without="back left right"))
     return parts
 
 
@@ -101,11 +100,11 @@ def trims(holes: Array, style: FrontStyle, cells: Array) -> list[Shape]:
     if style.lintel or style.surround:
         low.append(np.stack([x0 - 0.12, zero - 0.03, z1], axis=1))
         high.append(np.stack([x1 + 0.12, zero, z1 + 0.18], axis=1))
-    if style.surround:
-        for a, b in ((x0 - 0.12, x0), (x1, x1 + 0.12)):
-            low.append(np.stack([a, zero - 0.03, z0], axis=1))
-            high.append(np.stack([b, zero, z1], axis=1))
     parts = [boxes(np.concatenate(low), np.concatenate(high), style.trim, without="back")]
+    if style.surround:
+        low = [np.stack([a, zero - 0.03, z0], axis=1) for a in (x0 - 0.12, x1)]
+        high = [np.stack([b, zero, z1], axis=1) for b in (x0, x1 + 0.12)]
+        parts.append(boxes(np.concatenate(low), np.concatenate(high), style.trim, without="back bottom top"))
     if style.shutters:
         half = np.minimum((x1 - x0) / 2, (cells[:, 1] - cells[:, 0] - (x1 - x0)) / 2 - 0.01)
         low = [np.stack([a, zero - 0.05, z0], axis=1) for a in (x0 - half, x1 + 0.01)]
@@ -130,7 +129,7 @@ def balcony(x0: float, x1: float, z: float) -> Shape:
     ]
     rail_box = boxes_of(rails, Material.METAL)
     slab = boxes([left, -reach, z - 0.16], [right, 0.0, z], Material.CONCRETE, without="back")
-    return join([boxes_of(posts, Material.METAL, without="bottom top"), rail_box, slab])
+    return join([boxes_of(posts, Material.METAL, without="bottom top back"), rail_box, slab])
 
 
 def door(cell: Array, width: float, top: float, style: FrontStyle, variant: int, steps: int = 0) -> list[Shape]:
