@@ -38,6 +38,11 @@ def forget_all() -> None:
     _latest.clear()
 
 
+def forget_renderer() -> None:
+    """Let go the renderer, which a worker that goes on to pairs needs no more."""
+    _latest.pop("renderer", None)
+
+
 def latest_renderer(scene: Hashable, moving: Sequence[Moving], make: Callable[[], AnyRenderer]) -> AnyRenderer:
     """The renderer of a district in a condition (``scene``) with what moves at one moment.
 

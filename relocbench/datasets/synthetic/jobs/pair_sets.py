@@ -23,6 +23,7 @@ from relocbench.datasets.synthetic.jobs.exact_correspondences import (
     exact_correspondences,
     guessed_overlap_of_query,
 )
+from relocbench.datasets.synthetic.jobs.latest import forget_renderer
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
 from relocbench.datasets.synthetic.jobs.selection import (
@@ -290,6 +291,7 @@ def _views(plan: TraversalPlan, camera: str, wanted: set[int]) -> dict[int, View
 
 def write_set(unit: PairSetUnit) -> None:
     """Compute and write one pair set: the correspondences first, and last the pair file, which marks it as finished."""
+    forget_renderer()
     of_keyframes, of_queries = unit.cameras
     reference, query = (Traversal(unit.layout.traversal(name)) for name in unit.traversals)
 
