@@ -18,9 +18,9 @@ The peak memory of each worker, including set-up, is measured too. Ratios are of
 hardly affect. Images per second are by wall-clock time; the number that two undisturbed cores would reach is also
 given.
 
-    python benchmarks/speed/rendering.py [--frames N]
+    python benchmarks/speed/rendering.py [--frames N] [--without-mitsuba]
 
-The last line is JSON.
+The last line is JSON; `peak_mib` in it is the peak memory of the larger worker.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -249,6 +249,7 @@ def main() -> None:
     parser.add_argument(
         "--mitsuba-variant", default="scalar_rgb", help="llvm_ad_rgb where Mitsuba's LLVM backend works"
     )
+    parser.add_argument("--without-mitsuba", action="store_true", help="measure the renderer and bare rays alone")
     arguments = parser.parse_args()
     frames, variant = arguments.frames, arguments.mitsuba_variant
     result: dict[str, Any] = {"benchmark": "rendering", "size": SIZE, "workers": WORKERS}
@@ -273,7 +274,16 @@ def main() -> None:
             "setup_s": round(max(t[name]["setup_s"] for t in told), 1),
         }
     result["peak_mib"] = round(max(t["peak_mib"] for t in told))
-    result["mitsuba_variant"] = variant
+    print(f"at most {result['peak_mib']} MiB a worker", file=sys.stderr)
+    if not arguments.without_mitsuba:
+        result["mitsuba_variant"] = variant
+        compare(result, ours, variant)
+    result["load_average"] = [round(x, 1) for x in os.getloadavg()]
+    print(json.dumps(result))
+
+
+def compare(result: dict[str, Any], ours: dict[str, float], variant: str) -> None:
+    """Add Mitsuba's speed to the result, and the ratio of it to our processor seconds an image."""
     for name, factors in previewed(CONDITIONS, everything=False, swept=None, steps=2).items():
         mitsuba = Mitsuba(factors, variant)
         spp, noise, camera = mitsuba.comparable_spp(poses(3)[1])
@@ -289,8 +299,6 @@ def main() -> None:
             f"mitsuba_noise_at_{TRIAL_SPP}_spp": round(noise, 2),
             "camera_noise": round(camera, 2),
         }
-    result["load_average"] = [round(x, 1) for x in os.getloadavg()]
-    print(json.dumps(result))
 
 
 if __name__ == "__main__":
