@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relocbench.arrays import Image
+from relocbench.arrays import Image, Mask
 from relocbench.datasets.moved_views.drawing import Keyframe, View
 from relocbench.datasets.moved_views.surfaces import seen_at, shown_at
 from relocbench.datasets.pairs.correspondences import FARTHEST_M, PairCorrespondences, exact_pair, sampled_pixels
@@ -21,14 +21,20 @@ def exact_correspondences(
     view: View,
     count: int,
     rng: np.random.Generator,
+    without: Mask | None = None,
 ) -> PairCorrespondences:
     """Up to ``count`` correspondences of a pair, spread over the keyframe, and the pair's measures.
 
     They are sampled from the pixels that show something and whose point projects into the query's image, visible or
     hidden by another part of the surface.
+
+    Args:
+        without: (H, W) pixels of the keyframe that have no correspondences either.
     """
     surface, cameras = keyframe.surface, (keyframe.camera, view.camera)
     pixels = sampled_pixels(keyframe.camera, count, rng)
+    if without is not None:
+        pixels = pixels[~without[*pixels[:, ::-1].astype(int).T]]
     pixels = pixels[keyframe.content(pixels)]
     uv_query, depth, _ = shown_at(surface, *cameras, view.T_query_ref, pixels)
     inside = view.camera.contains(uv_query) & (depth <= FARTHEST_M)

@@ -1,7 +1,7 @@
 """Nights, fog, snow and low sun over a photograph, drawn by seed, with the surface that is made up behind its pixels.
 
 No pixel moves. What is sky and which windows could be lit is guessed from the photograph; a wrong guess makes an odd
-picture, but no wrong correspondence.
+picture, but no wrong correspondence: their pairs have none on what is taken for sky.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Sight:
 
 def _lamplight(stored: Floats, sight: Sight, rng: np.random.Generator) -> Floats:
     """A dark sky, lamps that light what is near them, lit windows, and a sensor that amplifies little light."""
-    sky = _sky(stored, sight)[..., None]
+    sky = sky_of(stored, sight)[..., None]
     colour = _LAMPS[rng.integers(len(_LAMPS))] * np.exp(spread(rng, 0.1, 3)).astype(np.float32)
     pools = np.full(stored.shape[:2], rng.uniform(0.005, 0.05), dtype=np.float32)
     glow = np.zeros_like(pools)
@@ -94,7 +94,7 @@ def _fog(stored: Floats, sight: Sight, rng: np.random.Generator) -> Floats:
 def _snow(stored: Floats, sight: Sight, rng: np.random.Generator) -> Floats:
     """Snow on the ground, on ledges and leaves, in the air, and a white sky."""
     grey, shape = grey_of(stored), stored.shape[:2]
-    sky, elevation = _sky(stored, sight), sight.elevation
+    sky, elevation = sky_of(stored, sight), sight.elevation
     upward = _step(-sight.normal[..., 1], 0.6, 0.1)
     lower = _step(-elevation, rng.uniform(0.05, 0.2), 0.05)
     ground = softened(np.maximum(upward * (elevation < 0), lower), shape[1] / 40)
@@ -114,7 +114,7 @@ def _snow(stored: Floats, sight: Sight, rng: np.random.Generator) -> Floats:
 
 def _low_sun(stored: Floats, sight: Sight, rng: np.random.Generator) -> Floats:
     """The light and long shadows of a low sun in place of those that are there."""
-    sky = _sky(stored, sight)[..., None]
+    sky = sky_of(stored, sight)[..., None]
     normal = sight.normal
     # Of three suns, that which lights most.
     suns = [_direction(rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(3, 18))) for _ in range(3)]
@@ -154,7 +154,7 @@ def _step(values: Array | Floats, at: float, width: float) -> Floats:
     return np.asarray(1 / (1 + np.exp(-np.clip((values - at) / width, -30, 30))), dtype=np.float32)
 
 
-def _sky(stored: Floats, sight: Sight) -> Floats:
+def sky_of(stored: Floats, sight: Sight) -> Floats:
     """How much each pixel is sky (H, W): smooth and bright or blue up to the border, and what is near and alike."""
     grey = grey_of(stored)
     smooth = softened(grey, 2.0)
@@ -218,7 +218,7 @@ def _windows(stored: Floats, sight: Sight, sky: Floats, rng: np.random.Generator
 def _in_fog(stored: Floats, sight: Sight, thickness: float, rng: np.random.Generator) -> Floats:
     """An image through air that takes exp(-thickness) of the light on the way from the median distance."""
     distance = sight.distance / np.float32(np.median(sight.distance))
-    distance = distance + np.float32(1e3) * _sky(stored, sight)
+    distance = distance + np.float32(1e3) * sky_of(stored, sight)
     seen = np.exp(-np.float32(thickness) * distance)[..., None]
     air = np.float32(rng.uniform(0.55, 0.85)) * np.exp(spread(rng, 0.02, 3)).astype(np.float32)
     hazy = softened(stored, 2.0) if thickness > 1 else stored

@@ -96,6 +96,25 @@ def test_no_photograph_is_in_two_splits_and_neighbours_by_name_stay_together(tmp
     assert_names(told, "", None, 1, 11)
 
 
+def test_made_up_weather_has_no_correspondences_on_what_it_takes_for_sky(tmp_path: Path) -> None:
+    path = write_photographs(tmp_path / "streets", 1) / "street00.png"
+    image = cv2.imread(str(path))
+    assert image is not None
+    image[:50] = (230, 160, 110)
+    cv2.imwrite(str(path), image)
+    dataset = built([path.parent], tmp_path / "set", validation=0, changes=("none", "fog"), surfaces=("plane",))
+    learnt = DatasetPairs([dataset.root], "train")
+    on_sky = {}
+    for index in range(len(learnt)):
+        pair = learnt.load(index)
+        u, v = np.rint(pair.u_ref).astype(int).T
+        on_sky[pair.label.condition_query] = np.mean(
+            np.all(np.abs(pair.image_ref[v, u] - [110.0, 160, 230]) < 9, axis=1)
+        )
+    assert on_sky["photograph"] > 0.15
+    assert on_sky["photograph, made-up fog"] < 0.02
+
+
 @pytest.mark.thorough
 def test_the_bytes_depend_on_the_seed_and_on_nothing_else(tmp_path: Path) -> None:
     source = write_photographs(tmp_path / "streets", 8)

@@ -8,7 +8,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Image, Mask
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.layout import pair_set_name
@@ -22,6 +22,7 @@ from relocbench.datasets.moved_views.kinds import Change, SurfaceKind
 from relocbench.datasets.moved_views.light import changed
 from relocbench.datasets.moved_views.motions import Motions, drawn_motion
 from relocbench.datasets.moved_views.pictures import Reduced, sight_of, view_of
+from relocbench.datasets.moved_views.weather import SCENERY, sky_of
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.writing import is_finished, write_measured
 from relocbench.geometry import make_transform
@@ -181,8 +182,15 @@ def write_pairs(job: Build[ImportOptions], recipe: Recipe, made: Sequence[Made],
                 place = one.place
                 rng = recipe.rng(place.photograph, place.number, _CORRESPONDENCES, *change.encode())
                 keyframe = reference.reference(CAMERA, place.time), query.image(CAMERA, place.time)
-                yield pair.key, exact_correspondences(one.keyframe, *keyframe, one.views[change], count, rng)
+                sky = _sky(one.keyframe, keyframe[0].image) if change in SCENERY else None
+                yield pair.key, exact_correspondences(one.keyframe, *keyframe, one.views[change], count, rng, sky)
                 advance(1)
 
         write_measured(layout, name, pairs, measured(), with_correspondences=count > 0)
     return name
+
+
+def _sky(keyframe: Keyframe, image: Image) -> Mask:
+    """(H, W) what is taken for sky, which made-up weather paints over."""
+    sight = sight_of(keyframe, View(keyframe.camera, np.eye(4)))
+    return np.asarray(sky_of(image.astype(np.float32) / np.float32(255), sight) > 0.5)
