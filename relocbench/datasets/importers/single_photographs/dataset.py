@@ -55,9 +55,12 @@ class Options(ImportOptions):
         "far; in cube maps up to 60 degrees to the side, up to twice the focal length; both rolled by up to 40 degrees",
     )
     translation: float = Field(
-        0.25, ge=0, le=0.5, description="farthest query as a share of the keyframe's median depth"
+        0.25,
+        ge=0,
+        le=0.5,
+        description="farthest query as a share of the keyframe's median depth; if strong, only of cube maps",
     )
-    max_distance: float = Field(5.0, gt=0, description="farthest query in metres")
+    max_distance: float = Field(5.0, gt=0, description="farthest query in metres; if strong, only of cube maps")
     max_angle: float = Field(
         10.0, ge=0, le=45, description="widest pair in degrees; half for forward motions; not if strong"
     )
