@@ -73,7 +73,7 @@ def shifts_as_close(a: PlaneMap, b: PlaneMap, T_a_b: Array, scale: SceneScale) -
 
 
 def _steps(count: int) -> Array:
-    return np.arange(-count, count + 1) * _GRID_M
+    return np.asarray(np.arange(-count, count + 1) * _GRID_M)
 
 
 def _reach_m(scale: SceneScale) -> float:
