@@ -13,6 +13,7 @@ from refusals import refused
 from repository import LIDAR
 
 from relocbench.arrays import Array
+from relocbench.datasets.groundtruth.clouds.alternatives import shifts_as_close
 from relocbench.datasets.groundtruth.clouds.cloud import Cloud
 from relocbench.datasets.groundtruth.clouds.distinct import Distinct, distinct_evidence, outside_largest_planes
 from relocbench.datasets.groundtruth.clouds.field_of_view import field_of_view
@@ -141,6 +142,36 @@ def test_a_cube_looks_alike_from_all_sides_and_is_refused() -> None:
     a, b = Cloud("a", points[:half]), Cloud("b", points[half:])
     alike = register_clouds(a, b, CloudRegistrationOptions(initial=np.eye(4)))
     assert "ambiguous" in alike.reason
+
+
+PERIOD_M = 4.8
+
+
+def street_with_windows(rng: np.random.Generator, at_m: float, turn: Array) -> Cloud:
+    """A scan of a road between two facades whose windows lie 0.3 m deep and repeat themselves."""
+    count = 40_000
+    along, up, side = rng.uniform(-30, 30, count) + at_m, rng.uniform(-1.7, 5, count), rng.choice([-1, 1], count)
+    deep = (along % PERIOD_M < 1.4) & (up > 0) & (up < 3)
+    facades = np.column_stack([along, side * (6 + 0.3 * deep), up])
+    road = np.column_stack([along, rng.uniform(-6, 6, count), np.full(count, -1.7)])[::2]
+    windows = PERIOD_M * rng.integers(-5, 6, count) + rng.choice([0, 1.4], count)
+    reveals = np.column_stack([windows, side * rng.uniform(6, 6.3, count), rng.uniform(0, 3, count)])[::5]
+    points = np.concatenate([facades, road, reveals]) - [at_m, 0, 0]
+    points = apply(turn, points + 0.01 * rng.normal(size=points.shape))
+    return Cloud("scan", points, np.zeros_like(points), supposed=True)
+
+
+@pytest.mark.parametrize("yaw_deg", [-3.0, 1.8])
+def test_a_pose_that_is_two_periods_of_a_street_off_finds_the_right_one(yaw_deg: float) -> None:
+    rng, turn = np.random.default_rng(1), make_transform(so3_exp([0, 0, np.radians(yaw_deg)]), np.zeros(3))
+    a, b = (street_with_windows(rng, at_m, turn) for at_m in (0.0, 2.0))
+    scale = scale_of([scene_size(cloud.points) for cloud in (a, b)])
+    one, other = (prepare(cloud, scale).prepared for cloud in (a, b))
+    along = turn[:3, 0]
+    right = invert(one.T_cloud_node) @ make_transform(np.eye(3), 2.0 * along) @ other.T_cloud_node
+    wrong = make_transform(np.eye(3), 2 * PERIOD_M * along) @ right
+    found = shifts_as_close(one.planes, other.planes, wrong, scale)
+    assert min(pose_difference(right, T)[0] for T in found) < 0.1
 
 
 @pytest.mark.thorough
