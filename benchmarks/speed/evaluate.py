@@ -18,7 +18,8 @@ import time
 from pathlib import Path
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.pairfile import Pair, write_pairs
+from relocbench.datasets.core.pair_table import write_pairs
+from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers import importer
 from relocbench.evaluation.tables.records import read_answers

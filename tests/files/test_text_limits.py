@@ -17,7 +17,7 @@ from refusals import refused
 from relocbench.datasets.core import fingerprint
 from relocbench.datasets.core.images import read_points
 from relocbench.datasets.core.layout import DatasetLayout
-from relocbench.datasets.core.pairfile import read_pairs
+from relocbench.datasets.core.pair_table import read_pairs
 from relocbench.datasets.core.traversal import read_poses
 from relocbench.datasets.groundtruth.pose_graph.files import read_graph
 from relocbench.datasets.groundtruth.registration.files import read_registrations

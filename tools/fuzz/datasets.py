@@ -87,7 +87,8 @@ def _poses(place: Place) -> None:
 
 
 def _pairs(place: Place) -> None:
-    from relocbench.datasets.core.pairfile import distances_and_angles, read_pairs
+    from relocbench.datasets.core.pair_table import read_pairs
+    from relocbench.datasets.core.pairfile import distances_and_angles
 
     pairs = read_pairs(place.root / f"{PAIRS}.txt", place.root / f"{PAIRS}.csv")
     distances_and_angles(pairs)

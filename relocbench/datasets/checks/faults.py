@@ -13,15 +13,8 @@ from pydantic import BaseModel, ValidationError
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.intrinsics import INTRINSICS_COLUMNS, parse_intrinsics
-from relocbench.datasets.core.pairfile import (
-    FURTHER_COLUMNS,
-    POSE_LINE,
-    TABLE_COLUMNS,
-    PairKey,
-    PoseLine,
-    parse_pose,
-    table_columns,
-)
+from relocbench.datasets.core.pair_table import FURTHER_COLUMNS, known_number, pair_rows
+from relocbench.datasets.core.pairfile import POSE_LINE, PairKey, PoseLine, parse_pose
 from relocbench.datasets.core.traversal import POSE_COLUMNS
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.files import (
@@ -185,32 +178,17 @@ def _read_pair_line(
 def read_pair_table(path: Path, findings: Findings) -> dict[PairKey, TableRow]:
     """The rows of a pair set's table whose timestamps are valid, the first of each pair."""
     rows: dict[PairKey, TableRow] = {}
-    for number, values, fault in _pair_table(path, findings):
-        with findings.catching():
-            if fault:
-                raise DatasetError(fault, path, number)
-            ref, query = (parse_timestamp(values[c], path, number, DatasetError) for c in TABLE_COLUMNS[:2])
-            if (ref, query) in rows:
-                raise DatasetError(f"pair {ref} {query} occurs again", path, number)
-            numbers: dict[str, float | None] = {}
-            for name in [*_PAIR_NUMBERS, *(c for c in FURTHER_COLUMNS if c in values)]:
-                numbers[name] = None
-                with findings.catching():
-                    numbers[name] = (
-                        parse_floats([values[name]], path, number, name, DatasetError)[0] if values[name] else None
-                    )
-                    _check_range(name, numbers[name], path, number)
-            if values["accepted"] not in ("true", "false"):
-                findings.fault(f"accepted is '{values['accepted']}', expected true or false", path, number)
-            rows[ref, query] = TableRow(
-                (ref, query),
-                values["accepted"] != "false",
-                values["group"],
-                values["source"],
-                numbers["distance_m"],
-                numbers["angle_deg"],
-                number,
-            )
+    for line, key, values in pair_rows(path, findings.catching):
+        numbers: dict[str, float | None] = {}
+        for name in [*_PAIR_NUMBERS, *(c for c in FURTHER_COLUMNS if c in values)]:
+            numbers[name] = None
+            with findings.catching():
+                numbers[name] = known_number(values[name], name, path, line)
+                _check_range(name, numbers[name], path, line)
+        accepted, distance, angle = values["accepted"], numbers["distance_m"], numbers["angle_deg"]
+        if accepted not in ("true", "false"):
+            findings.fault(f"accepted is '{accepted}', expected true or false", path, line)
+        rows[key] = TableRow(key, accepted != "false", values["group"], values["source"], distance, angle, line)
     return rows
 
 
@@ -220,16 +198,6 @@ def _check_range(name: str, value: float | None, path: Path, line: int) -> None:
     if value is not None and not low <= value <= high:
         wanted = f"at least {low:g}" if high == math.inf else f"{low:g} to {high:g}"
         raise DatasetError(f"{name} is {value:g}, expected {wanted}", path, line)
-
-
-def _pair_table(path: Path, findings: Findings) -> Iterator[tuple[int, dict[str, str], str]]:
-    """Line number, fields by column, and a fault of the number of fields (or empty), for each row after the header."""
-    with findings.catching():
-        rows = read_csv(path, "the table of a pair set", DatasetError)
-        columns = table_columns(next(rows, (1, []))[1], path)
-        for number, row in rows:
-            fault = "" if len(row) == len(columns) else f"expected {len(columns)} columns, found {len(row)}"
-            yield number, dict(zip(columns, row, strict=False)), fault
 
 
 def check_points(path: Path, camera: Camera | None, findings: Findings) -> int:

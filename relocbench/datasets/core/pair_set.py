@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import cached_property
 
-from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_parts
+from relocbench.datasets.core.pair_table import read_pairs
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.errors import DatasetError
@@ -36,7 +36,7 @@ class PairSet:
     @cached_property
     def all_pairs(self) -> list[Pair]:
         """Accepted and rejected pairs, in the table's order."""
-        return pairfile.read_pairs(self.layout.pair_file(self.name), self.layout.pair_table(self.name))
+        return read_pairs(self.layout.pair_file(self.name), self.layout.pair_table(self.name))
 
     @cached_property
     def evaluated(self) -> list[Pair]:

@@ -1,6 +1,6 @@
-"""Pair files: the MLAD / 4Seasons relocalization file, and the table of what its nine columns cannot hold.
+"""Pairs, and pair files: the MLAD / 4Seasons relocalization file.
 
-A line of the first is ``ref_ts query_ts`` or ``ref_ts query_ts tx ty tz qx qy qz qw``, where the pose is
+A line is ``ref_ts query_ts`` or ``ref_ts query_ts tx ty tz qx qy qz qw``, where the pose is
 ``T_query_ref``, camera to camera. ``#`` starts a comment. Columns are read with commas or spaces between them and
 written with single spaces.
 """
@@ -22,9 +22,7 @@ from relocbench.files import (
     parse_timestamp,
     quick_counts,
     quick_floats,
-    read_csv,
     read_rows,
-    write_table,
     write_text,
 )
 from relocbench.geometry import rotation_angle, transform_from_tq, transform_to_tq
@@ -38,18 +36,6 @@ TRUTH_DECIMALS = 9
 _POSE_COLUMNS = "tx ty tz qx qy qz qw"
 POSE_LINE = f"ref_ts query_ts [{_POSE_COLUMNS}]"
 """the columns of a line"""
-TABLE_COLUMNS = (
-    "ref_timestamp_ns", "query_timestamp_ns", "group", "distance_m", "angle_deg", "overlap",
-    "sigma_translation_m", "sigma_rotation_deg", "source", "accepted", "reason",
-)  # fmt: skip
-AXIS_COLUMNS = ("sigma_along_m", "sigma_across_m", "sigma_height_m")
-"""further columns, present if known for any pair"""
-MEASURE_COLUMNS = ("scale_change", "overlap_query", "depth_error", "similarity")
-"""the same; each is there if it is known for any pair"""
-FURTHER_COLUMNS = AXIS_COLUMNS + MEASURE_COLUMNS
-MEASURES = ("overlap", *MEASURE_COLUMNS)
-"""what is measured by rays or in images, of which copies of a dataset may have other pixels"""
-_NUMBERS = ("overlap", "sigma_translation_m", "sigma_rotation_deg", *FURTHER_COLUMNS)
 UNCALIBRATED = "sigma not calibrated"
 """part of a pair's source where its sigmas are no standard deviations of the errors"""
 ELSEWHERE = "elsewhere"
@@ -108,7 +94,7 @@ class Pair:
 
     @property
     def axis_sigmas(self) -> tuple[float | None, float | None, float | None]:
-        """The sigmas in the order of :data:`AXIS_COLUMNS`."""
+        """The sigmas along the direction of travel, to the side, and of the height."""
         return self.sigma_along_m, self.sigma_across_m, self.sigma_height_m
 
     @property
@@ -270,7 +256,7 @@ def number_fields(pose: Sequence[float]) -> list[str]:
 
 def write_pose_lines(path: Path, lines: Sequence[PoseLine]) -> None:
     """Write a pair or prediction file in the given order."""
-    write_text(path, _pose_text([line.key for line in lines], [line.T_query_ref for line in lines]))
+    write_text(path, pose_text([line.key for line in lines], [line.T_query_ref for line in lines]))
 
 
 def pose_line_fields(line: PoseLine) -> list[str]:
@@ -279,43 +265,13 @@ def pose_line_fields(line: PoseLine) -> list[str]:
     return [str(line.ref_timestamp_ns), str(line.query_timestamp_ns), *pose]
 
 
-def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> None:
-    """Write the accepted pairs to the nine-column file and all pairs, with everything known, to the table.
-
-    Where the truth of a pair is withheld, so are its measures. Where that of a pair of different places is, all of the
-    set's are left blank, and its groups: they would tell which pairs these are.
-    """
-    hidden = any(p.is_negative and p.T_query_ref is None for p in pairs)
-    blank = Pair(0, 0, None)
-    seen = [blank if hidden or (p.accepted and p.T_query_ref is None) else p for p in pairs]
-    further = (AXIS_COLUMNS if any(s is not None for p in pairs for s in p.axis_sigmas) else ()) + tuple(
-        name for name in MEASURE_COLUMNS if any(getattr(p, name) is not None for p in seen)
-    )
-    rows = (
-        [
-            *p.key,
-            "" if hidden else p.group,
-            *map(_number, (distance_m, angle_deg, measured.overlap)),
-            *map(_number, (p.sigma_translation_m, p.sigma_rotation_deg)),
-            p.source,
-            "true" if p.accepted else "false",
-            p.reason,
-            *(_number(getattr(p if name in AXIS_COLUMNS else measured, name)) for name in further),
-        ]
-        for p, (distance_m, angle_deg), measured in zip(pairs, distances_and_angles(pairs), seen, strict=True)
-    )
-    write_table(pair_table, TABLE_COLUMNS + further, rows)
-    accepted = [p for p in pairs if p.accepted]
-    write_text(pair_file, _pose_text([p.key for p in accepted], [p.T_query_ref for p in accepted], TRUTH_DECIMALS))
-
-
 def pose_numbers(transforms: Sequence[Array | None]) -> Array:
     """``tx ty tz qx qy qz qw`` (M, 7) of the M known poses, computed together, which is much faster."""
     known = [T for T in transforms if T is not None]
     return np.concatenate(transform_to_tq(np.array(known, dtype=np.float64).reshape(-1, 4, 4)), axis=1)
 
 
-def _pose_text(keys: Sequence[PairKey], transforms: Sequence[Array | None], decimals: int | None = None) -> str:
+def pose_text(keys: Sequence[PairKey], transforms: Sequence[Array | None], decimals: int | None = None) -> str:
     """Lines of two or nine columns; numbers are rounded to ``decimals``, or have the fewest digits that read back."""
     poses = iter(pose_numbers(transforms).tolist())
     lines = []
@@ -324,76 +280,6 @@ def _pose_text(keys: Sequence[PairKey], transforms: Sequence[Array | None], deci
         numbers = pose if decimals is None else [round(value, decimals) for value in pose]
         lines.append(" ".join([str(ref), str(query), *number_fields(numbers)]))
     return "".join(f"{line}\n" for line in lines)
-
-
-def read_pairs(pair_file: Path, pair_table: Path, *, allow_non_finite: bool = False) -> list[Pair]:
-    """All pairs of a set, in the table's order; rejected ones have no pose.
-
-    A pair file from elsewhere has no table; then only the poses are known.
-
-    Args:
-        allow_non_finite: a pose that is not finite is withheld.
-
-    Raises:
-        DatasetError: with file and line, also if the file and the table do not hold the same pairs.
-    """
-    lines = {line.key: line for line in read_pose_lines(pair_file, allow_non_finite=allow_non_finite)}
-    if not pair_table.exists():
-        return [Pair(*key, line.T_query_ref) for key, line in lines.items()]
-    rows = read_csv(pair_table, "the table of a pair set", DatasetError)
-    columns = table_columns(next(rows, (1, []))[1], pair_table)
-    pairs: list[Pair] = []
-    seen: set[PairKey] = set()
-    for number, row in rows:
-        if len(row) != len(columns):
-            raise DatasetError(f"expected {len(columns)} columns, found {len(row)}", pair_table, number)
-        field = dict.fromkeys(FURTHER_COLUMNS, "") | dict(zip(columns, row, strict=True))
-        key = (
-            parse_timestamp(field["ref_timestamp_ns"], pair_table, number, DatasetError),
-            parse_timestamp(field["query_timestamp_ns"], pair_table, number, DatasetError),
-        )
-        if key in seen:
-            raise DatasetError(f"pair {key[0]} {key[1]} occurs again", pair_table, number)
-        seen.add(key)
-        if field["accepted"] not in ("true", "false"):
-            raise DatasetError(f"accepted is '{field['accepted']}', expected true or false", pair_table, number)
-        accepted = field["accepted"] == "true"
-        if accepted != (key in lines):
-            where = "is missing from" if accepted else "was rejected but is listed in"
-            raise DatasetError(f"pair {key[0]} {key[1]} {where} {pair_file.name}", pair_table, number)
-        T_query_ref = lines[key].T_query_ref if accepted else None
-        value = {name: _optional(field[name], name, pair_table, number) for name in _NUMBERS}
-        pairs.append(
-            Pair(
-                key[0],
-                key[1],
-                T_query_ref,
-                field["group"],
-                value["overlap"],
-                value["sigma_translation_m"],
-                value["sigma_rotation_deg"],
-                field["source"],
-                accepted,
-                field["reason"],
-                *(value[name] for name in FURTHER_COLUMNS),
-            )
-        )
-    for key in lines:
-        if key not in seen:
-            raise DatasetError(f"pair {key[0]} {key[1]} is missing from {pair_table.name}", pair_file)
-    return pairs
-
-
-def table_columns(header: Sequence[str], pair_table: Path) -> tuple[str, ...]:
-    """The columns named by a table's first line. Raises DatasetError if they are none of the known sets."""
-    columns = tuple(header)
-    further = columns[len(TABLE_COLUMNS) :]
-    known = tuple(name for name in FURTHER_COLUMNS if name in further)
-    by_axis = set(AXIS_COLUMNS).isdisjoint(known) or set(AXIS_COLUMNS) <= set(known)
-    if columns == TABLE_COLUMNS + known and by_axis:
-        return columns
-    optional = "".join(f"[,{name}]" for name in (",".join(AXIS_COLUMNS), *MEASURE_COLUMNS))
-    raise DatasetError(f"expected the columns {','.join(TABLE_COLUMNS)}{optional}", pair_table, 1)
 
 
 def any_non_finite(fields: Sequence[str]) -> bool:
@@ -405,11 +291,3 @@ def any_non_finite(fields: Sequence[str]) -> bool:
 def missing(fields: Sequence[str]) -> bool:
     """Whether the numbers of a pose say that there is none: one of them is blank, NaN or infinite."""
     return "" in fields or any_non_finite(fields)
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else repr(round(float(value), 9))
-
-
-def _optional(text: str, name: str, path: Path, line: int) -> float | None:
-    return parse_floats([text], path, line, name, DatasetError)[0] if text else None

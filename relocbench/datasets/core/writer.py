@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Image
-from relocbench.datasets.core import fingerprint, images, pairfile
+from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.intrinsics import write_intrinsics
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.pair_table import write_pairs
+from relocbench.datasets.core.pairfile import Pair, truth_fields
 from relocbench.datasets.core.schema import (
     CAMERAS_VERSION,
     ELSEWHERE_VERSION,
@@ -85,7 +86,7 @@ class DatasetWriter:
         """Write ``traversal.yaml`` and ``poses.csv``; ``poses`` maps timestamp_ns to (4, 4) ``T_world_rig``."""
         layout = self.layout.traversal(file.name)
         write_text(layout.traversal_yaml, dump_yaml(file.model_dump(mode="json")))
-        rows = ([time, *pairfile.truth_fields(poses[time])] for time in sorted(poses))
+        rows = ([time, *truth_fields(poses[time])] for time in sorted(poses))
         write_table(layout.poses, POSE_COLUMNS, rows)
 
     def intrinsics(self, traversal: str, camera: str, cameras: Mapping[int, Camera]) -> None:
@@ -147,7 +148,7 @@ class DatasetWriter:
         """
         name = pair_set_name(reference, query, camera, query_camera)
         ordered = sorted(pairs, key=lambda p: (p.ref_timestamp_ns, p.query_timestamp_ns))
-        pairfile.write_pairs(self.layout.pair_file(name), self.layout.pair_table(name), ordered)
+        write_pairs(self.layout.pair_file(name), self.layout.pair_table(name), ordered)
         return name
 
     def finish(self, splits: Mapping[str, Sequence[str]] | None = None) -> Dataset:

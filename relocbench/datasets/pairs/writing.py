@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.pair_table import read_pairs, write_pairs
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences
@@ -127,7 +127,7 @@ def write_measured(
         for _ in noted():
             pass
     complete = [replace(pair, **vars(measures[pair.key])) if pair.key in measures else pair for pair in pairs]
-    pairfile.write_pairs(layout.pair_file(name), layout.pair_table(name), complete)
+    write_pairs(layout.pair_file(name), layout.pair_table(name), complete)
 
 
 def is_finished(
@@ -146,7 +146,7 @@ def is_finished(
 
             with open_correspondences(layout.correspondence_file(name)):
                 pass
-        known = pairfile.read_pairs(layout.pair_file(name), layout.pair_table(name))
+        known = read_pairs(layout.pair_file(name), layout.pair_table(name))
     except DatasetError:
         return False
     if some:

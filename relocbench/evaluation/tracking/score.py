@@ -13,7 +13,8 @@ from relocbench import version
 from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import MEASURES, PairKey, distances_and_angles, read_pose_lines
+from relocbench.datasets.core.pair_table import MEASURES
+from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, ScoreRecord, check_made_for, write_record
 from relocbench.evaluation.tables.records import (

@@ -13,7 +13,8 @@ import numpy as np
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import MEASURES, PairKey
+from relocbench.datasets.core.pair_table import MEASURES
+from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.tables.records import (

@@ -14,17 +14,13 @@ from refusals import ErrorData, refused
 
 from relocbench.datasets.checks.faults import Findings, read_pair_table
 from relocbench.datasets.core import pairfile
+from relocbench.datasets.core.pair_table import AXIS_COLUMNS, MEASURE_COLUMNS, TABLE_COLUMNS, read_pairs, write_pairs
 from relocbench.datasets.core.pairfile import (
-    AXIS_COLUMNS,
-    MEASURE_COLUMNS,
-    TABLE_COLUMNS,
     UNCALIBRATED,
     Pair,
     PoseLine,
     pose_fields,
-    read_pairs,
     read_pose_lines,
-    write_pairs,
     write_pose_lines,
 )
 from relocbench.errors import DatasetError, PredictionError

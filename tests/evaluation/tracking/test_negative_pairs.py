@@ -17,7 +17,8 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core import fingerprint
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.pairfile import ELSEWHERE, PoseLine, write_pairs, write_pose_lines
+from relocbench.datasets.core.pair_table import write_pairs
+from relocbench.datasets.core.pairfile import ELSEWHERE, PoseLine, write_pose_lines
 from relocbench.datasets.inspect.summary import take_inventory
 from relocbench.datasets.learning.training_pairs import DatasetPairs
 from relocbench.datasets.pairs.correspondence_file import read_correspondences

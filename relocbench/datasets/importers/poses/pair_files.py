@@ -12,10 +12,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from relocbench.arrays import Array
-from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import DatasetOptions
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_table import read_pairs
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
@@ -144,7 +144,7 @@ def _key(source: Path, options: Options) -> SetKey:
 
 def _read(source: Path, options: Options) -> list[Pair]:
     """The pairs of a file, with groups, sigmas and rejections where the table of a pair set lies beside it."""
-    pairs = pairfile.read_pairs(source, source.with_suffix(".csv"), allow_non_finite=True)
+    pairs = read_pairs(source, source.with_suffix(".csv"), allow_non_finite=True)
     if not pairs:
         raise DatasetError("holds no pair", source)
     return [
