@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from relocbench.errors import DatasetError, RelocbenchError
+from relocbench.errors import DatasetError
 from relocbench.files import fields_of, lines_of, read_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -59,7 +59,7 @@ class Header:
 
 
 def read_pose_columns(
-    path: Path, what: str, error: type[RelocbenchError] = DatasetError, *, more: bool = False
+    path: Path, what: str, *, more: bool = False
 ) -> tuple[Header | None, list[tuple[int, list[str]]]]:
     """The header of a table, if it names the columns of a pose, and line and fields of each row.
 
@@ -71,27 +71,27 @@ def read_pose_columns(
         more: rows go on with the other fields, of which there need not be as many as the header names.
 
     Raises:
-        RelocbenchError: (as ``error``) with file and line: another number of columns than the header names, a header
-            that does not name the columns of a pose, or decimal commas.
+        DatasetError: with file and line: another number of columns than the header names, a header that does not name
+            the columns of a pose, or decimal commas.
     """
     header: Header | None = None
     rows: list[tuple[int, list[str]]] = []
-    for number, line in enumerate(lines_of(read_text(path, what, error)), start=1):
+    for number, line in enumerate(lines_of(read_text(path, what, DatasetError)), start=1):
         content, _, comment = line.partition("#")
-        fields = fields_of(content, path, number, error)
+        fields = fields_of(content, path, number, DatasetError)
         if not fields:
             if not rows:
                 header = parse_header(comment, number) or header
         elif not rows and header is None and not any(map(is_value, fields)):
             header = parse_header(content, number)
             if header is None:
-                raise error(f"its header does not name the columns of a pose; expected {what}", path, number)
+                raise DatasetError(f"its header does not name the columns of a pose; expected {what}", path, number)
         else:
             if header is not None:
                 others = header.others(len(fields)) if more else ()
-                fields = fields if more else _as_many(content, fields, header, path, number, error)
+                fields = fields if more else _as_many(content, fields, header, path, number)
                 if len(fields) <= max(header.columns):
-                    raise error(
+                    raise DatasetError(
                         f"expected the columns that line {header.line} names, found {len(fields)}", path, number
                     )
                 fields = [fields[column] for column in (*header.columns, *others)]
@@ -141,13 +141,11 @@ def is_value(text: str) -> bool:
     return text[:1] in "0123456789+-." or text.lower() in ("nan", "inf", "infinity")
 
 
-def _as_many(
-    content: str, fields: list[str], header: Header, path: Path, line: int, error: type[RelocbenchError]
-) -> list[str]:
-    """The fields of a row. Raises ``error`` if there are not as many as the header names."""
+def _as_many(content: str, fields: list[str], header: Header, path: Path, line: int) -> list[str]:
+    """The fields of a row. Raises DatasetError if there are not as many as the header names."""
     if len(fields) != header.count and content.count(",") == header.count - 1:
         fields = [field.strip() for field in content.split(",")]  # some are blank, or hold several words
     if len(fields) != header.count:
         message = f"expected {header.count} columns, as line {header.line} names them, found {len(fields)}"
-        raise error(message, path, line)
+        raise DatasetError(message, path, line)
     return fields

@@ -19,7 +19,7 @@ from relocbench.datasets.core.pairfile import QUATERNION_TOLERANCE, missing
 from relocbench.datasets.sensors.matrices import POSE_ENTRIES, rotations_at_fault
 from relocbench.datasets.sensors.pose_columns import read_pose_columns
 from relocbench.datasets.sensors.times import times_in_ns, times_in_unit
-from relocbench.errors import DatasetError, RelocbenchError
+from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, quick_floats, read_rows
 from relocbench.geometry import make_transform, project_to_rotation, transform_from_tq
 from relocbench.progress import Reporter, Silent
@@ -107,7 +107,6 @@ def pose_table(
     own_ns: int = 1,
     unit_ns: int | None = None,
     times: Sequence[int] | None = None,
-    error: type[RelocbenchError] = DatasetError,
 ) -> PoseTable:
     """The poses of rows.
 
@@ -116,11 +115,10 @@ def pose_table(
         own_ns: nanoseconds of the unit that the format gives whole numbers (:func:`times_in_ns`).
         unit_ns: nanoseconds of the unit that the table itself names.
         times: nanoseconds of the rows, where these do not follow from their text.
-        error: the error class to raise.
 
     Raises:
-        RelocbenchError: (as ``error``) with file and line: a field that is not a number or a time, a rotation that is
-            none, a time that goes back, or two poses at one time.
+        DatasetError: with file and line: a field that is not a number or a time, a rotation that is none, a time that
+            goes back, or two poses at one time.
     """
     report = reporter or Silent()
     posed = [
@@ -134,14 +132,14 @@ def pose_table(
     if times is not None:
         ns = [times[i] for i in posed]
     elif unit_ns is not None:
-        ns = times_in_unit([row.time for row in chosen], lambda i: (path, chosen[i].line), unit_ns, error)
+        ns = times_in_unit([row.time for row in chosen], lambda i: (path, chosen[i].line), unit_ns)
     else:
-        read = times_in_ns([row.time for row in chosen], lambda i: (path, chosen[i].line), own_ns, error=error)
+        read = times_in_ns([row.time for row in chosen], lambda i: (path, chosen[i].line), own_ns)
         ns = read.ns
         if read.by_digits:
             report.note(f"{short_name(path)}: times are read as {read.unit}, told by their number of digits")
-    values = _values(chosen, kind, path, error)
-    kept, repeated = _in_order(chosen, ns, values, path, error)
+    values = _values(chosen, kind, path)
+    kept, repeated = _in_order(chosen, ns, values, path)
     if repeated:
         message = f"{len(repeated)} rows repeat the one before and are left out, the first is line {repeated[0]}"
         report.note(f"{short_name(path)}: {message}")
@@ -149,25 +147,23 @@ def pose_table(
     try:
         transforms = kind.transforms(values[kept]) if kept else np.zeros((0, 4, 4))
     except PoseFault as bad:
-        raise error(str(bad), path, lines[bad.row]) from None
+        raise DatasetError(str(bad), path, lines[bad.row]) from None
     return PoseTable(path, np.array([ns[i] for i in kept], dtype=np.int64), transforms, lines)
 
 
-def _values(rows: Sequence[Row], kind: PoseNumbers, path: Path, error: type[RelocbenchError]) -> Array:
+def _values(rows: Sequence[Row], kind: PoseNumbers, path: Path) -> Array:
     """The numbers (N, M) of rows."""
     width = len(kind.names.split())
     quick = None
     if all(len(row.fields) == width for row in rows):
         quick = quick_floats([field for row in rows for field in row.fields])
     if quick is None:
-        quick = [value for row in rows for value in parse_floats(row.fields, path, row.line, kind.names, error)]
+        quick = [value for row in rows for value in parse_floats(row.fields, path, row.line, kind.names, DatasetError)]
     return np.array(quick, dtype=np.float64).reshape(-1, width)
 
 
-def _in_order(
-    rows: Sequence[Row], ns: Sequence[int], values: Array, path: Path, error: type[RelocbenchError]
-) -> tuple[list[int], list[int]]:
-    """Indices of the rows to keep, and lines of those that repeat the one before. Raises ``error`` with the line."""
+def _in_order(rows: Sequence[Row], ns: Sequence[int], values: Array, path: Path) -> tuple[list[int], list[int]]:
+    """Indices of the rows to keep, and lines of those that repeat the one before. Raises DatasetError."""
     kept: list[int] = []
     repeated: list[int] = []
     for index, time in enumerate(ns):
@@ -178,9 +174,9 @@ def _in_order(
         row, before = rows[index], rows[last]
         if time < ns[last]:
             message = f"time {row.time or time} is not later than {before.time or ns[last]} on line {before.line}"
-            raise error(f"{message}; expected times that increase, and one run a file", path, row.line)
+            raise DatasetError(f"{message}; expected times that increase, and one run a file", path, row.line)
         if np.abs(values[index] - values[last]).max() > _SAME:
-            raise error(
+            raise DatasetError(
                 f"time {row.time or time} is that of line {before.line}, which has another pose", path, row.line
             )
         repeated.append(row.line)
@@ -195,7 +191,6 @@ def short_name(path: Path) -> str:
 def read_trajectory(
     path: Path,
     order: QuaternionOrder | None = None,
-    error: type[RelocbenchError] = DatasetError,
     reporter: Reporter | None = None,
     *,
     own_ns: int = 1,
@@ -204,23 +199,22 @@ def read_trajectory(
 
     Args:
         order: order of the quaternion's components; None: as the header says, or ``xyzw``.
-        error: the error class to raise.
         reporter, own_ns: as of :func:`pose_table`.
 
     Raises:
-        RelocbenchError: (as ``error``) as :func:`~.pose_columns.read_pose_columns` and :func:`pose_table`, or the
-            header names the quaternion's components in another order than ``order``.
+        DatasetError: as :func:`~.pose_columns.read_pose_columns` and :func:`pose_table`, or the header names the
+            quaternion's components in another order than ``order``.
     """
     columns = f"t tx ty tz {' '.join('q' + c for c in order or 'xyzw')}"
-    header, found = read_pose_columns(path, f"a trajectory ({columns})", error)
+    header, found = read_pose_columns(path, f"a trajectory ({columns})")
     if header is not None and order not in (None, header.order):
-        raise error(
+        raise DatasetError(
             f"its header names {header.quaternion}, but quaternions are to be read as {order}", path, header.line
         )
     rows = []
     for line, fields in found:
         if len(fields) != 8:
-            raise error(f"expected 8 columns ({columns}), found {len(fields)}", path, line)
+            raise DatasetError(f"expected 8 columns ({columns}), found {len(fields)}", path, line)
         turned = header is None and order == "wxyz"
         rows.append(Row(line, fields[0], [*fields[1:4], *fields[5:], fields[4]] if turned else fields[1:]))
     if header is not None and header.order != "xyzw" and reporter is not None:
@@ -228,22 +222,18 @@ def read_trajectory(
             f"{short_name(path)}: quaternions are read in the order that line {header.line} names: {header.quaternion}"
         )
     unit_ns = None if header is None else header.unit_ns
-    return pose_table(rows, TQ, path, reporter, own_ns=own_ns, unit_ns=unit_ns, error=error)
+    return pose_table(rows, TQ, path, reporter, own_ns=own_ns, unit_ns=unit_ns)
 
 
 def read_matrix_rows(
-    path: Path,
-    reporter: Reporter | None = None,
-    *,
-    own_ns: int = 1,
-    time_of: Callable[[str, Path, int], int | None] | None = None,
+    path: Path, reporter: Reporter | None, time_of: Callable[[str, Path, int], int | None] | None = None
 ) -> PoseTable:
     """Read rows of a time and the upper three rows of a pose, between commas or spaces.
 
     Args:
         time_of: nanoseconds of the first field of a row, with file and line, where this is no time; None leaves the
             row out.
-        reporter, own_ns: as of :func:`pose_table`.
+        reporter: as of :func:`pose_table`.
 
     Raises:
         DatasetError: as :func:`pose_table`.
@@ -255,6 +245,6 @@ def read_matrix_rows(
             raise DatasetError(f"expected 13 columns ({names}), found {len(fields) + 1}", path, line)
         rows.append(Row(line, time, fields))
     if time_of is None:
-        return pose_table(rows, MATRIX, path, reporter, own_ns=own_ns)
+        return pose_table(rows, MATRIX, path, reporter)
     known = [(ns, row) for row in rows if (ns := time_of(row.time, path, row.line)) is not None]
     return pose_table([row for _, row in known], MATRIX, path, reporter, times=[ns for ns, _ in known])

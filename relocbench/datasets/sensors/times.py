@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Times
-from relocbench.errors import DatasetError, RelocbenchError, quoted
+from relocbench.errors import DatasetError, quoted
 from relocbench.files import quick_counts, seconds_to_ns
 
 NS_BY_DIGITS = {10: 10**9, 13: 10**6, 16: 10**3, 19: 1}
@@ -54,7 +54,6 @@ def times_in_ns(
     *,
     dates_only: bool = False,
     like: Sequence[str] = (),
-    error: type[RelocbenchError] = DatasetError,
 ) -> ReadTimes:
     """The times of a column or of the names of files, all in one unit.
 
@@ -67,51 +66,48 @@ def times_in_ns(
         own_ns: nanoseconds of the unit that the format gives whole numbers.
         dates_only: whole numbers that are no times since 1970 are refused.
         like: other whole numbers of the same recording, by which the unit is told too.
-        error: the error class to raise.
 
     Raises:
-        RelocbenchError: (as ``error``) with file and line: a text is not a time, does not fit 64 bits, or is in another
-            unit than the others.
+        DatasetError: with file and line: a text is not a time, does not fit 64 bits, or is in another unit than the
+            others.
     """
-    whole = _whole(texts, at, error)
+    whole = _whole(texts, at)
     if whole is None:
-        return ReadTimes(_seconds(texts, at, error), "seconds", by_digits=False)
+        return ReadTimes(_seconds(texts, at), "seconds", by_digits=False)
     if not whole:
         return ReadTimes([], UNITS[own_ns], by_digits=False)
-    _check_one_unit(texts, whole, at, error)
+    _check_one_unit(texts, whole, at)
     others = quick_counts(like) if like else None
     factor = _unit_ns(np.array(whole if others is None else [*whole, *others], dtype=np.int64), own_ns)
     largest = max(range(len(whole)), key=lambda i: abs(whole[i]))
     if dates_only and factor is None:
-        raise error(f"{quoted(texts[largest], 40)} is not a time since 1970; expected {_KINDS}", *at(largest))
+        raise DatasetError(f"{quoted(texts[largest], 40)} is not a time since 1970; expected {_KINDS}", *at(largest))
     unit_ns = factor or own_ns
     if abs(whole[largest]) * unit_ns > _MOST:
         message = f"{quoted(texts[largest], 40)} is out of range as {UNITS[unit_ns]}: nanoseconds must fit 64 bits"
-        raise error(message, *at(largest))
+        raise DatasetError(message, *at(largest))
     return ReadTimes([value * unit_ns for value in whole], UNITS[unit_ns], by_digits=unit_ns != own_ns)
 
 
-def times_in_unit(
-    texts: Sequence[str], at: Place, unit_ns: int, error: type[RelocbenchError] = DatasetError
-) -> list[int]:
+def times_in_unit(texts: Sequence[str], at: Place, unit_ns: int) -> list[int]:
     """The times of a column whose unit is named, in nanoseconds, with or without a decimal point.
 
     Raises:
-        RelocbenchError: (as ``error``) with file and line: a text is not a time, does not fit 64 bits, or has the
-            digits of a date in another unit.
+        DatasetError: with file and line: a text is not a time, does not fit 64 bits, or has the digits of a date in
+            another unit.
     """
     whole = quick_counts(texts) if texts else []
     factor = None if not whole else _unit_ns(np.array(whole, dtype=np.int64), unit_ns)
     if factor not in (None, unit_ns):
         message = f"{quoted(texts[0], 30)} has the digits of a date in {UNITS[factor]}, not in {UNITS[unit_ns]}"
-        raise error(f"{message}, as the header says", *at(0))
+        raise DatasetError(f"{message}, as the header says", *at(0))
     out = []
     for index, text in enumerate(texts):
         if not (_WHOLE.fullmatch(text) or _SECONDS.fullmatch(text)) or len(text) > _MOST_DIGITS:
-            raise error(f"{quoted(text)} is not a time in {UNITS[unit_ns]}", *at(index))
+            raise DatasetError(f"{quoted(text)} is not a time in {UNITS[unit_ns]}", *at(index))
         value = Decimal(text) * unit_ns if abs(Decimal(text).adjusted()) < _MOST_DIGITS else Decimal(_MOST + 1)
         if abs(value) > _MOST:
-            raise error(f"{quoted(text)} is out of range as {UNITS[unit_ns]}", *at(index))
+            raise DatasetError(f"{quoted(text)} is out of range as {UNITS[unit_ns]}", *at(index))
         out.append(int(value.to_integral_value()))
     return out
 
@@ -122,26 +118,20 @@ def unit_of_dates(values: Iterable[int]) -> int | None:
     return _unit_ns(found, 1) if len(found) else None
 
 
-def check_increasing(
-    ns: Sequence[int],
-    texts: Sequence[str],
-    path: Path,
-    lines: Sequence[int],
-    error: type[RelocbenchError] = DatasetError,
-) -> None:
-    """Raise ``error`` with file and line at the first time that is not later than the one before."""
+def check_increasing(ns: Sequence[int], texts: Sequence[str], path: Path, lines: Sequence[int]) -> None:
+    """Raise DatasetError with file and line at the first time that is not later than the one before."""
     for index in range(1, len(ns)):
         if ns[index] <= ns[index - 1]:
             message = f"time {texts[index]} is not later than {texts[index - 1]} on line {lines[index - 1]}"
-            raise error(f"{message}; expected times that increase, and one run a file", path, lines[index])
+            raise DatasetError(f"{message}; expected times that increase, and one run a file", path, lines[index])
 
 
-def time_in_ns(text: str, path: Path, line: int | None = None, own_ns: int = 1) -> int:
-    """One time, as :func:`times_in_ns`, which is to be used where there are several."""
-    return times_in_ns([text], lambda _: (path, line), own_ns).ns[0]
+def time_in_name(path: Path, own_ns: int = 1) -> int:
+    """The time that a file is named by, as :func:`times_in_ns`, which is to be used where there are several."""
+    return times_in_ns([path.stem], lambda _: (path, None), own_ns).ns[0]
 
 
-def _whole(texts: Sequence[str], at: Place, error: type[RelocbenchError]) -> list[int] | None:
+def _whole(texts: Sequence[str], at: Place) -> list[int] | None:
     """The numbers, if all are whole ones; None if they are seconds."""
     quick = quick_counts(texts) if texts else []
     if quick is not None:
@@ -151,13 +141,15 @@ def _whole(texts: Sequence[str], at: Place, error: type[RelocbenchError]) -> lis
         if _SECONDS.fullmatch(text):
             points += 1
         elif not _WHOLE.fullmatch(text):
-            raise error(f"{quoted(text)} is not a time; expected a whole number, or seconds with a point", *at(index))
+            raise DatasetError(
+                f"{quoted(text)} is not a time; expected a whole number, or seconds with a point", *at(index)
+            )
         elif len(text) > _MOST_DIGITS or abs(int(text)) > _MOST:
-            raise error(f"{quoted(text, 30)} is out of range: whole nanoseconds must fit 64 bits", *at(index))
+            raise DatasetError(f"{quoted(text, 30)} is out of range: whole nanoseconds must fit 64 bits", *at(index))
     return None if points else [int(text) for text in texts]
 
 
-def _seconds(texts: Sequence[str], at: Place, error: type[RelocbenchError]) -> list[int]:
+def _seconds(texts: Sequence[str], at: Place) -> list[int]:
     """Nanoseconds of seconds with a decimal point, or without one where a writer left out zeros."""
     out = []
     whole = [_WHOLE.fullmatch(text) is not None for text in texts]
@@ -166,12 +158,12 @@ def _seconds(texts: Sequence[str], at: Place, error: type[RelocbenchError]) -> l
     if any(is_whole and abs(int(text)) > most for text, is_whole in zip(texts, whole, strict=True)):
         rare = whole.index(2 * sum(whole) <= len(whole))
         message = f"{quoted(texts[rare], 30)} is {'a whole number' if whole[rare] else 'seconds with a decimal point'}"
-        raise error(f"{message}, and most others are not; expected one unit of time", *at(rare))
+        raise DatasetError(f"{message}, and most others are not; expected one unit of time", *at(rare))
     for index, text in enumerate(texts):
         try:
             out.append(seconds_to_ns(text))
         except ValueError as bad:
-            raise error(f"{bad}; expected a time in seconds", *at(index)) from None
+            raise DatasetError(f"{bad}; expected a time in seconds", *at(index)) from None
     return out
 
 
@@ -180,7 +172,7 @@ def _digits(values: Times) -> Times:
     return np.searchsorted(10 ** np.arange(19, dtype=np.int64), np.abs(values), side="right").astype(np.int64)
 
 
-def _check_one_unit(texts: Sequence[str], values: list[int], at: Place, error: type[RelocbenchError]) -> None:
+def _check_one_unit(texts: Sequence[str], values: list[int], at: Place) -> None:
     """Dates of different numbers of digits, without a value in between, are in different units."""
     digits = _digits(np.array(values, dtype=np.int64))
     seen = sorted(set(digits.tolist()))
@@ -190,7 +182,7 @@ def _check_one_unit(texts: Sequence[str], values: list[int], at: Place, error: t
     first = next(i for i in range(len(values)) if digits[i] in mixed[0])
     other = next(i for i in range(first, len(values)) if digits[i] in mixed[0] and digits[i] != digits[first])
     message = f"{quoted(texts[other], 30)} has {digits[other]} digits and {quoted(texts[first], 30)} {digits[first]}"
-    raise error(f"{message}; expected one unit of time", *at(other))
+    raise DatasetError(f"{message}; expected one unit of time", *at(other))
 
 
 def _unit_ns(values: Times, own_ns: int) -> int | None:

@@ -29,7 +29,7 @@ from relocbench.datasets.importers.lidar_drives.files import files_by_time
 from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, records, seconds_as_offsets, xyz
-from relocbench.datasets.sensors.times import time_in_ns
+from relocbench.datasets.sensors.times import time_in_name
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform, project_to_rotation
 from relocbench.progress import Reporter
@@ -105,7 +105,7 @@ class HeLiPRPoints:
 
     def __call__(self, data: bytes, path: Path, /) -> Returns:
         row = RECORDS[self.lidar]
-        if self.lidar == "Aeva" and time_in_ns(path.stem, path) <= LAST_WITHOUT_INTENSITY_NS:
+        if self.lidar == "Aeva" and time_in_name(path) <= LAST_WITHOUT_INTENSITY_NS:
             row = AEVA_WITHOUT_INTENSITY
         table = records(data, row, path)
         times = table["t"].astype(np.int64) if "t" in (row.names or ()) else seconds_as_offsets(table["time"])

@@ -230,7 +230,7 @@ def read_poses(
             raise DatasetError(f"frame {frame} has no time; there are {last + 1}", path, line)
         return times.get(frame)
 
-    return rig_trajectory(read_matrix_rows(path, reporter, time_of=time_of), reporter, invert(calibration.T_velo_imu()))
+    return rig_trajectory(read_matrix_rows(path, reporter, time_of), reporter, invert(calibration.T_velo_imu()))
 
 
 def _cameras(

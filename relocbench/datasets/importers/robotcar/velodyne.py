@@ -20,7 +20,7 @@ from relocbench.arrays import Array, Times
 from relocbench.datasets.core.images import decode_image
 from relocbench.datasets.importers.robotcar.files import US
 from relocbench.datasets.sensors.scan_files import Returns
-from relocbench.datasets.sensors.times import time_in_ns
+from relocbench.datasets.sensors.times import time_in_name
 from relocbench.errors import DatasetError
 
 VELODYNES = ("velodyne_left", "velodyne_right")
@@ -53,7 +53,7 @@ def decode_raw(data: bytes, path: Path) -> Returns:
     ranges = np.ascontiguousarray(columns[:, 32:96]).view("<u2") * _RANGE_STEP_M
     azimuth = np.ascontiguousarray(columns[:, 96:98]).view("<u2")[:, 0] * (2 * np.pi / 36000)
     times_us = np.ascontiguousarray(columns[:, 98:106]).view("<i8")[:, 0]
-    scan_us = time_in_ns(path.stem, path, own_ns=US) // US
+    scan_us = time_in_name(path, US) // US
     # Compared before they are multiplied, which could overflow.
     if np.any(np.abs(times_us.astype(np.float64) - scan_us) > 1e6):
         raise DatasetError("has firings more than a second away from the scan's time", path)
