@@ -1,6 +1,7 @@
-"""SE(3), interpolation, camera models, projection and metric scale. Needs nothing but NumPy."""
+"""SE(3), interpolation, paths, camera models, projection and metric scale. Needs nothing but NumPy."""
 
 from relocbench.geometry.camera import Camera, CameraModel, camera_from_dict
+from relocbench.geometry.paths import path_lengths, spaced
 from relocbench.geometry.robust import robust_sigma
 from relocbench.geometry.scale import Scale, ScaleError, depth_scale, translation_scale
 from relocbench.geometry.se3 import (
@@ -41,6 +42,7 @@ __all__ = [
     "invert",
     "is_rotation",
     "make_transform",
+    "path_lengths",
     "project_to_rotation",
     "quaternion_from_rotation",
     "robust_sigma",
@@ -50,6 +52,7 @@ __all__ = [
     "se3_log",
     "so3_exp",
     "so3_log",
+    "spaced",
     "transform_from_tq",
     "transform_to_tq",
     "translation_scale",

@@ -16,7 +16,7 @@ from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
 from relocbench.errors import DatasetError, available
 from relocbench.files import load_yaml, read_table, values_by_time
-from relocbench.geometry import Camera, invert
+from relocbench.geometry import Camera, invert, path_lengths
 from relocbench.tracking import KeyframePoints, Neighbour, Query, Reference
 
 POSE_COLUMNS = ("timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
@@ -91,8 +91,7 @@ class Traversal:
     def travelled_m(self) -> dict[int, float]:
         """timestamp_ns -> metres that the rig had travelled by then: the sum of the distances between its poses."""
         positions = np.array([T_world_rig[:3, 3] for T_world_rig in self.poses.values()]).reshape(-1, 3)
-        steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
-        return dict(zip(self.poses, np.cumsum(steps).tolist(), strict=True))
+        return dict(zip(self.poses, path_lengths(positions).tolist(), strict=True))
 
     @cached_property
     def names(self) -> dict[int, str]:

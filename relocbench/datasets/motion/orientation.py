@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from relocbench.arrays import Array, Indices, Mask, Times
-from relocbench.geometry import invert, rotation_angle
+from relocbench.geometry import invert, path_lengths, rotation_angle, spaced
 
 QuaternionOrder = Literal["xyzw", "wxyz"]
 
@@ -99,13 +99,7 @@ def _better(given: Array, other: Array, fewest: int = _FEWEST) -> bool:
 def directions(T_world_rig: Array) -> tuple[Indices, Array]:
     """Rows (M,) at equal distances along the path, and unit directions of travel (M, 3) from each in the rig's axes."""
     positions = T_world_rig[:, :3, 3]
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    chosen, last, apart = [], -np.inf, way[-1] / _PARTS
-    for row, metres in enumerate(way.tolist()):
-        if metres - last >= apart - 1e-9:
-            chosen.append(row)
-            last = metres
-    rows = np.array(chosen)
+    rows = np.array(spaced(positions, path_lengths(positions)[-1] / _PARTS))
     steps = np.diff(positions[rows], axis=0)
     lengths = np.linalg.norm(steps, axis=1, keepdims=True)
     if not lengths.all():
@@ -115,7 +109,7 @@ def directions(T_world_rig: Array) -> tuple[Indices, Array]:
 
 def _other_axes(T_world_rig: Array) -> Sequence[tuple[str, int, int, float]]:
     """Stretches of a vehicle's drive with other axes: what of them, first and last row, and degrees."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(T_world_rig[:, :3, 3], axis=0), axis=1))])
+    way = path_lengths(T_world_rig[:, :3, 3])
     rows, along = directions(T_world_rig)
     if way[-1] < _VEHICLE_M or len(rows) < _MANY:
         return ()

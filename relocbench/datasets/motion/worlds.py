@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.geometry import rotation_angle
+from relocbench.geometry import path_lengths, rotation_angle
 
 _SAME_M = 1e-3
 """metres between the first poses of two drives below which they are one: nobody parks as exactly"""
@@ -76,8 +76,7 @@ def _same_shape(reference: Mapping[int, Array], query: Mapping[int, Array]) -> t
 def _way(poses: Mapping[int, Array]) -> Array:
     """(N, 4) positions, and metres along the way to each."""
     positions = np.array([T[:3, 3] for T in poses.values()])
-    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    return np.column_stack([positions, np.concatenate([[0.0], np.cumsum(steps)])])
+    return np.column_stack([positions, path_lengths(positions)])
 
 
 def _sampled(way: Array, metres: float) -> Array:

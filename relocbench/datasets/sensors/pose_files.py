@@ -14,9 +14,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
-from relocbench.arrays import Array
 from relocbench.datasets.sensors.numbered_rows import read_numbered_rows, read_numbered_times
 from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_columns import read_pose_columns
@@ -100,18 +97,3 @@ def _matrices_of_frames(path: Path, times: Path, reporter: Reporter | None) -> P
 
 def _beside(path: Path) -> Path:
     return path.with_name(f"{path.stem}.times.txt")
-
-
-def path_lengths(positions: Array) -> Array:
-    """Metres (N,) along a path from the first of its positions (N, 2 or 3), at least one, to each."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-
-
-def spaced(positions: Array, apart_m: float) -> list[int]:
-    """Rows of positions (N, 3) at least ``apart_m`` along the path from the one before, the first among them."""
-    rows, last = [], -np.inf
-    for row, metres in enumerate(path_lengths(positions).tolist()):
-        if metres - last >= apart_m - 1e-9:
-            rows.append(row)
-            last = metres
-    return rows

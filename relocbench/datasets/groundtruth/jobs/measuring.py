@@ -28,7 +28,7 @@ from relocbench.datasets.groundtruth.registration.scene_scale import (
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream
 from relocbench.errors import DatasetError
-from relocbench.geometry import apply, invert
+from relocbench.geometry import apply, invert, path_lengths
 from relocbench.progress import Reporter
 
 _PLACES = (0.2, 0.5, 0.8)
@@ -180,7 +180,7 @@ class _Stretch:
 
 def _around(positions: Array, middle: int, length_m: float) -> Indices:
     """Rows of positions (N, 3) within half a length, along the way, of one of them."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    way = path_lengths(positions)
     return np.flatnonzero(np.abs(way - way[middle]) <= length_m / 2)
 
 

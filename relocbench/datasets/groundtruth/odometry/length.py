@@ -14,6 +14,7 @@ from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.sensors.recording import Trajectory
+from relocbench.geometry import path_lengths
 
 LARGEST_STRETCH = 0.04
 """largest error of the odometry's scale: submaps that are stretched more do not fit those of other drives"""
@@ -105,6 +106,6 @@ def _by_chords(
 
 def _ends_of_chords(positions: Array, rows: Indices, chord_m: float) -> tuple[Indices, Indices]:
     """(K,), (K,) the rows of positions (N, 3) at which chords begin and end, of rows (M,) of a piece."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions[rows], axis=0), axis=1))])
+    way = path_lengths(positions[rows])
     places = np.searchsorted(way, np.arange(0.0, way[-1], chord_m))
     return rows[places[:-1]], rows[places[1:]]

@@ -31,7 +31,7 @@ from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
 from relocbench.datasets.groundtruth.registration.submap_pair import NOTHING_JUDGED, unregistered
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import FieldRecording
-from relocbench.geometry import invert
+from relocbench.geometry import invert, path_lengths
 
 Solved = tuple[int, int, Array]
 """a pair that the next one starts from: (reference time, query time, ``T_ref_query`` of the rigs)"""
@@ -276,7 +276,7 @@ class RawSubmaps:
 
 def _every(positions: Array, apart_m: float) -> list[int]:
     """Rows of positions (N, 3) of a path, ``apart_m`` of road apart, beginning with the first."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    way = path_lengths(positions)
     chosen: list[int] = []
     for row, metres in enumerate(way.tolist()):
         if not chosen or metres - way[chosen[-1]] >= apart_m:

@@ -14,9 +14,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from relocbench.arrays import Array
-from relocbench.datasets.sensors.pose_files import path_lengths
 from relocbench.datasets.sensors.recording import LidarStream, Trajectory
-from relocbench.geometry import apply, invert, make_transform
+from relocbench.geometry import apply, invert, make_transform, path_lengths
 
 LidarAxes = Literal["ros", "velodyne"]
 

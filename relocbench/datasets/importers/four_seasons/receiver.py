@@ -14,6 +14,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.sensors.geodesy import R_enu_ecef, ecef_from_geodetic
 from relocbench.errors import DatasetError
 from relocbench.files import lines_of, read_bytes, seconds_to_ns
+from relocbench.geometry import path_lengths
 
 _DAY_NS = 86_400 * 1_000_000_000
 _PATH_STEP_S = 2.0
@@ -109,8 +110,8 @@ def agreement(positions: Mapping[int, Array], fixes: list[GgaFix]) -> TrackAgree
     difference = poses - receiver
     height = difference @ up
     return TrackAgreement(
-        path_ratio=_path_length(_resample(steps, seconds, poses))
-        / _path_length(_resample(steps, track_seconds, track)),
+        path_ratio=float(path_lengths(_resample(steps, seconds, poses))[-1])
+        / float(path_lengths(_resample(steps, track_seconds, track))[-1]),
         horizontal_m=float(np.median(np.linalg.norm(difference - height[:, None] * up, axis=1))),
         vertical_m=float(np.median(height)),
     )
@@ -118,7 +119,3 @@ def agreement(positions: Mapping[int, Array], fixes: list[GgaFix]) -> TrackAgree
 
 def _resample(at: Array, times: Array, positions: Array) -> Array:
     return np.stack([np.interp(at, times, axis) for axis in positions.T], axis=1)
-
-
-def _path_length(positions: Array) -> float:
-    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())

@@ -21,11 +21,12 @@ from relocbench.datasets.motion.orientation import likely_order
 from relocbench.datasets.motion.worlds import doubt_of_world
 from relocbench.datasets.pairs.pairing import make_pairs, steps_left_out
 from relocbench.datasets.pairs.posed_frames import PosedFrames
-from relocbench.datasets.sensors.pose_files import read_pose_file, spaced
+from relocbench.datasets.sensors.pose_files import read_pose_file
 from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.files import check_distinct, check_name, fitting_name, plain_name
+from relocbench.geometry import spaced
 from relocbench.progress import Reporter
 
 

@@ -1,21 +1,17 @@
-"""The motion of a drive by its bag: odometry, and positions by GNSS in a map that all drives share."""
+"""The motion of a drive by its bag: poses, and positions by GNSS in a map that all drives share."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from relocbench.arrays import Array, Times
-from relocbench.datasets.importers.lidar_drives.drives import rig_trajectory
 from relocbench.datasets.importers.rosbag.index import Fixes
 from relocbench.datasets.sensors.geodesy import ECCENTRICITY2, R_enu_ecef, ecef_from_geodetic, prime_vertical_radius
-from relocbench.datasets.sensors.pose_files import path_lengths
 from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import Trajectory
-from relocbench.geometry import invert, make_transform, transform_from_tq
-from relocbench.progress import Reporter
+from relocbench.geometry import make_transform, path_lengths, transform_from_tq
 
 _AROUND_M = 50.0
 """metres of road before and after a fix that its heading is fitted to"""
@@ -82,29 +78,6 @@ def in_order(times_ns: Times) -> Times:
     order = np.argsort(times_ns, kind="stable")
     first = np.concatenate([[True], np.diff(times_ns[order]) > 0]) if len(order) else np.zeros(0, dtype=bool)
     return np.asarray(order[first], dtype=np.int64)
-
-
-def odometry(
-    times_ns: Times,
-    values: Array,
-    T_body_rig: Array,
-    max_gap_ns: int | None,
-    bag: Path,
-    reporter: Reporter | None = None,
-) -> Trajectory:
-    """The trajectory of the rig in the frame of its first pose, from poses (N, 7) of a frame fixed to it.
-
-    Args:
-        max_gap_ns: as of :func:`rig_trajectory`.
-        bag: for messages.
-        reporter: is told of outliers, which are left out.
-
-    Raises:
-        DatasetError: the poses cannot be those of one drive.
-    """
-    kept = in_order(times_ns)
-    motion = rig_trajectory(PoseTable(bag, times_ns[kept], poses(values[kept])), reporter, T_body_rig, max_gap_ns)
-    return replace(motion, T_odom_rig=np.asarray(invert(motion.T_odom_rig[0]) @ motion.T_odom_rig))
 
 
 def poses(values: Array) -> Array:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Transform
+from relocbench.datasets.importers.lidar_drives.drives import rig_trajectory
 from relocbench.datasets.importers.rosbag import motion
 from relocbench.datasets.importers.rosbag.index import Poses
 from relocbench.datasets.importers.rosbag.motion import GeodeticOrigin
@@ -23,7 +25,7 @@ _PRIOR_SIGMA_M = 10.0
 
 
 def odometry(reading: Reading) -> Trajectory | None:
-    """The motion by a topic or by tf; None if it has to be computed from scans."""
+    """The motion of the rig from its first pose, by a topic or by tf; None if it has to be computed from scans."""
     chosen = reading.roles.odometry
     if chosen == "lidar":
         return None
@@ -39,14 +41,10 @@ def odometry(reading: Reading) -> Trajectory | None:
     times, kept = reading.times(what, found.times_ns, found.received_ns)
     if len(times) < 2:
         raise DatasetError(f"{what} holds {len(times)} poses; odometry needs at least 2", reading.source)
-    return motion.odometry(
-        times,
-        found.values[kept],
-        _T_body_rig(reading, found, reading.settings.extrinsics.T_rig_odometry),
-        reading.settings.max_gap_ns,
-        reading.source,
-        reading.reporter,
-    )
+    table = PoseTable(reading.source, times, motion.poses(found.values[kept]))
+    T_body_rig = _T_body_rig(reading, found, reading.settings.extrinsics.T_rig_odometry)
+    track = rig_trajectory(table, reading.reporter, T_body_rig, reading.settings.max_gap_ns)
+    return replace(track, T_odom_rig=np.asarray(invert(track.T_odom_rig[0]) @ track.T_odom_rig))
 
 
 def tell_left_out(reading: Reading, what: str, poses: Poses) -> None:
