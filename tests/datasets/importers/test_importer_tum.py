@@ -12,10 +12,12 @@ from refusals import Notes, noted, refused
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.clocks import poses_at
 from relocbench.datasets.importers.tum_rgbd import dataset as tum_rgbd
 from relocbench.datasets.importers.tum_rgbd.dataset import INTRINSICS
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.sensors.pose_tables import read_trajectory
+from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert
@@ -78,7 +80,8 @@ def test_an_image_at_the_time_of_a_true_pose_has_it_even_after_a_gap(tmp_path: P
     path = tmp_path / "groundtruth.txt"
     path.write_text("".join(f"{s} {s} 0 0 0 0 0 1\n" for s in (1.0, 1.5, 1.6)))
     times = [1_000_000_000, 1_400_000_000, 1_500_000_000, 1_550_000_000, 1_700_000_000]
-    poses = tum_rgbd._poses_at(tum_rgbd._trajectory(read_trajectory(path), 0.2), times, 0)
+    truth = read_trajectory(path)
+    poses = poses_at(Trajectory(truth.times_ns, truth.transforms, 200_000_000), times, 0.0)
     assert {t: round(float(T[0, 3]), 9) for t, T in poses.items()} == {times[0]: 1.0, times[2]: 1.5, times[3]: 1.55}
 
 

@@ -223,14 +223,6 @@ def _write_traversal(job: Build[Options], folder: GenericFolder, given_s: float 
     holes = options.given("max_pose_gap") is None
     trajectory = rig_trajectory(folder, options.max_pose_gap, job.reporter, holes=holes)
 
-    def poses_at(offset_s: float) -> dict[int, Array]:
-        times = np.array(folder.image_times, dtype=np.int64)
-        wanted = times + round(offset_s * 1e9)
-        covered = trajectory.covers(wanted)
-        if not covered.any():
-            raise DatasetError(_why_no_pose(folder), folder.root / POSE_FILE)
-        return dict(zip(times[covered].tolist(), trajectory.at(wanted[covered]), strict=True))
-
     def write_frames(poses: Mapping[int, Array]) -> None:
         without = len(folder.image_times) - len(poses)
         if without:
@@ -258,7 +250,8 @@ def _write_traversal(job: Build[Options], folder: GenericFolder, given_s: float 
         },
         source=f"generic folder {folder.name}",
     )
-    write_posed_traversal(job, file, trajectory, poses_at, write_frames, given_s)
+    none_posed = DatasetError(_why_no_pose(folder), folder.root / POSE_FILE)
+    write_posed_traversal(job, file, trajectory, folder.image_times, write_frames, given_s, none_posed)
 
 
 def _note_depth_scale(

@@ -32,7 +32,7 @@ from relocbench.datasets.importers.assembly import (
 from relocbench.datasets.importers.clocks import write_posed_traversal
 from relocbench.datasets.pairs.depth_scale import DepthFrame
 from relocbench.datasets.sensors.plausible_poses import plausible
-from relocbench.datasets.sensors.pose_tables import PoseTable, read_trajectory
+from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.times import times_in_ns
 from relocbench.datasets.sensors.trajectories import traversal_names
@@ -142,20 +142,18 @@ def _write_traversal(job: Build[Options], source: Path, name: str, index: int) -
     writer, options = job.writer, job.options
     camera = _intrinsics(source, options.intrinsics[min(index, len(options.intrinsics) - 1)])
     frames = _frames(source, name, options, job.reporter)
-    truth = read_trajectory(source / "groundtruth.txt", reporter=job.reporter, own_ns=_SECOND_NS)
-    trajectory = _trajectory(plausible(truth, job.reporter), options.max_truth_gap)
+    path = source / "groundtruth.txt"
+    truth = plausible(read_trajectory(path, reporter=job.reporter, own_ns=_SECOND_NS), job.reporter)
+    if not len(truth.times_ns):
+        raise DatasetError("holds no pose", path)
+    none_posed = DatasetError("holds no pose at the time of any image", path)
+    trajectory = Trajectory(truth.times_ns, truth.transforms, round(options.max_truth_gap * 1e9), truth.breaks)
     file = TraversalFile(
         name=name,
         condition=options.condition_of(name),
         cameras={CAMERA: CameraEntry.of(camera.pinhole(), depth_sigma=KINECT_SIGMA)},
         source=f"TUM RGB-D sequence {source.resolve().name}",
     )
-
-    def poses_at(offset_s: float) -> dict[int, Array]:
-        poses = _poses_at(trajectory, list(frames), round(offset_s * 1e9))
-        if not poses:
-            raise DatasetError("holds no pose at the time of any image", source / "groundtruth.txt")
-        return poses
 
     def write_frames(poses: Mapping[int, Array]) -> None:
         posed = [frame for time, frame in sorted(frames.items()) if time in poses]
@@ -177,7 +175,8 @@ def _write_traversal(job: Build[Options], source: Path, name: str, index: int) -
         note_depth_scale(measured, what, 1.0 / options.depth_scale, name, job.reporter)
         job.work(f"images of {name}", _write_frame, [_Unit(writer, name, frame, camera, options) for frame in posed])
 
-    write_posed_traversal(job, file, trajectory, poses_at, write_frames, options.time_offset_of(index))
+    given_s = options.time_offset_of(index)
+    write_posed_traversal(job, file, trajectory, list(frames), write_frames, given_s, none_posed)
 
 
 def _intrinsics(source: Path, asked: str) -> Camera:
@@ -220,20 +219,6 @@ def _listed(path: Path) -> dict[int, Path]:
     if not files:
         raise DatasetError("is empty; expected a list of images (seconds path)", path)
     return files
-
-
-def _trajectory(truth: PoseTable, max_gap: float) -> Trajectory:
-    """The true poses. Raises DatasetError if there is none."""
-    if not len(truth.times_ns):
-        raise DatasetError("holds no pose", truth.path)
-    return Trajectory(truth.times_ns, truth.transforms, round(max_gap * 1e9), truth.breaks)
-
-
-def _poses_at(trajectory: Trajectory, times: list[int], offset_ns: int) -> dict[int, Array]:
-    """True poses ``T_world_cam`` at t + offset, for the times t that are not outside the trajectory or in a gap."""
-    wanted = np.array(times, dtype=np.int64) + offset_ns
-    covered = np.nonzero(trajectory.covers(wanted))[0]
-    return {times[i]: pose for i, pose in zip(covered, trajectory.at(wanted[covered]), strict=True)}
 
 
 def _nearest(files: dict[int, Path], time: int, limit: int) -> Path | None:
