@@ -215,8 +215,7 @@ def _take_links(
         rows = links.setdefault(names, _Rows())
         if topic.endswith("tf_static"):
             static.add(names)
-        t, q = transform.transform.translation, transform.transform.rotation
-        values = (t.x, t.y, t.z, q.x, q.y, q.z, q.w)
+        values = _seven(transform.transform.translation, transform.transform.rotation)
         if not np.isfinite(values).all():
             rows.left_out += 1
             continue
@@ -227,12 +226,14 @@ def _take_links(
 def _pose(kind: str, message: Any) -> tuple[str, str, tuple[float, ...]]:
     parent = str(message.header.frame_id)
     if kind == kinds.TRANSFORM:
-        t, q = message.transform.translation, message.transform.rotation
-        return parent, str(message.child_frame_id), (t.x, t.y, t.z, q.x, q.y, q.z, q.w)
+        return parent, str(message.child_frame_id), _seven(message.transform.translation, message.transform.rotation)
     child = str(message.child_frame_id) if kind == kinds.ODOMETRY else ""
     pose = message.pose if kind == kinds.POSE else message.pose.pose
-    t, q = pose.position, pose.orientation
-    return parent, child, (t.x, t.y, t.z, q.x, q.y, q.z, q.w)
+    return parent, child, _seven(pose.position, pose.orientation)
+
+
+def _seven(t: Any, q: Any) -> tuple[float, ...]:
+    return t.x, t.y, t.z, q.x, q.y, q.z, q.w
 
 
 def _checked(values: tuple[float, ...], part: Part, topic: str, received_ns: int) -> tuple[float, ...]:

@@ -17,12 +17,10 @@ from relocbench.datasets.importers.rosbag.packets import PacketReading, packet_p
 from relocbench.datasets.importers.rosbag.pictures import image_of
 from relocbench.datasets.importers.rosbag.point_times import PointTimes
 from relocbench.datasets.sensors.recording import Scan
+from relocbench.datasets.sensors.scan_files import in_range
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera
-
-FARTHEST_M = 1e5
-"""what is farther away was not measured by a lidar of a car"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +67,9 @@ class BagLidar:
         message, part, received = self.messages.read(index)
         stamp = int(self.times_ns[index])
         try:
-            if self.messages.type == kinds.LASER:
-                points, offsets = laser_points(message)
-                near = self.in_range(points)
-                return Scan(points[near], stamp + offsets[near])
-            if self.messages.type == kinds.PACKETS:
-                points, offsets = packet_points(message, self.packets)
+            if self.messages.type != kinds.CLOUD:
+                laser = self.messages.type == kinds.LASER
+                points, offsets = laser_points(message) if laser else packet_points(message, self.packets)
                 near = self.in_range(points)
                 return Scan(points[near], stamp + offsets[near] * self.timed)
             wanted = ("x", "y", "z", self.times.field) if self.times.field else ("x", "y", "z")
@@ -90,11 +85,7 @@ class BagLidar:
 
     def in_range(self, points: Array) -> Mask:
         """Which points (N, 3) are returns of a beam: finite, and neither too near nor too far."""
-        near: Mask = np.asarray(np.isfinite(points).all(axis=1))
-        near[near] = np.abs(points[near]).max(axis=1) < FARTHEST_M
-        distance = np.linalg.norm(np.where(near[:, None], points, 0.0), axis=1)
-        kept: Mask = near & (distance >= self.min_range_m) & (distance <= self.max_range_m)
-        return kept
+        return in_range(points, self.min_range_m, self.max_range_m)
 
 
 @dataclass(frozen=True, eq=False)
