@@ -20,7 +20,7 @@ The standard deviation is by the jackknife over the images or, of a long drive, 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -98,14 +98,7 @@ class CameraMotion:
     def of(cls, trajectory: Trajectory, T_rig_cam: Array, times_ns: Times) -> CameraMotion:
         """The motion by the poses of a trajectory, smooth between poses that are far apart."""
         spacing = float(np.median(np.diff(trajectory.times_ns))) if len(trajectory.times_ns) > 1 else 0.0
-        smooth = Trajectory(
-            trajectory.times_ns,
-            trajectory.T_odom_rig,
-            trajectory.max_gap_ns,
-            trajectory.breaks,
-            smooth=spacing >= _SMOOTH_NS,
-        )
-        return cls(smooth, T_rig_cam, times_ns)
+        return cls(replace(trajectory, smooth=spacing >= _SMOOTH_NS), T_rig_cam, times_ns)
 
     @property
     def step_s(self) -> float:
@@ -349,15 +342,13 @@ def image_motions(
             if not (moving[one.first] and moving[one.second]):
                 continue
             late = (twists[one.first], readout_s * one.row_x), (twists[one.second], readout_s * one.row_y)
-        T = image_motion(one, fx, late)
+        T = _image_motion(one, fx, late)
         if T is not None:
             out.append((one.first, one.second, T))
     return out
 
 
-def image_motion(
-    one: Tracks, fx: float, late: tuple[tuple[Array, Array], tuple[Array, Array]] | None = None
-) -> Array | None:
+def _image_motion(one: Tracks, fx: float, late: tuple[tuple[Array, Array], tuple[Array, Array]] | None) -> Array | None:
     """``T_second_first`` (4, 4) between two images by their tracks alone; None where they do not tell it.
 
     The translation is NaN where there is no depth.

@@ -68,10 +68,8 @@ def find_jumps(times_ns: Times, T_world_rig: Array, measured: Mask | None = None
     """
     if len(times_ns) < 2:
         return ()
-    seconds = np.diff(times_ns) / 1e9
+    twists, seconds, middle = _steps(times_ns, T_world_rig)
     steps = np.arange(len(seconds)) if measured is None else np.flatnonzero(measured)
-    twists = se3_log(invert(T_world_rig[:-1]) @ T_world_rig[1:])
-    middle = (times_ns[:-1] - times_ns[0]) / 1e9 + seconds / 2
     jumps: list[Jump] = []
     # The largest jumps are taken first: beside them, right steps look like jumps.
     while len(steps):
@@ -79,7 +77,8 @@ def find_jumps(times_ns: Times, T_world_rig: Array, measured: Mask | None = None
         at = np.flatnonzero(deviation.excess > 1.0)
         if not len(at):
             break
-        worst = at[deviation.excess[at] >= _largest_beside(deviation.excess)[at]]
+        largest_beside = _around(deviation.excess, _BESIDE, 0.0).max(axis=0)
+        worst = at[deviation.excess[at] >= largest_beside[at]]
         for k in worst:
             size, index = deviation.sizes[k], int(steps[k]) + 1
             degrees = float(np.degrees(size[1]))
@@ -90,9 +89,14 @@ def find_jumps(times_ns: Times, T_world_rig: Array, measured: Mask | None = None
 
 def steps_beside(times_ns: Times, T_world_rig: Array) -> Array:
     """(N - 1,) metres by which each step differs from what those beside it tell; 0 where fewer than two are near."""
+    return _Deviations.of(*_steps(times_ns, T_world_rig)).sizes[:, 0]
+
+
+def _steps(times_ns: Times, T_world_rig: Array) -> tuple[Array, Array, Array]:
+    """(N - 1, 6) twists from pose to pose, their durations in seconds, and the seconds at the middle of each."""
     seconds = np.diff(times_ns) / 1e9
     middle = (times_ns[:-1] - times_ns[0]) / 1e9 + seconds / 2
-    return _Deviations.of(se3_log(invert(T_world_rig[:-1]) @ T_world_rig[1:]), seconds, middle).sizes[:, 0]
+    return se3_log(invert(T_world_rig[:-1]) @ T_world_rig[1:]), seconds, middle
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +126,7 @@ class _Deviations:
         deviation = np.where(judged[:, None], velocity - usual, 0.0) * seconds[:, None]
         sizes = sizes_of(deviation)
         limit = np.maximum(_reached(seconds, apart, near), np.array(LEAST))
-        limit = np.maximum(limit, _NOISE * _noise(sizes))
+        limit = np.maximum(limit, _NOISE * _median(_around(sizes, _AROUND, np.nan)))
         limit = np.maximum(limit, _JITTER_S * sizes_of(usual))
         excess = sizes / limit
         rows = np.flatnonzero((excess > 1.0).any(axis=1))
@@ -152,11 +156,6 @@ def _reached(seconds: Array, apart: Array, near: Mask) -> Array:
     squared = (seconds * np.maximum.reduce([seconds, distance / 1.5, one_sided]))[:, None]
     driven = np.maximum(np.array(_SWAY), np.array(_DRIVEN) * squared)
     return np.asarray(np.minimum(np.array(_SHAKEN) * squared, driven))
-
-
-def _noise(sizes: Array) -> Array:
-    """(N, 2) median of the deviations (N, 2) of the steps around each step."""
-    return _median(_around(sizes, _AROUND, np.nan))
 
 
 def _come_back(rows: Indices, deviation: Array, twists: Array, seconds: Array, middle: Array) -> Mask:
@@ -213,8 +212,3 @@ def _around(values: NDArray[Any], reach: int, beyond: float) -> NDArray[Any]:
         else:
             out[row, -by:] = values[:by]
     return out
-
-
-def _largest_beside(excess: Array) -> Array:
-    """(N,) the largest excess of the steps beside each step."""
-    return np.asarray(_around(excess, _BESIDE, 0.0).max(axis=0))

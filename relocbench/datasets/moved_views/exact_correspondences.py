@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from relocbench.arrays import Image, Mask
+from relocbench.datasets.core.images import MOST_DEPTH_M
 from relocbench.datasets.moved_views.drawing import Keyframe, View
 from relocbench.datasets.moved_views.surfaces import seen_at, shown_at
-from relocbench.datasets.pairs.correspondences import FARTHEST_M, PairCorrespondences, exact_pair, sampled_pixels
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, exact_pair, sampled_pixels
 from relocbench.tracking import Reference
 
 _SAME_PX = 1e-3
@@ -37,7 +38,7 @@ def exact_correspondences(
         pixels = pixels[~without[*pixels[:, ::-1].astype(int).T]]
     pixels = pixels[keyframe.content(pixels)]
     uv_query, depth, _ = shown_at(surface, *cameras, view.T_query_ref, pixels)
-    inside = view.camera.contains(uv_query) & (depth <= FARTHEST_M)
+    inside = view.camera.contains(uv_query) & (depth <= MOST_DEPTH_M)
     visible = inside.copy()
     seen = seen_at(surface, *cameras, view.T_query_ref, uv_query[inside])
     # Not a number, where a ray meets nothing, is not the same either.

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Image, Indices, Mask, Times
-from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.pairs.measures import PairMeasures, measured
 from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, lift, see
 from relocbench.geometry import Camera, apply, hat, invert
@@ -21,8 +20,6 @@ _CELLS = 24
 """cells along the longer side of the image, over which samples are spread"""
 _SAMPLES = 8192
 """pixels that are sampled for the overlap of a pair of exact truth, which is then accurate to 0.006 (one sigma)"""
-FARTHEST_M = 65535 / DEPTH_SCALE
-"""greatest depth that can be stored"""
 _OVERLAP_PIXELS = 60_000
 """pixels of a keyframe that are sampled for the overlap, which is then accurate to 0.002 (one sigma)"""
 

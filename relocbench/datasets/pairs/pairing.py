@@ -172,7 +172,7 @@ def _why_none_near(
     query: PosedFrames,
     options: PairingOptions,
     same_traversal: bool,
-    revisit_ns: int | None = None,
+    revisit_ns: int | None,
 ) -> str:
     limits = f"--max-distance is {options.max_distance:g} m, --max-angle {options.max_angle:g} deg"
     within = [

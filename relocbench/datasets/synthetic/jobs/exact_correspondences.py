@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from relocbench.arrays import Array, Image, Mask
-from relocbench.datasets.pairs.correspondences import FARTHEST_M, PairCorrespondences, exact_pair, sampled_pixels
+from relocbench.datasets.core.images import MOST_DEPTH_M
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, exact_pair, sampled_pixels
 from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.jobs import scenes
@@ -99,7 +100,7 @@ def exact_correspondences(
     camera = keyframe.camera
     pixels = sampled_pixels(camera, count, rng)
     depth, moves = keyframe.depth(pixels)
-    known = (depth <= FARTHEST_M) & ~moves
+    known = (depth <= MOST_DEPTH_M) & ~moves
     pixels, depth = pixels[known], depth[known]
     uv_query, _, valid = warp(np.column_stack([pixels, depth]), camera, query.camera, T_query_ref)
     inside = valid & query.camera.contains(uv_query)
@@ -121,7 +122,7 @@ def guessed_overlap_of_query(keyframe: View, query: View) -> float:
 def _overlap_of_query(keyframe: View, query: View, pixels: Array) -> float | None:
     """The share of the query's pixels (N, 2) with static points that the keyframe sees; None where it shows none."""
     depth, moves = query.depth(pixels)
-    known = (depth <= FARTHEST_M) & ~moves
+    known = (depth <= MOST_DEPTH_M) & ~moves
     if not known.any():
         return None
     points = query.points(pixels[known], depth[known])
