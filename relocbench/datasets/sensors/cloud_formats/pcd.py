@@ -17,13 +17,13 @@ from relocbench.datasets.sensors.cloud_formats.point_table import (
     check_behind,
     check_count,
     decode_rows,
+    header_lines,
     parse_count,
     parse_rows,
 )
 from relocbench.errors import DatasetError, quoted
 
 _TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
-_HEADER_BYTES = 65536
 _MOST_VALUES = 4096
 """values of one point, over all fields; descriptors have a few hundred"""
 
@@ -35,7 +35,10 @@ def parse_pcd(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
         DatasetError: the file is not a PCD, its header is inconsistent or promises more or fewer points than there
             are, or a field is not a number.
     """
-    lines, body = _header(data, path)
+    header = header_lines(data, lambda line: line.upper().split()[:1] == ["DATA"])
+    if header is None:
+        raise DatasetError("is not a PCD file: it has no header", path)
+    lines, body = header
     words = {line.split()[0].upper(): line.split()[1:] for line in lines if line.strip()}
     row = _row(words, path)
     count = _count(words, path)
@@ -110,18 +113,3 @@ def _compressed(body: bytes, row: np.dtype[Any], count: int, path: Path) -> dict
 
 def _single(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return {name: values for name, values in fields.items() if values.ndim == 1 and not name.startswith("_ ")}
-
-
-def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
-    """The header's lines up to ``DATA``, and the data after them."""
-    head = data[:_HEADER_BYTES]
-    lines: list[str] = []
-    at = 0
-    while at < len(head):
-        end = head.find(b"\n", at)
-        line = head[at : end if end >= 0 else len(head)].decode("ascii", "replace").strip()
-        at = end + 1 if end >= 0 else len(head)
-        lines.append(line)
-        if line.split(None, 1)[:1] and line.split(None, 1)[0].upper() == "DATA":
-            return lines, data[at:]
-    raise DatasetError("is not a PCD file: it has no header", path)

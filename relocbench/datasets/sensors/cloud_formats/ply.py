@@ -16,6 +16,7 @@ from relocbench.datasets.sensors.cloud_formats.point_table import (
     check_behind,
     check_count,
     decode_rows,
+    header_lines,
     parse_count,
     parse_rows,
 )
@@ -27,7 +28,6 @@ _TYPES = {
     "double": "f8", "float64": "f8",
 }  # fmt: skip
 _ORDER = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
-_HEADER_BYTES = 65536
 
 
 def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
@@ -37,7 +37,10 @@ def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
         DatasetError: the file is not a PLY, has another layout, promises more or fewer points than there are, or a
             property is not a number.
     """
-    lines, body = _header(data, path)
+    header = header_lines(data, "end_header".__eq__) if data[:16].split(b"\n")[0].strip() == b"ply" else None
+    if header is None:
+        raise DatasetError("is not a PLY file: it has no header", path)
+    lines, body = header
     words = [line.split() for line in lines]
     encoding = next((w[1] for w in words if w[:1] == ["format"] and len(w) > 1), "")
     if encoding not in _ORDER:
@@ -62,20 +65,3 @@ def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
     if alone and held > count:
         check_behind(np.frombuffer(body, row, held), count, path)
     return decode_rows(body, row, count)
-
-
-def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
-    """The header's lines, including the last one, and the data after them."""
-    head = data[:_HEADER_BYTES]
-    lines: list[str] = []
-    at = 0
-    while (end := head.find(b"\n", at)) >= 0:
-        lines.append(head[at:end].decode("ascii", "replace").strip())
-        at = end + 1
-        if lines[0] != "ply":
-            break
-        if lines[-1] == "end_header":
-            return lines, data[at:]
-    if head[at:].strip() == b"end_header" and lines[:1] == ["ply"]:
-        return [*lines, "end_header"], b""
-    raise DatasetError("is not a PLY file: it has no header", path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from relocbench.errors import DatasetError, quoted
 
 MOST_SCAN_BYTES = 2**27
 """greatest size of a file with a lidar scan: 5 million points of 24 bytes; a scan has about 100,000"""
+_HEADER_BYTES = 65536
 _MOST_DIGITS = 18
 _DECIMAL_COMMA = re.compile(r"[0-9],[0-9]")
 _MOST_LINE = 65536
@@ -26,6 +27,24 @@ _LOOKED_AT, _USUAL = 1000, 1e6
 """records that are looked at before and behind the last promised one, and the size of usual coordinates"""
 _CHUNK = 65536
 """lines parsed at a time"""
+
+
+def header_lines(data: bytes, is_last: Callable[[str], bool]) -> tuple[list[str], bytes] | None:
+    """The lines of a header up to the last one, and the data after them; None where there is no such line.
+
+    Args:
+        is_last: whether a line, without white space around it, ends the header.
+    """
+    head, at = data[:_HEADER_BYTES], 0
+    lines: list[str] = []
+    while at < len(head):
+        end = head.find(b"\n", at)
+        end = end if end >= 0 else len(head)
+        lines.append(head[at:end].decode("ascii", "replace").strip())
+        at = end + 1
+        if is_last(lines[-1]):
+            return lines, data[at:]
+    return None
 
 
 def parse_count(text: str, path: Path) -> int:
