@@ -1,14 +1,14 @@
-"""Names of traversals and files named by time, which several recording formats share."""
+"""Names of traversals and files named by time or number, which several recording formats share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES
 from relocbench.datasets.sensors.times import times_in_ns
 from relocbench.errors import DatasetError
-from relocbench.files import check_distinct, plain_name
+from relocbench.files import check_distinct, plain_name, whole_number
 from relocbench.progress import Reporter
 
 
@@ -82,3 +82,17 @@ def timed_files(
             raise DatasetError(f"has the same time as {found[time].name}", path)
         found[time] = path
     return dict(sorted(found.items()))
+
+
+def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
+    """The files of a folder by the numbers in their names, in the order of these; a missing folder has none."""
+    found = {number: p for p in folder.glob(f"*{suffix}") if (number := whole_number(p.stem)) is not None}
+    return dict(sorted(found.items()))
+
+
+def with_times(files: dict[int, Path], times: Mapping[int, int], what: str, reporter: Reporter) -> dict[int, Path]:
+    """The files, by frame number, of frames that have a time; of how many there is none is noted."""
+    kept = {frame: path for frame, path in files.items() if frame in times}
+    if len(kept) < len(files):
+        reporter.note(f"{what}: {len(files) - len(kept)} of {len(files)} frames have no time and are left out")
+    return kept

@@ -13,8 +13,9 @@ from relocbench.datasets.core import images
 from relocbench.datasets.sensors.numbered_rows import NumberedRows, read_numbered_rows, read_numbered_times
 from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import MATRIX, PoseTable, Row, pose_table
+from relocbench.datasets.sensors.trajectories import numbered_files
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, read_rows, whole_number
+from relocbench.files import parse_floats, read_rows
 from relocbench.geometry import Camera, make_transform, project_to_rotation
 from relocbench.progress import Reporter
 
@@ -92,8 +93,7 @@ class KittiSequence:
 
     def frames(self, folder: str, suffix: str) -> dict[int, Path]:
         """Files of a folder by frame number; a missing folder has none."""
-        found = (self.folder / folder).glob(f"*{suffix}")
-        return {number: p for p in sorted(found) if (number := whole_number(p.stem)) is not None}
+        return numbered_files(self.folder / folder, suffix)
 
     def image_frames(self, camera: str) -> dict[int, Path]:
         """Images of a camera by frame number."""

@@ -20,6 +20,7 @@ from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of
 from relocbench.datasets.sensors.image_files import ImageFiles
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
+from relocbench.datasets.sensors.trajectories import with_times
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert
@@ -122,8 +123,8 @@ def read_kitti(
     missing = 1 + max(scans) - min(scans) - len(scans)
     if missing:
         report.note(f"{files.traversal}: {missing} scans between the first and the last are missing")
-    scans = _timed(scans, times, files.traversal, report)
-    found = {camera: _timed(numbers, times, f"{files.traversal}/{camera}", report) for camera, numbers in found.items()}
+    scans = with_times(scans, times, files.traversal, report)
+    found = {name: with_times(numbers, times, f"{files.traversal}/{name}", report) for name, numbers in found.items()}
     if not scans:
         raise DatasetError("has no time of a scan", files.folder / "times.txt")
     streams = {camera: _camera(files, camera, numbers, times) for camera, numbers in found.items() if numbers}
@@ -153,14 +154,6 @@ def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[st
         elif cameras is not None:
             raise DatasetError("holds no image; expected NNNNNN.png", files.folder / name)
     return found
-
-
-def _timed(found: dict[int, Path], times: dict[int, int], what: str, reporter: Reporter) -> dict[int, Path]:
-    """The files of frames that have a time."""
-    kept = {frame: path for frame, path in found.items() if frame in times}
-    if len(kept) < len(found):
-        reporter.note(f"{what}: {len(found) - len(kept)} of {len(found)} frames have no time and are left out")
-    return kept
 
 
 def _at(frames: Iterable[int], times: dict[int, int]) -> Times:

@@ -35,8 +35,9 @@ from relocbench.datasets.sensors.pose_tables import read_matrix_rows, short_name
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns, swept
 from relocbench.datasets.sensors.times import check_increasing
+from relocbench.datasets.sensors.trajectories import numbered_files, with_times
 from relocbench.errors import DatasetError, quoted
-from relocbench.files import parse_count, parse_floats, read_rows, whole_number
+from relocbench.files import parse_count, parse_floats, read_rows
 from relocbench.geometry import invert, is_rotation, make_transform, project_to_rotation
 from relocbench.progress import Reporter, Silent
 
@@ -103,10 +104,10 @@ def decode(data: bytes, path: Path) -> Returns:
 
 def frames(folder: Path, suffix: str) -> dict[int, Path]:
     """Files by frame number; a missing folder has none. Raises DatasetError if a file is empty or a dangling link."""
-    found = {number: p for p in folder.glob(f"*{suffix}") if (number := whole_number(p.stem)) is not None}
+    found = numbered_files(folder, suffix)
     for path in found.values():
         check_file(path)
-    return dict(sorted(found.items()))
+    return found
 
 
 def read_times(path: Path) -> dict[int, int]:
@@ -141,11 +142,7 @@ def _timed(files: dict[int, Path], times: dict[int, int], table: Path, report: R
     last = max(times, default=-1)
     if max(files) > last:
         raise DatasetError(f"holds {last + 1} times, but there is a frame {max(files)}", table)
-    kept = {frame: path for frame, path in files.items() if frame in times}
-    if len(kept) < len(files):
-        report.note(
-            f"{short_name(table)}: {len(files) - len(kept)} of {len(files)} frames have no time and are left out"
-        )
+    kept = with_times(files, times, short_name(table), report)
     if not kept:
         raise DatasetError("has no time of a frame", table)
     return kept
