@@ -1,4 +1,4 @@
-"""A dataset at work: what all steps of a build share."""
+"""A dataset at work: what all steps of a build share, and work on many units."""
 
 from __future__ import annotations
 
@@ -26,10 +26,17 @@ class Build(Generic[Options]):
     run: Run
 
     def work(self, title: str, step: Callable[[Unit], Result], units: Sequence[Unit]) -> list[Result]:
-        """The results of ``step`` for all units, in their order, with a progress bar of this title."""
-        results: dict[int, Result] = {}
-        with self.reporter.stage(title, len(units)) as advance:
-            for index, result in run_units(step, units, self.run):
-                results[index] = result
-                advance(1)
-        return [results[index] for index in range(len(units))]
+        """As the function of this name, where the build runs."""
+        return work(title, step, units, self.run, self.reporter)
+
+
+def work(
+    title: str, step: Callable[[Unit], Result], units: Sequence[Unit], run: Run, reporter: Reporter
+) -> list[Result]:
+    """The results of ``step`` for all units, in their order, with a progress bar of this title."""
+    results: dict[int, Result] = {}
+    with reporter.stage(title, len(units)) as advance:
+        for index, result in run_units(step, units, run):
+            results[index] = result
+            advance(1)
+    return [results[index] for index in range(len(units))]

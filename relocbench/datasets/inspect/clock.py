@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from relocbench.arrays import Array
@@ -10,10 +11,11 @@ from relocbench.datasets.clock.check import ClockCheck, check_clock
 from relocbench.datasets.clock.evidence import own_trajectory
 from relocbench.datasets.clock.offset import Residual, difference
 from relocbench.datasets.clock.tracks import features_of, homogeneous, match, motion_by_depth
+from relocbench.datasets.core.build import work
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import ClockEntry
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.execution import Run, default_workers, run_units
+from relocbench.execution import Run, default_workers
 from relocbench.progress import Reporter
 
 
@@ -48,18 +50,10 @@ def check_clocks(dataset: Dataset, reporter: Reporter) -> list[DriveClock]:
     Raises:
         DatasetError: an image, a depth image or a table of poses is damaged.
     """
-
-    def work(title: str, step: Any, units: Any) -> list[Any]:
-        results: dict[int, Any] = {}
-        with reporter.stage(title, len(units)) as advance:
-            for index, result in run_units(step, units, Run(default_workers() if len(units) > 2 else 1)):
-                results[index] = result
-                advance(1)
-        return [results[index] for index in range(len(units))]
-
+    compare = partial(work, run=Run(default_workers()), reporter=reporter)
     drives = [dataset.traversal(name) for name in dataset.traversal_names]
     return [
-        DriveClock(drive.name, drive.file.clock, check_clock(drive, camera, own_trajectory(drive), work))
+        DriveClock(drive.name, drive.file.clock, check_clock(drive, camera, own_trajectory(drive), compare))
         for drive in drives
         for camera in drive.cameras
     ]

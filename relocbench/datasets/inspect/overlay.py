@@ -229,7 +229,7 @@ def _captions(pair: Pair, agreement: ImageAgreement, title: str) -> list[tuple[s
 
 def _corner_rows(image: Image, uv: Array, visible: Mask) -> list[int]:
     """Rows of the most recognisable points: the best corner in each cell of the keyframe."""
-    grey = _smooth_grey(image).astype(np.float32)
+    grey = cv2.GaussianBlur(as_grey(image), (0, 0), 1.0).astype(np.float32)
     response = _sample(cv2.cornerMinEigenVal(grey, 5), uv)
     columns, rows = _CORNERS
     height, width = grey.shape
@@ -242,10 +242,6 @@ def _corner_rows(image: Image, uv: Array, visible: Mask) -> list[int]:
         if candidates.size:
             found.append(int(candidates[np.argmax(response[candidates])]))
     return found
-
-
-def _smooth_grey(image: Image) -> Array:
-    return np.asarray(cv2.GaussianBlur(as_grey(image), (0, 0), 1.0), dtype=np.float64)
 
 
 def _sample(image: NDArray[Any], uv: Array) -> Array:
