@@ -195,7 +195,7 @@ class _PairSetCheck:
         other pairs may differ.
         """
         (reference, _), (query, _) = sides
-        mounts = [_T_rig(drive.file, camera) for drive, camera in sides if drive.file is not None]
+        mounts = [drive.file.T_rig(camera) for drive, camera in sides if drive.file is not None]
         if len(mounts) < 2:
             return
         T_rig_ref, T_rig_query = mounts
@@ -222,8 +222,3 @@ class _PairSetCheck:
                 f"(median {metres:.4g} m, {degrees:.4g} deg)",
                 self.path,
             )
-
-
-def _T_rig(file: TraversalFile, name: str) -> Array:
-    """(4, 4) pose on the rig of a camera, or of a frame without images."""
-    return file.frames[name].matrix if name in file.frames else file.cameras[name].T_rig_cam.matrix

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,16 +45,16 @@ class DatasetLayout:
         return self.root / "correspondences"
 
     def traversal(self, name: str) -> TraversalLayout:
-        return TraversalLayout(self.traversals / _part(name))
+        return TraversalLayout(self.traversals / _checked(check_name, name, "traversal name"))
 
     def pair_file(self, pair_set: str) -> Path:
-        return self.pairs / f"{_joined(pair_set)}.txt"
+        return self.pairs / f"{_of_pair_set(pair_set)}.txt"
 
     def pair_table(self, pair_set: str) -> Path:
-        return self.pairs / f"{_joined(pair_set)}.csv"
+        return self.pairs / f"{_of_pair_set(pair_set)}.csv"
 
     def correspondence_file(self, pair_set: str) -> Path:
-        return self.correspondences / f"{_joined(pair_set)}.parquet"
+        return self.correspondences / f"{_of_pair_set(pair_set)}.parquet"
 
 
 @dataclass(frozen=True)
@@ -126,15 +127,12 @@ def pair_set_parts(name: str) -> tuple[str, str, str, str]:
     return parts[0], parts[1], parts[2], parts[3]
 
 
-def _part(name: str) -> str:
-    try:
-        return check_name(name, "traversal name")
-    except ValueError as bad:
-        raise DatasetError(str(bad)) from None
+def _of_pair_set(name: str) -> str:
+    return _checked(check_joined_name, name, "name of a pair set")
 
 
-def _joined(name: str) -> str:
+def _checked(check: Callable[[str, str], str], name: str, what: str) -> str:
     try:
-        return check_joined_name(name, "name of a pair set")
+        return check(name, what)
     except ValueError as bad:
         raise DatasetError(str(bad)) from None

@@ -189,6 +189,10 @@ class TraversalFile(Strict):
         check_distinct([*self.cameras, *self.frames], "names of cameras and frames")
         return self
 
+    def T_rig(self, name: str) -> Array:
+        """(4, 4) pose on the rig of a camera, or of a frame without images. Raises KeyError if there is none."""
+        return (self.frames.get(name) or self.cameras[name].T_rig_cam).matrix
+
     @model_serializer(mode="wrap")
     def _without_empty_frames(self, usual: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Descriptions without frames and clock are written, and digested, as earlier versions did."""

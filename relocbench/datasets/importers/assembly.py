@@ -19,7 +19,7 @@ from relocbench.datasets.pairs.pairing import make_pairs, steps_left_out
 from relocbench.datasets.pairs.posed_frames import posed_frames
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.undistortion import undistort
-from relocbench.errors import DatasetError
+from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
@@ -45,6 +45,12 @@ def check_folder(path: Path, expected: str) -> None:
     """Raise DatasetError if ``path`` is not a folder."""
     if not path.is_dir():
         raise DatasetError(f"{'is a file' if path.exists() else 'no such folder'}; expected {expected}", path)
+
+
+def check_several(drives: Sequence[object]) -> None:
+    """Raise ConfigError unless there is a reference and a query."""
+    if len(drives) < 2:
+        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(drives)}")
 
 
 def import_image(

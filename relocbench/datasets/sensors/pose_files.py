@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from relocbench.datasets.motion.orientation import QuaternionOrder
 from relocbench.datasets.sensors.numbered_rows import read_numbered_rows, read_numbered_times
 from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_columns import read_pose_columns
 from relocbench.datasets.sensors.pose_tables import (
     MATRIX,
     PoseTable,
-    QuaternionOrder,
     Row,
     pose_table,
     read_matrix_rows,

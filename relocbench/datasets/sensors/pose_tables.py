@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from relocbench.arrays import Array, Times
 from relocbench.datasets.core.pairfile import QUATERNION_TOLERANCE, missing
+from relocbench.datasets.motion.orientation import QuaternionOrder
 from relocbench.datasets.sensors.matrices import POSE_ENTRIES, rotations_at_fault
 from relocbench.datasets.sensors.pose_columns import read_pose_columns
 from relocbench.datasets.sensors.times import times_in_ns, times_in_unit
@@ -23,8 +24,6 @@ from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, quick_floats, read_rows
 from relocbench.geometry import make_transform, project_to_rotation, transform_from_tq
 from relocbench.progress import Reporter, Silent
-
-QuaternionOrder = Literal["xyzw", "wxyz"]
 
 _SAME = 1e-6
 """largest difference between the numbers of two rows that are one"""

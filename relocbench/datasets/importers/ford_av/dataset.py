@@ -9,8 +9,8 @@ from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import open_writer
-from relocbench.errors import ConfigError, DatasetError, raise_all
+from relocbench.datasets.importers.assembly import check_several, open_writer
+from relocbench.errors import DatasetError, raise_all
 from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.progress import Reporter
@@ -49,8 +49,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.importers.rosbag.packets import check_calibration
 
     assert isinstance(options, Options)
-    if len(sources) < 2:
-        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(sources)}")
+    check_several(sources)
     logs = find_logs(sources, options.calibration_folder)
     options.check_conditions([log.name for log in logs])
     if options.lidar_intrinsics is not None:

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array
+from relocbench.datasets.sensors.matrices import as_transform
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_rows
-from relocbench.geometry import Camera, is_rotation, make_transform, project_to_rotation
+from relocbench.geometry import Camera
 
 FOLDER_NAMES = ("Calibration", "calibration")
 _PRINTED_ROTATION = 1e-4
@@ -67,9 +68,7 @@ def read_stereo(path: Path) -> Array:
     matrix = np.array(rows, dtype=np.float64)
     if matrix.shape != (4, 4) or not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise DatasetError("expected a 4x4 matrix whose last row is 0 0 0 1", path)
-    if not is_rotation(matrix[:3, :3], _PRINTED_ROTATION):
-        raise DatasetError("the upper left 3x3 is not a rotation", path)
-    return make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
+    return as_transform(matrix, path, tolerance=_PRINTED_ROTATION)
 
 
 def find_calibration(recording: Path) -> Path | None:

@@ -9,9 +9,8 @@ from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import open_writer
+from relocbench.datasets.importers.assembly import check_several, open_writer
 from relocbench.datasets.sensors.trajectories import traversal_names
-from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.progress import Reporter
 
@@ -42,8 +41,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 
     assert isinstance(options, Options)
     names = traversal_names(sources)
-    if len(names) < 2:
-        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(names)}")
+    check_several(names)
     options.check_conditions(names)
     writer = open_writer("generic-lidar", sources, options, out, "generic_lidar_" + names[0])
     recordings = [

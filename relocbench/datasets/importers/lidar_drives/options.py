@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 
 from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_folder
+from relocbench.datasets.importers.assembly import check_folder, check_several
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.files import check_name
@@ -63,8 +63,7 @@ class SequenceOptions(FieldOptions, LinkingOptions):
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
     """Build a dataset from a reference drive, the first source, and query drives. Raises as :class:`Importer`."""
     assert isinstance(options, DriveOptions)
-    if len(sources) < 2:
-        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(sources)}")
+    check_several(sources)
     for source in sources:
         check_folder(source, f"a drive in the layout of {options.kind}")
     from relocbench.datasets.importers.lidar_drives.building import build_drives  # large

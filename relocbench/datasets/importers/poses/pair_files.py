@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -19,6 +19,7 @@ from relocbench.datasets.core.pair_table import read_pairs
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
+from relocbench.datasets.motion.orientation import QuaternionOrder
 from relocbench.datasets.sensors.pose_files import read_pose_file
 from relocbench.datasets.sensors.times import UNITS, unit_of_dates
 from relocbench.errors import ConfigError, DatasetError, available
@@ -47,7 +48,7 @@ class Options(DatasetOptions):
     trajectories: tuple[str, ...] = Field(
         (), description="poses of traversals, as NAME=FILE: they place pairs on maps and in exports"
     )
-    quaternions: Literal["xyzw", "wxyz"] = Field(
+    quaternions: QuaternionOrder = Field(
         "xyzw", description="order of quaternions in trajectories of 8 columns; pair files have qx qy qz qw"
     )
     sigma: float | None = Field(

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -17,7 +17,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import Transform, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer
-from relocbench.datasets.motion.orientation import likely_order
+from relocbench.datasets.motion.orientation import QuaternionOrder, likely_order
 from relocbench.datasets.motion.worlds import doubt_of_world
 from relocbench.datasets.pairs.pairing import make_pairs, steps_left_out
 from relocbench.datasets.pairs.posed_frames import PosedFrames
@@ -33,7 +33,7 @@ from relocbench.progress import Reporter
 class Options(PairingOptions):
     """Options of ``relocbench build-dataset poses``."""
 
-    quaternions: Literal["xyzw", "wxyz"] = Field(
+    quaternions: QuaternionOrder = Field(
         "xyzw", description="order of quaternions in files of 8 columns: qx qy qz qw, or qw qx qy qz"
     )
     times: tuple[Path, ...] = Field(

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import open_writer
+from relocbench.datasets.importers.assembly import check_several, open_writer
 from relocbench.datasets.importers.rosbag.bag import SUFFIXES
 from relocbench.datasets.importers.rosbag.point_times import parse_point_times
 from relocbench.datasets.sensors.trajectories import traversal_names
@@ -82,8 +82,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 
     assert isinstance(options, Options)
     names = traversal_names(sources, SUFFIXES)
-    if len(names) < 2:
-        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(names)}")
+    check_several(names)
     options.check_conditions(names)
     settings = settings_of(options)
     opened = [open_bag(source, settings.wanted, reporter) for source in sources]
