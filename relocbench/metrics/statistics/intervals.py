@@ -15,7 +15,8 @@ pairs (:mod:`relocbench.metrics.statistics.effective_size`) in the place of thei
   differ, the end away from zero is at least as far as the intervals of two shares demand, of the pairs that A wins and
   of those that it loses: the distances of their bounds are squared and added (Newcombe, "Improved confidence intervals
   for the difference between binomial proportions based on paired data", Statistics in Medicine 1998; Zou and Donner,
-  "Construction of confidence limits about effect measures: a general approach", the same journal 2008).
+  "Construction of confidence limits about effect measures: a general approach", the same journal 2008). How many draws
+  these shares have is also limited by how long the runs of differing pairs are (:func:`inflation_of_runs`).
 
 Pairs must be ordered by reference time. What is estimated is the mean over roads of the mean over a road's pair sets of
 the mean over a set's pairs. The sets of one road become one series first (:mod:`relocbench.metrics.statistics.roads`),
@@ -37,7 +38,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from relocbench.arrays import Array
-from relocbench.metrics.statistics.effective_size import inflation_of
+from relocbench.metrics.statistics.effective_size import inflation_of, inflation_of_runs
 from relocbench.metrics.statistics.roads import by_road
 
 AnyNumber = TypeVar("AnyNumber", float, Array)
@@ -193,11 +194,14 @@ def paired_difference(
     if size is None:
         return Difference(mean, None)
     low, high, p = _by_students_t(difference, size)
-    few = float(np.mean([np.count_nonzero(d) / d.size for d in difference])) <= _FEW
-    if few and mean > 0:
-        high = max(high, mean + _beyond(won, lost, size))
-    elif few and mean < 0:
-        low = min(low, mean - _beyond(lost, won, size))
+    if mean and _few_differ(difference):
+        if not independent:
+            runs = inflation_of_runs([np.abs(d) > np.abs(d).mean() for d in difference])
+            size = min(size, pairs_in_equal_sets([len(d) for d in difference]) / runs)
+        if mean > 0:
+            high = max(high, mean + _beyond(won, lost, size))
+        else:
+            low = min(low, mean - _beyond(lost, won, size))
     names = [None] if roads is None else list(dict.fromkeys(roads))
     by_name = dict(zip(names, (float(x.mean()) for x in difference), strict=True))
     return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), LEVEL), p, by_name)
@@ -230,6 +234,16 @@ def two_sided_p(mean: float, standard_error: float, freedom: float) -> float:
     if standard_error == 0:
         return 0.0 if mean else 1.0
     return 2 * float(stdtr(freedom, -abs(mean) / standard_error))
+
+
+def _few_differ(series: Sequence[Array]) -> bool:
+    """Whether few of the stretches make the difference, as where methods are both right on most pairs.
+
+    It is the share of them that differ if these differ by the same, and needs none that is exactly 0: series of sets of
+    unequal length have none.
+    """
+    v = np.concatenate(series)
+    return bool(np.abs(v).mean() ** 2 <= _FEW * np.mean(v**2))
 
 
 def _beyond(won: Sequence[Array], lost: Sequence[Array], size: float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from autoregression import autoregressive
@@ -12,6 +14,7 @@ from relocbench.metrics.statistics.effective_size import (
     PRIOR_CORRELATION,
     difference_inflation,
     inflation_of,
+    inflation_of_runs,
     series_inflation,
 )
 
@@ -82,3 +85,16 @@ def test_differences_have_the_inflation_of_their_series() -> None:
     same = difference_inflation([np.stack([x[0], x[0], x[1]])[None] for x in sets], np.ones((3, 3), dtype=bool))
     assert np.isnan(same.likely[0, 1])
     assert same.likely[0, 2] == pytest.approx(same.likely[1, 2])
+
+
+def test_a_few_runs_tell_little_of_their_length() -> None:
+    """Of one run of one pair, the mean of its geometric law is below 1 / -ln(0.9) with a probability of 90 %."""
+    alone = np.arange(300) == 7
+    assert inflation_of_runs([alone]) == pytest.approx(2 / -math.log(0.9) - 1)
+    assert inflation_of_runs([~alone & False]) == 1.0
+    rng = np.random.default_rng(0)
+    runs = rng.geometric(0.25, 20000)
+    many = np.repeat(np.arange(2 * len(runs)) % 2 == 0, np.stack([runs, np.full_like(runs, 9)], axis=1).ravel())
+    assert inflation_of_runs([many]) == pytest.approx(2 * 4 - 1, rel=0.03)
+    # A run ends with the road.
+    assert inflation_of_runs([many, many]) < inflation_of_runs([many[:9]])

@@ -110,6 +110,31 @@ def test_what_is_not_reached_mirrors_what_is(first: list[float], second: list[fl
         assert (1 - other.high, 1 - other.low) == pytest.approx((found.low, found.high), abs=1e-6)
 
 
+def test_sets_of_unequal_length_are_as_unsure_of_rare_failures() -> None:
+    """A set that is cut into stretches of one and two pairs has a value everywhere, which is no failure."""
+
+    def far_end(lengths: tuple[int, ...]) -> float:
+        sets = [np.ones(n) for n in lengths]
+        for values in sets:
+            values[[30, 140]] = 0.0
+        found = paired_difference(sets, [np.ones(n) for n in lengths])
+        assert found.interval is not None
+        return found.interval.low
+
+    assert far_end((290, 300, 310)) == pytest.approx(far_end((300, 300, 300)), rel=0.1)
+
+
+def test_rare_failures_in_one_stretch_may_be_more_than_rare_ones_here_and_there() -> None:
+    def far_end(failures: list[int]) -> float:
+        values = np.ones(1000)
+        values[failures] = 0.0
+        found = paired_difference([values], [np.ones(1000)])
+        assert found.interval is not None
+        return found.interval.low
+
+    assert far_end([500, 501, 502, 503]) < 2 * far_end([100, 300, 500, 900])
+
+
 def test_each_pair_set_counts_the_same_whatever_its_size() -> None:
     a = [np.zeros(1000), np.ones(60)]
     b = [np.full(1000, 0.1), np.zeros(60)]
