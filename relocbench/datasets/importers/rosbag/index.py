@@ -23,7 +23,7 @@ from relocbench.errors import DatasetError
 from relocbench.files import read_bytes, write_bytes
 from relocbench.progress import Reporter
 
-_FORMAT = 2
+_FORMAT = 3
 _FARTHEST_M = 1e8
 """positions farther from the origin of their frame are none; those on the earth have at most seven digits"""
 _REPORTED = 200
@@ -274,23 +274,19 @@ def _index(
     return out
 
 
+_KINDS = {"places": MessageLocations, "poses": Poses, "links": Poses, "fixes": Fixes}
+
+
 def _save(path: Path, index: Index, mark: dict[str, Any]) -> None:
+    named: dict[str, dict[str, Any]] = {"places": index.places, "poses": index.poses, "fixes": index.fixes}
+    entries = [(kind, topic, one) for kind, found in named.items() for topic, one in found.items()]
     arrays: dict[str, Any] = {}
-    about: dict[str, Any] = {"mark": mark, "places": [], "poses": [], "links": [], "fixes": []}
-    for topic, p in index.places.items():
-        arrays[f"places_{len(about['places'])}"] = np.stack([p.stamps_ns, p.received_ns, p.part, p.ordinal])
-        about["places"].append(topic)
-    named = [("poses", topic, poses) for topic, poses in index.poses.items()]
-    for kind, topic, q in [*named, *(("links", "", poses) for poses in index.links)]:
-        number = len(about[kind])
-        arrays[f"{kind}_{number}_times"] = np.stack([q.times_ns, q.received_ns])
-        arrays[f"{kind}_{number}_values"] = q.values
-        about[kind].append([topic, q.parent, q.child, q.static, q.left_out])
-    for topic, f in index.fixes.items():
-        number = len(about["fixes"])
-        arrays[f"fixes_{number}_times"] = np.stack([f.times_ns, f.received_ns])
-        arrays[f"fixes_{number}_values"] = f.values
-        about["fixes"].append([topic, f.frame, f.left_out])
+    about: dict[str, Any] = {"mark": mark, "entries": []}
+    for number, (kind, topic, one) in enumerate([*entries, *(("links", "", link) for link in index.links)]):
+        of_arrays = {name: value for name, value in vars(one).items() if isinstance(value, np.ndarray)}
+        arrays |= {f"{name}_{number}": value for name, value in of_arrays.items()}
+        plain = {name: value for name, value in vars(one).items() if name not in of_arrays}
+        about["entries"].append([kind, topic, list(of_arrays), plain])
     about["arrays"] = list(arrays)
     text = np.frombuffer(json.dumps(about, sort_keys=True).encode(), dtype=np.uint8)
     stream = io.BytesIO()
@@ -307,19 +303,12 @@ def _load(path: Path, mark: dict[str, Any]) -> Index | None:
             return None
         arrays = parse_npz(data, about["arrays"], path)
         out = Index()
-        for number, topic in enumerate(about["places"]):
-            out.places[topic] = MessageLocations(*arrays[f"places_{number}"])
-        for kind in ("poses", "links"):
-            for number, (topic, parent, child, static, left_out) in enumerate(about[kind]):
-                times, values = arrays[f"{kind}_{number}_times"], arrays[f"{kind}_{number}_values"]
-                poses = Poses(parent, child, times[0], times[1], values, static, left_out)
-                if kind == "poses":
-                    out.poses[topic] = poses
-                else:
-                    out.links.append(poses)
-        for number, (topic, frame, left_out) in enumerate(about["fixes"]):
-            times = arrays[f"fixes_{number}_times"]
-            out.fixes[topic] = Fixes(times[0], times[1], arrays[f"fixes_{number}_values"], frame, left_out)
+        for number, (kind, topic, names, plain) in enumerate(about["entries"]):
+            one: Any = _KINDS[kind](**plain, **{name: arrays[f"{name}_{number}"] for name in names})
+            if kind == "links":
+                out.links.append(one)
+            else:
+                getattr(out, kind)[topic] = one
     except (DatasetError, KeyError, ValueError, TypeError, IndexError):
         return None
     return out
