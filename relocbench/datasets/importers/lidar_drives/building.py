@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,6 @@ from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.odometry.deferred import later
 from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, on_one_map
-from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.progress import Reporter
@@ -20,33 +19,6 @@ from relocbench.progress import Reporter
 if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.core.writer import DatasetWriter
-
-
-ReadDrive = Callable[[Path, str, Reporter], DriveFiles]
-"""called with the folder of a drive and its name"""
-
-
-def build_drives(
-    kind: str,
-    sources: Sequence[Path],
-    options: FieldOptions,
-    out: Path,
-    reporter: Reporter,
-    run: Run,
-    read: ReadDrive,
-) -> Dataset:
-    """Build a dataset from a reference drive (the first source) and one or more query drives.
-
-    All files but scans and images are read, and all options are checked, before odometry is computed from a lidar.
-
-    Raises:
-        DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
-        ConfigError: the options do not fit the recordings.
-    """
-    names = traversal_names(sources)
-    options.check_conditions(names)
-    drives = [read(source, name, reporter) for source, name in zip(sources, names, strict=True)]
-    return build_from(drives, kind, sources, options, out, reporter, run)
 
 
 def build_from(
@@ -59,13 +31,16 @@ def build_from(
     run: Run,
     writer: DatasetWriter | None = None,
 ) -> Dataset:
-    """Build a dataset from drives whose files have been read, the reference first.
+    """Build a dataset from drives whose files but scans and images have been read, the reference first.
+
+    All options are checked before odometry is computed from a lidar.
 
     Args:
         writer: that of the build; None: it is opened.
 
     Raises:
-        DatasetError, ConfigError: like :func:`build_drives`.
+        DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
+        ConfigError: the options do not fit the recordings.
     """
     check_recordings([drive.with_times_only() for drive in drives], options)
     if writer is None:

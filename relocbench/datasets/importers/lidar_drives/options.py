@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.importers.assembly import check_folder, check_several
+from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.files import check_name
@@ -66,6 +67,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     check_several(sources)
     for source in sources:
         check_folder(source, f"a drive in the layout of {options.kind}")
-    from relocbench.datasets.importers.lidar_drives.building import build_drives  # large
+    from relocbench.datasets.importers.lidar_drives.building import build_from  # large
 
-    return build_drives(options.kind, sources, options, out, reporter, run, options.read)
+    names = traversal_names(sources)
+    options.check_conditions(names)
+    drives = [options.read(source, name, reporter) for source, name in zip(sources, names, strict=True)]
+    return build_from(drives, options.kind, sources, options, out, reporter, run)
