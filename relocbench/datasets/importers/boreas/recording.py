@@ -28,11 +28,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.importers.lidar_drives.conditions import dated
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.importers.lidar_drives.files import files_by_time, pinhole_files
-from relocbench.datasets.importers.lidar_drives.texts import (
-    read_matrix,
-    read_named_columns,
-    read_transform,
-)
+from relocbench.datasets.importers.lidar_drives.texts import read_matrix, read_named_columns, read_transform
 from relocbench.datasets.sensors.pose_tables import PoseNumbers, Row, pose_table
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns, seconds_as_offsets

@@ -22,17 +22,9 @@ from relocbench.datasets.core.build_options import ImportOptions, PosedRecording
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer, write_pairs
-from relocbench.datasets.importers.four_seasons.calibration import (
-    StereoCalibration,
-    find_calibration,
-    read_calibration,
-)
+from relocbench.datasets.importers.four_seasons.calibration import StereoCalibration, find_calibration, read_calibration
 from relocbench.datasets.importers.four_seasons.files import read_keyframe
-from relocbench.datasets.importers.four_seasons.pairs import (
-    ListedPair,
-    pairs_of_files,
-    read_relocalization_files,
-)
+from relocbench.datasets.importers.four_seasons.pairs import ListedPair, pairs_of_files, read_relocalization_files
 from relocbench.datasets.importers.four_seasons.receiver import agreement, read_gga
 from relocbench.datasets.importers.four_seasons.recording import (
     CAMERAS,

@@ -8,11 +8,7 @@ from typing import Literal
 from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
-from relocbench.datasets.importers.generic.dataset import (
-    CAMERA_FILE,
-    POSE_FILE,
-    read_folder,
-)
+from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, POSE_FILE, read_folder
 from relocbench.datasets.importers.generic.scans import LIDAR_FILE, T_NEW_RIG, read_lidar_file, read_lidars
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, rig_trajectory
 from relocbench.datasets.sensors.pose_tables import read_trajectory

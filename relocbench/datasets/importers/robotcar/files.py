@@ -17,10 +17,7 @@ from relocbench.arrays import Array, Times
 from relocbench.datasets.core.pairfile import missing
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.importers.lidar_drives.conditions import season_of
-from relocbench.datasets.importers.lidar_drives.texts import (
-    read_named_columns,
-    transform_from_xyzrpy,
-)
+from relocbench.datasets.importers.lidar_drives.texts import read_named_columns, transform_from_xyzrpy
 from relocbench.datasets.sensors.matrices import as_transform
 from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import PoseNumbers, Row, pose_table, short_name

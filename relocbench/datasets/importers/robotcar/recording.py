@@ -25,12 +25,7 @@ from relocbench.datasets.importers.lidar_drives.files import camera_of, image_si
 from relocbench.datasets.importers.robotcar import files
 from relocbench.datasets.importers.robotcar.lidars import VELODYNES, read_lidars
 from relocbench.datasets.importers.robotcar.sensors import RobotCarCamera, present_files
-from relocbench.datasets.importers.robotcar.track import (
-    T_RIG_VEHICLE,
-    MapOrigin,
-    map_trajectory,
-    visual_trajectory,
-)
+from relocbench.datasets.importers.robotcar.track import T_RIG_VEHICLE, MapOrigin, map_trajectory, visual_trajectory
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Trajectory
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import DatasetError
