@@ -8,7 +8,7 @@ from pathlib import Path
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import missing
-from relocbench.datasets.sensors.numbered_rows import NumberedRow, read_numbered_rows
+from relocbench.datasets.sensors.numbered_rows import read_numbered_rows
 from relocbench.datasets.sensors.pose_columns import read_pose_columns
 from relocbench.datasets.sensors.pose_tables import MATRIX, TQ, PoseNumbers, Row, pose_table
 from relocbench.datasets.sensors.times import check_increasing, times_in_ns
@@ -47,15 +47,14 @@ def _check_count(lines: int, spare: int, count: int, path: Path) -> None:
         raise DatasetError(f"holds {lines} poses, but there are {count} clouds; expected one line a cloud", path)
 
 
-def _poses(rows: Mapping[int, NumberedRow], kind: PoseNumbers, path: Path) -> dict[int, Array]:
+def _poses(rows: Mapping[int, Row], kind: PoseNumbers, path: Path) -> dict[int, Array]:
     ordered = sorted(rows)
-    fields = [Row(rows[number].line, "", rows[number].fields) for number in ordered]
-    return pose_table(fields, kind, path, times=ordered).by_time
+    return pose_table([rows[number] for number in ordered], kind, path, times=ordered).by_time
 
 
-def _vertices(rows: Mapping[int, NumberedRow], path: Path) -> dict[int, NumberedRow]:
+def _vertices(rows: Mapping[int, Row], path: Path) -> dict[int, Row]:
     """The poses of vertices by their number."""
-    found: dict[int, NumberedRow] = {}
+    found: dict[int, Row] = {}
     for row in rows.values():
         fields = row.fields[1:] if row.fields[0] == "VERTEX_SE3:QUAT" else row.fields
         if fields[0].startswith(_GRAPH[1:]):
@@ -67,11 +66,11 @@ def _vertices(rows: Mapping[int, NumberedRow], path: Path) -> dict[int, Numbered
             raise DatasetError(f"expected the number of a vertex, found {quoted(fields[0], 30)}", path, row.line)
         if int(number[1]) in found:
             raise DatasetError(f"has a second pose of vertex {int(number[1])}", path, row.line)
-        found[int(number[1])] = NumberedRow(row.line, fields[1:])
+        found[int(number[1])] = Row(row.line, fields[1:])
     return found
 
 
-def _timed(rows: Mapping[int, NumberedRow], path: Path) -> dict[int, NumberedRow]:
+def _timed(rows: Mapping[int, Row], path: Path) -> dict[int, Row]:
     """The poses of a trajectory by the number of their line, in the columns that a header names."""
     header, _ = read_pose_columns(path, f"poses: {_FORMATS}")
     for row in rows.values():
@@ -83,4 +82,4 @@ def _timed(rows: Mapping[int, NumberedRow], path: Path) -> dict[int, NumberedRow
     posed = [number for number, fields in columns.items() if not missing(fields)]
     texts, lines = [columns[number][0] for number in posed], [rows[number].line for number in posed]
     check_increasing(times_in_ns(texts, lambda i: (path, lines[i])).ns, texts, path, lines)
-    return {number: NumberedRow(rows[number].line, columns[number][1:]) for number in posed}
+    return {number: Row(rows[number].line, columns[number][1:]) for number in posed}

@@ -8,17 +8,10 @@ from pathlib import Path
 
 from relocbench.datasets.core.pairfile import any_non_finite
 from relocbench.datasets.sensors.pose_columns import is_value
-from relocbench.datasets.sensors.times import ReadTimes, check_increasing, times_in_ns
+from relocbench.datasets.sensors.pose_tables import Row
+from relocbench.datasets.sensors.times import check_increasing, times_in_ns
 from relocbench.errors import DatasetError
 from relocbench.files import fields_of, lines_of, read_text, whole_number
-
-
-@dataclass(frozen=True)
-class NumberedRow:
-    """A row with values."""
-
-    line: int
-    fields: list[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +19,7 @@ class NumberedRows:
     """The rows of a table by the number of their frame."""
 
     path: Path
-    rows: Sequence[NumberedRow | None]
+    rows: Sequence[Row | None]
     """None where the line is empty, or its values are commented out: the frame was lost. The last one has values"""
     spare: int
     """empty lines at the end, which may belong to frames or not"""
@@ -35,7 +28,7 @@ class NumberedRows:
         return len(self.rows)
 
     @property
-    def filled(self) -> dict[int, NumberedRow]:
+    def filled(self) -> dict[int, Row]:
         """The rows with values by the number of their frame."""
         return {number: row for number, row in enumerate(self.rows) if row is not None}
 
@@ -87,7 +80,7 @@ def read_numbered_rows(path: Path, what: str) -> NumberedRows:
     Raises:
         DatasetError: with file and line: the file is missing or no text, or has decimal commas.
     """
-    found: list[NumberedRow | str | None] = []
+    found: list[Row | str | None] = []
     started = False
     for number, line in enumerate(lines_of(read_text(path, what, DatasetError)), start=1):
         content, mark, comment = line.partition("#")
@@ -95,15 +88,15 @@ def read_numbered_rows(path: Path, what: str) -> NumberedRows:
         if fields and not started and not any(map(is_value, fields)):
             found = []  # what is above a header is no row either
         else:
-            found.append(NumberedRow(number, fields) if fields else comment if mark else None)
+            found.append(Row(number, fields) if fields else comment if mark else None)
             started = started or bool(fields)
-    width = next((len(row.fields) for row in found if isinstance(row, NumberedRow)), 0)
-    rows = [row if isinstance(row, NumberedRow) else None for row in found if not _is_remark(row, width)]
+    width = next((len(row.fields) for row in found if isinstance(row, Row)), 0)
+    rows = [row if isinstance(row, Row) else None for row in found if not _is_remark(row, width)]
     filled = max((index + 1 for index, row in enumerate(rows) if row is not None), default=0)
     return NumberedRows(path, rows[:filled], len(rows) - filled)
 
 
-def _is_remark(row: NumberedRow | str | None, width: int) -> bool:
+def _is_remark(row: Row | str | None, width: int) -> bool:
     """Whether a line is a comment that is no row which somebody took out."""
     if not isinstance(row, str):
         return False
@@ -113,8 +106,8 @@ def _is_remark(row: NumberedRow | str | None, width: int) -> bool:
 
 def read_numbered_times(
     path: Path, own_ns: int = 1, *, dates_only: bool = False
-) -> tuple[NumberedRows, ReadTimes, list[int]]:
-    """Times of frames, one a line: the rows, the times that there are, and the numbers of their frames.
+) -> tuple[NumberedRows, dict[int, int], str]:
+    """Times of frames, one a line: the rows, the nanoseconds by frame where there is a time, and the unit in words.
 
     A time that is not finite, such as NaN, is none.
 
@@ -133,4 +126,4 @@ def read_numbered_times(
     texts = [row.fields[0] for row in timed.values()]
     read = times_in_ns(texts, lambda i: (path, lines[i]), own_ns, dates_only=dates_only)
     check_increasing(read.ns, texts, path, lines)
-    return rows, read, list(timed)
+    return rows, dict(zip(timed, read.ns, strict=True)), read.unit

@@ -21,7 +21,6 @@ from relocbench.datasets.sensors.pose_columns import read_pose_columns
 from relocbench.datasets.sensors.pose_tables import (
     MATRIX,
     PoseTable,
-    Row,
     pose_table,
     read_matrix_rows,
     read_trajectory,
@@ -79,17 +78,10 @@ def _matrices_of_frames(path: Path, times: Path, reporter: Reporter | None) -> P
             f"12 columns are poses without times; expected {times.name} beside it, or --times FILE", path
         )
     rows = read_numbered_rows(path, "a file of poses")
-    timed, read, numbers = read_numbered_times(times)
+    timed, time_of, _ = read_numbered_times(times)
     timed.check_agrees(rows)
-    time_of = dict(zip(numbers, read.ns, strict=True))
     both = {number: row for number, row in rows.filled.items() if number in time_of}
-    found = pose_table(
-        [Row(row.line, "", row.fields) for row in both.values()],
-        MATRIX,
-        path,
-        reporter,
-        times=[time_of[number] for number in both],
-    )
+    found = pose_table(list(both.values()), MATRIX, path, reporter, times=[time_of[number] for number in both])
     if reporter is not None and len(both) < len(rows):
         reporter.note(f"{short_name(path)}: {len(rows) - len(both)} of {len(rows)} frames are without a pose or a time")
     return found

@@ -30,13 +30,13 @@ _SAME = 1e-6
 
 
 class Row(NamedTuple):
-    """A row of a table of poses."""
+    """A row of a table."""
 
     line: int
-    time: str
-    """as it stands; empty where the time is known otherwise"""
     fields: list[str]
-    """the numbers of the pose"""
+    """in a table of poses the numbers of the pose"""
+    time: str = ""
+    """as it stands; empty where the time is known otherwise"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +215,7 @@ def read_trajectory(
         if len(fields) != 8:
             raise DatasetError(f"expected 8 columns ({columns}), found {len(fields)}", path, line)
         turned = header is None and order == "wxyz"
-        rows.append(Row(line, fields[0], [*fields[1:4], *fields[5:], fields[4]] if turned else fields[1:]))
+        rows.append(Row(line, [*fields[1:4], *fields[5:], fields[4]] if turned else fields[1:], fields[0]))
     if header is not None and header.order != "xyzw" and reporter is not None:
         reporter.note(
             f"{short_name(path)}: quaternions are read in the order that line {header.line} names: {header.quaternion}"
@@ -242,7 +242,7 @@ def read_matrix_rows(
     for line, (time, *fields) in read_rows(path, f"poses ({names})", DatasetError):
         if len(fields) != 12:
             raise DatasetError(f"expected 13 columns ({names}), found {len(fields) + 1}", path, line)
-        rows.append(Row(line, time, fields))
+        rows.append(Row(line, fields, time))
     if time_of is None:
         return pose_table(rows, MATRIX, path, reporter)
     known = [(ns, row) for row in rows if (ns := time_of(row.time, path, row.line)) is not None]

@@ -123,7 +123,7 @@ def _track(
     path = folder / (found or wanted[0])
     applanix = path.name == APPLANIX_FILE.name
     found_rows = read_named_columns(path, ("GPSTime", *POSE_COLUMNS), "poses")
-    rows = [Row(line, time, numbers) for line, (time, *numbers) in found_rows]
+    rows = [Row(line, numbers, time) for line, (time, *numbers) in found_rows]
     kind = PoseNumbers(" ".join(POSE_COLUMNS), T_enu_sensor)
     table = pose_table(rows, kind, path, reporter, own_ns=_S if applanix else _US)
     T_body_rig = invert(T_RIG_APPLANIX if applanix else T_rig_lidar)

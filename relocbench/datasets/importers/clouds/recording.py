@@ -18,7 +18,7 @@ from relocbench.arrays import Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, detected_motion
 from relocbench.datasets.importers.clouds.detection import with_layout
-from relocbench.datasets.importers.clouds.times import TIME_FILES, clouds_with_times
+from relocbench.datasets.importers.clouds.times import TIME_FILES, Timed, clouds_with_times
 from relocbench.datasets.importers.generic.dataset import CAMERA_FILE, read_folder
 from relocbench.datasets.importers.generic.scans import GenericLidar, GenericLidarStream
 from relocbench.datasets.importers.lidar_drives.conditions import dated
@@ -27,7 +27,7 @@ from relocbench.datasets.importers.lidar_drives.files import check_file
 from relocbench.datasets.sensors.cloud_files import SUFFIXES
 from relocbench.datasets.sensors.derived_lidar import DerivedLidar
 from relocbench.datasets.sensors.numbered_rows import read_numbered_rows
-from relocbench.datasets.sensors.pose_tables import MATRIX, Row, pose_table, read_trajectory
+from relocbench.datasets.sensors.pose_tables import MATRIX, pose_table, read_trajectory
 from relocbench.datasets.sensors.recording import CameraStream, Scan, Trajectory
 from relocbench.datasets.sensors.scan_files import swept
 from relocbench.errors import DatasetError
@@ -158,12 +158,8 @@ def _may_be_cloud(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and not other
 
 
-def _trajectory(path: Path, clouds: Sequence[tuple[int | None, Path]], reporter: Reporter) -> Trajectory:
-    """Poses of the lidar: ``t x y z qx qy qz qw`` a line, or twelve numbers for each cloud.
-
-    Args:
-        clouds: with their times in nanoseconds, None for those without.
-    """
+def _trajectory(path: Path, clouds: Timed, reporter: Reporter) -> Trajectory:
+    """Poses of the lidar: ``t x y z qx qy qz qw`` a line, or twelve numbers for each cloud."""
     rows = read_numbered_rows(path, "poses (t x y z qx qy qz qw, or 12 numbers for each cloud)")
     if not rows.filled:
         raise DatasetError("holds no pose", path)
@@ -176,8 +172,8 @@ def _trajectory(path: Path, clouds: Sequence[tuple[int | None, Path]], reporter:
         for number, (time, _) in zip(numbers, clouds, strict=True)
         if time is not None and number in filled
     ]
-    posed = [Row(row.line, "", row.fields) for _, row in both]
-    return rig_trajectory(pose_table(posed, MATRIX, path, reporter, times=[time for time, _ in both]), reporter)
+    posed, times = [row for _, row in both], [time for time, _ in both]
+    return rig_trajectory(pose_table(posed, MATRIX, path, reporter, times=times), reporter)
 
 
 def _described(folder: Path, name: str) -> tuple[Condition, dict[str, CameraStream]]:

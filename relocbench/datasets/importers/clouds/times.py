@@ -16,9 +16,11 @@ from relocbench.files import read_rows, whole_number
 TIME_FILES = ("times.txt", "timestamps.txt", "times.csv", "timestamps.csv")
 
 
-def clouds_with_times(
-    files: list[Path], folder: Path, rate_hz: float | None
-) -> tuple[list[tuple[int | None, Path]], str]:
+Timed = Sequence[tuple[int | None, Path]]
+"""clouds with their times in nanoseconds, None where there is none"""
+
+
+def clouds_with_times(files: list[Path], folder: Path, rate_hz: float | None) -> tuple[Timed, str]:
     """The clouds with their times, in the order of these, and where the times are from.
 
     A cloud whose row in the file of times is empty has None.
@@ -40,9 +42,7 @@ def clouds_with_times(
         at = _places(ordered)
         timed = [(round(place * 1e9 / rate_hz), path) for place, path in zip(at, ordered, strict=True)]
         lost = at[-1] + 1 - len(at)
-        return [
-            *timed
-        ], f"{rate_hz:g} clouds a second, by their names{f', {lost} of which are missing' if lost else ''}"
+        return timed, f"{rate_hz:g} clouds a second, by their names{f', {lost} of which are missing' if lost else ''}"
     texts = [path.stem for path in ordered]
     try:
         read = times_in_ns(texts, lambda i: (ordered[i], None), dates_only=True)
@@ -70,22 +70,19 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(part), "") if part.isdigit() and part.isascii() else (-1, part) for part in parts], path.name
 
 
-def _from_table(files: list[Path], table: Path) -> tuple[list[tuple[int | None, Path]], str]:
+def _from_table(files: list[Path], table: Path) -> tuple[Timed, str]:
     """Times from a file with a time a line, or the name of a cloud and its time, or its time and name."""
     rows = list(read_rows(table, "times of clouds", DatasetError))
     if rows and not any(_is_number(word) for word in rows[0][1]):
         rows = rows[1:]  # a header
     if rows and all(len(fields) == 2 and sum(map(_is_number, fields)) >= 1 for _, fields in rows):
         return _named(files, rows, table)
-    numbered, read, numbers = read_numbered_times(table, dates_only=True)
-    time_of: dict[int, int] = dict(zip(numbers, read.ns, strict=True))
+    numbered, time_of, unit = read_numbered_times(table, dates_only=True)
     chosen = zip(numbered.of_files(files), files, strict=True)
-    return [(time_of.get(row), path) for row, path in chosen], f"{table.name}, in {read.unit}"
+    return [(time_of.get(row), path) for row, path in chosen], f"{table.name}, in {unit}"
 
 
-def _named(
-    files: list[Path], rows: list[tuple[int, list[str]]], table: Path
-) -> tuple[list[tuple[int | None, Path]], str]:
+def _named(files: list[Path], rows: list[tuple[int, list[str]]], table: Path) -> tuple[Timed, str]:
     known = {path.name: path for path in files} | {path.stem: path for path in files}
     hits = [sum(Path(fields[k]).name in known for _, fields in rows) for k in (0, 1)]
     name_first = hits[0] >= hits[1]
@@ -108,10 +105,10 @@ def _is_number(text: str) -> bool:
     return re.fullmatch(r"[+-]?[0-9]*\.?[0-9]+([eE][+-]?[0-9]+)?", text) is not None
 
 
-def _by_time(files: Sequence[Path], times: Sequence[int], table: Path | None) -> list[tuple[int | None, Path]]:
+def _by_time(files: Sequence[Path], times: Sequence[int], table: Path | None) -> Timed:
     found: dict[int, Path] = {}
     for path, time in zip(files, times, strict=True):
         if time in found:
             raise DatasetError(f"{path.name} has the same time as {found[time].name}", table or path)
         found[time] = path
-    return [*sorted(found.items())]
+    return sorted(found.items())

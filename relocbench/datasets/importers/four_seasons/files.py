@@ -194,7 +194,7 @@ def read_gnss_poses(path: Path, reporter: Reporter | None = None) -> dict[int, G
             raise DatasetError(
                 f"expected 9 columns or more (... qw scale fusion_quality), found {len(fields)}", path, line
             )
-        rows.append(Row(line, fields[0], fields[1:8]))
+        rows.append(Row(line, fields[1:8], fields[0]))
         scales[line] = fields[8]
     table = plausible(pose_table(rows, TQ, path, reporter), reporter)
     poses = zip(table.transforms, table.lines, strict=True)

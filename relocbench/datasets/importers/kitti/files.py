@@ -12,7 +12,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.sensors.numbered_rows import NumberedRows, read_numbered_rows, read_numbered_times
 from relocbench.datasets.sensors.plausible_poses import plausible
-from relocbench.datasets.sensors.pose_tables import MATRIX, PoseTable, Row, pose_table
+from relocbench.datasets.sensors.pose_tables import MATRIX, PoseTable, pose_table
 from relocbench.datasets.sensors.trajectories import numbered_files
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_rows
@@ -119,8 +119,9 @@ class KittiSequence:
             DatasetError: with file and line.
         """
         rows = read_numbered_rows(self.poses_file, f"poses of sequence {self.name} (12 numbers a line)")
-        filled = [Row(row.line, "", row.fields) for row in rows.filled.values()]
-        return rows, pose_table(filled, MATRIX, self.poses_file, reporter, times=list(rows.filled)).by_time
+        filled = rows.filled
+        table = pose_table(list(filled.values()), MATRIX, self.poses_file, reporter, times=list(filled))
+        return rows, table.by_time
 
     def times(self, rate_hz: float, frames: int, reporter: Reporter) -> tuple[NumberedRows | None, dict[int, int]]:
         """The rows of ``times.txt``, if there is one, and nanoseconds by frame, from it or by ``rate_hz``.
@@ -135,9 +136,9 @@ class KittiSequence:
         if not path.exists():
             reporter.note(f"{self.name}: no times.txt; {rate_hz:g} frames per second are assumed")
             return None, {i: round(i * 1e9 / rate_hz) for i in range(frames)}
-        rows, read, numbers = read_numbered_times(path, _SECOND_NS)
+        rows, times, _ = read_numbered_times(path, _SECOND_NS)
         rows.check_covers(frames, "frames")
-        return rows, dict(zip(numbers, read.ns, strict=True))
+        return rows, times
 
     def times_and_poses(
         self, rate_hz: float, frames: int, reporter: Reporter

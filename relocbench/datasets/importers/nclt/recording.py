@@ -115,7 +115,7 @@ def read_poses(path: Path, reporter: Reporter | None = None) -> Trajectory:
     Raises:
         DatasetError: with file and line: a field is no number, times go back, or there are fewer than two poses.
     """
-    rows = [Row(line, time, fields) for line, (time, *fields) in read_rows(path, f"poses (time {_SIX})", DatasetError)]
+    rows = [Row(line, fields, time) for line, (time, *fields) in read_rows(path, f"poses (time {_SIX})", DatasetError)]
     kind = PoseNumbers(_SIX, lambda values: T_RIG_BODY @ transform_from_xyzrpy(values) @ T_RIG_BODY)
     return rig_trajectory(pose_table(rows, kind, path, reporter, own_ns=_US), reporter)
 

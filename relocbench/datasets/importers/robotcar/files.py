@@ -127,7 +127,7 @@ def read_inertial(path: Path, reporter: Reporter | None = None) -> InertialTrack
         if zone and row[5] != zone:
             raise DatasetError(f"utm_zone changes from {zone} to {row[5]}; expected a single zone", path, line)
         zone = row[5]
-        rows.append(Row(line, row[0], [*row[2:5], *row[6:]]))
+        rows.append(Row(line, [*row[2:5], *row[6:]], row[0]))
     numbers = PoseNumbers(_INS_NUMBERS, transform_from_xyzrpy)
     table = plausible(pose_table(rows, numbers, path, reporter, own_ns=US), reporter, jumps=False)
     if not len(table.times_ns):
