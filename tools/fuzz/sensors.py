@@ -150,7 +150,7 @@ def write_kept(root: Path) -> None:
 
 
 def _cloud(place: Place) -> None:
-    from relocbench.datasets.sensors.point_clouds import read_point_cloud
+    from relocbench.datasets.sensors.cloud_formats.point_clouds import read_point_cloud
 
     read_point_cloud(place.target)
 

@@ -20,10 +20,10 @@ from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.sensors.binary_layout import Number, decode_points, detect_layout
 from relocbench.datasets.sensors.cloud_formats.e57 import read_e57
 from relocbench.datasets.sensors.cloud_formats.las import read_las
+from relocbench.datasets.sensors.cloud_formats.point_clouds import read_point_cloud, with_axes
 from relocbench.datasets.sensors.cloud_formats.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.cloud_formats.text_points import read_text_points
 from relocbench.datasets.sensors.plausible_points import check_degrees, note_of_steps
-from relocbench.datasets.sensors.point_clouds import read_point_cloud, with_axes
 from relocbench.errors import DatasetError
 from relocbench.files import plain_file, read_bytes
 from relocbench.geometry import apply

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from refusals import ErrorData, refused
 
 from relocbench.datasets.importers.rosbag.clouds import cloud_fields, laser_points
-from relocbench.datasets.importers.rosbag.point_times import PointTimes, detect, parse_point_times
+from relocbench.datasets.sensors.point_times import PointTimes, detect, parse_point_times
 
 CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 STAMP = 1_700_000_000_123_456_789

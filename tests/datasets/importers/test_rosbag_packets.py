@@ -195,7 +195,7 @@ def test_clouds_are_preferred_to_packets_and_packets_can_be_named(tmp_path: Path
 
 
 def test_a_damaged_packet_names_topic_and_time_and_an_option_that_does_not_fit_is_told(tmp_path: Path) -> None:
-    from relocbench.datasets.importers.rosbag.point_times import PointTimes
+    from relocbench.datasets.sensors.point_times import PointTimes
 
     bag = bag_of_packets()
     scan = [m for _, topic, m in bag.rows if topic == "/velodyne_packets"][4]

@@ -17,7 +17,7 @@ from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.groundtruth.blocks.store import read_block
 from relocbench.datasets.importers.generic.scans import GenericLidar, GenericLidarStream
 from relocbench.datasets.sensors.cloud_formats.lzf import decompress
-from relocbench.datasets.sensors.point_clouds import read_point_cloud
+from relocbench.datasets.sensors.cloud_formats.point_clouds import read_point_cloud
 from relocbench.datasets.sensors.velodyne import read_scan
 from relocbench.errors import DatasetError
 
@@ -219,7 +219,7 @@ def test_times_that_would_come_round_to_near_ones_are_refused(tmp_path: Path, ki
     np.save(path, values)
     for unit in ("s", "ns"):
         if (unit, value) != ("ns", 1e10):
-            with refused(DatasetError, "0.npy", None, "second"):
+            with refused(DatasetError, "0.npy", None, "1 s away"):
                 stream(path, time="t", time_unit=unit).read(0)
 
 

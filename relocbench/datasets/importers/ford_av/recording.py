@@ -40,7 +40,6 @@ from relocbench.datasets.importers.rosbag.bag import parts_of
 from relocbench.datasets.importers.rosbag.extrinsics import Extrinsics, LidarEntry
 from relocbench.datasets.importers.rosbag.lidars import lidar_stream
 from relocbench.datasets.importers.rosbag.packets import PacketReading
-from relocbench.datasets.importers.rosbag.point_times import FIELDS
 from relocbench.datasets.importers.rosbag.reading import BagSettings, Opened, Reading
 from relocbench.datasets.importers.rosbag.recording import table_lines
 from relocbench.datasets.importers.rosbag.roles import CameraTopic, Roles
@@ -48,6 +47,7 @@ from relocbench.datasets.importers.rosbag.stamps import check_clocks
 from relocbench.datasets.importers.rosbag.streams import BagCamera, BagLidar, read_picture
 from relocbench.datasets.importers.rosbag.survey import Survey, survey
 from relocbench.datasets.importers.rosbag.tracks import tell_left_out
+from relocbench.datasets.sensors.point_times import FIELDS
 from relocbench.datasets.sensors.pose_tables import PoseTable
 from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.errors import DatasetError

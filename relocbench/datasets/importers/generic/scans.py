@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from relocbench.arrays import Array, Mask, Times
+from relocbench.arrays import Array, Times
 from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.core.schema import Strict, Transform
 from relocbench.datasets.sensors import cloud_files
 from relocbench.datasets.sensors.binary_layout import detect_layout
+from relocbench.datasets.sensors.cloud_formats.point_clouds import with_axes
 from relocbench.datasets.sensors.cloud_formats.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.sensors.plausible_points import check_distances
-from relocbench.datasets.sensors.point_clouds import with_axes
+from relocbench.datasets.sensors.point_times import PointTimes
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.datasets.sensors.scan_files import columns, in_range
 from relocbench.datasets.sensors.trajectories import timed_files
@@ -44,10 +45,8 @@ T_NEW_RIG: dict[RigAxes, Array] = {
     ),
 }
 """(4, 4) from rig axes of a file to x forward, y left, z up"""
-_FAR_NS = 1_000_000_000
-_FLOAT_NS = 4096
-"""more than the spacing of float64 at the largest times"""
-_NS: dict[str, float] = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+_FAR_S = 1.0
+"""seconds that a point is at most from its scan's time"""
 
 
 class GenericLidar(Strict):
@@ -127,13 +126,15 @@ class GenericLidarStream:
         if missing:
             raise DatasetError(f"has no {', '.join(missing)}; it holds {', '.join(fields) or 'nothing'}", path)
         points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
-        times = np.full(len(points), self.times_ns[index], dtype=np.int64)
         kept = in_range(points, settings.min_range, settings.max_range)
         if not kept.any():
             check_distances(points, path)
-        if settings.time is not None:
-            times = _point_times(fields[settings.time], kept, int(self.times_ns[index]), settings, path)
-        return Scan(points[kept], times[kept])
+        how = PointTimes(settings.time or "", settings.time_unit, settings.time_from)
+        values = fields[settings.time][kept] if settings.time is not None else None
+        try:
+            return Scan(points[kept], how.at(values, points[kept], int(self.times_ns[index]), _FAR_S))
+        except ValueError as bad:
+            raise DatasetError(f"{bad}; check time_unit and time_from", path) from None
 
 
 def read_lidars(root: Path, T_new_rig: Array, reporter: Reporter | None = None) -> tuple[GenericLidarStream, ...]:
@@ -189,32 +190,6 @@ def _with_layout(
 def read_lidar_file(root: Path) -> LidarFile:
     """Read ``lidar.yaml``. Raises DatasetError with file and line."""
     return load_yaml(root / LIDAR_FILE, LidarFile, "the lidar or lidars of the folder", DatasetError)
-
-
-def _point_times(values: NDArray[Any], kept: Mask, scan_ns: int, settings: GenericLidar, path: Path) -> Times:
-    if not np.all(np.isfinite(np.asarray(values[kept], dtype=np.float64))):
-        raise DatasetError(f"{settings.time} holds a time that is not finite", path)
-    factor = _NS[settings.time_unit]
-    # Compared as floats first: far-off times could overflow 64-bit integers and wrap around to near ones.
-    with np.errstate(over="ignore"):
-        away = values[kept].astype(np.float64) * factor - (scan_ns if settings.time_from == "epoch" else 0)
-    if np.any(np.abs(away) > _FAR_NS + _FLOAT_NS):
-        raise _far(settings, path)
-    values = np.where(kept, values, values.dtype.type(0))
-    if values.dtype.kind in "iu":
-        ns = values.astype(np.int64) * int(factor)
-    else:
-        # Seconds since 1970 as float64 are accurate to a quarter of a microsecond, more than any lidar needs.
-        ns = np.rint(values.astype(np.float64) * factor).astype(np.int64)
-    times = ns if settings.time_from == "epoch" else ns + scan_ns
-    if np.any(np.abs(times[kept] - scan_ns) > _FAR_NS):
-        raise _far(settings, path)
-    return np.asarray(times, dtype=np.int64)
-
-
-def _far(settings: GenericLidar, path: Path) -> DatasetError:
-    message = f"{settings.time} is more than a second away from the scan's time; check time_unit and time_from"
-    return DatasetError(message, path)
 
 
 def _fields(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:

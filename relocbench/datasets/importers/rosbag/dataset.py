@@ -11,7 +11,7 @@ from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.importers.assembly import check_several, open_writer
 from relocbench.datasets.importers.rosbag.bag import SUFFIXES
-from relocbench.datasets.importers.rosbag.point_times import parse_point_times
+from relocbench.datasets.sensors.point_times import parse_point_times
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError, DatasetError, raise_all
 from relocbench.execution import Run

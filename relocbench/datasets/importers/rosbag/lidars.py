@@ -10,9 +10,9 @@ import numpy as np
 from relocbench.datasets.groundtruth.odometry.scan_motion import detected_motion
 from relocbench.datasets.importers.rosbag import kinds
 from relocbench.datasets.importers.rosbag.clouds import cloud_fields
-from relocbench.datasets.importers.rosbag.point_times import FIELDS, PointTimes, detect
 from relocbench.datasets.importers.rosbag.reading import Reading
 from relocbench.datasets.importers.rosbag.streams import BagLidar
+from relocbench.datasets.sensors.point_times import FIELDS, PointTimes, detect
 from relocbench.errors import ConfigError, DatasetError
 
 _SAMPLES = 5

@@ -13,11 +13,11 @@ from relocbench.datasets.importers.rosbag.extrinsics import Extrinsics
 from relocbench.datasets.importers.rosbag.frames import BASES, Frames
 from relocbench.datasets.importers.rosbag.index import Index, read_index
 from relocbench.datasets.importers.rosbag.packets import PacketReading
-from relocbench.datasets.importers.rosbag.point_times import PointTimes
 from relocbench.datasets.importers.rosbag.roles import Roles, Wanted
 from relocbench.datasets.importers.rosbag.stamps import Stamps, check_one_run, times_of
 from relocbench.datasets.importers.rosbag.streams import Messages
 from relocbench.datasets.importers.rosbag.survey import Survey
+from relocbench.datasets.sensors.point_times import PointTimes
 from relocbench.errors import DatasetError, available
 from relocbench.progress import Reporter
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from relocbench.datasets.importers.rosbag import kinds
-from relocbench.datasets.importers.rosbag.point_times import FIELDS
 from relocbench.datasets.importers.rosbag.survey import Survey, Topic
+from relocbench.datasets.sensors.point_times import FIELDS
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.files import check_distinct, plain_name
 

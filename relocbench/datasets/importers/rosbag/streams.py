@@ -15,7 +15,7 @@ from relocbench.datasets.importers.rosbag.bag import Part, open_part, read_raw
 from relocbench.datasets.importers.rosbag.clouds import cloud_fields, laser_points
 from relocbench.datasets.importers.rosbag.packets import PacketReading, packet_points
 from relocbench.datasets.importers.rosbag.pictures import image_of
-from relocbench.datasets.importers.rosbag.point_times import PointTimes
+from relocbench.datasets.sensors.point_times import PointTimes
 from relocbench.datasets.sensors.recording import Scan
 from relocbench.datasets.sensors.scan_files import in_range
 from relocbench.datasets.sensors.undistortion import undistort

@@ -50,16 +50,16 @@ class PointTimes:
             return f"by azimuth, a turn in {self.turn_ns / 1e9:.3f} s"
         return "none: scans are taken as motion compensated"
 
-    def at(self, values: NDArray[Any] | None, points: Array, stamp_ns: int) -> Times:
-        """Times (N,) of points (N, 3).
+    def at(self, values: NDArray[Any] | None, points: Array, stamp_ns: int, most_s: float = 2.0) -> Times:
+        """Times (N,) of points (N, 3), by the values (N,) of the field if there is one.
 
         By azimuth, a lidar that faces forward at the scan's stamp turns clockwise seen from above, as KITTI's does.
 
         Raises:
-            ValueError: a time is not finite or more than two seconds away from the scan's.
+            ValueError: a time is not finite or more than ``most_s`` away from the scan's.
         """
         if values is not None and len(values):
-            return _as_ns(values, self, stamp_ns)
+            return _as_ns(values, self, stamp_ns, most_s)
         times = np.full(len(points), stamp_ns, dtype=np.int64)
         if self.turn_ns:
             azimuth = np.arctan2(points[:, 1], points[:, 0])
@@ -126,15 +126,17 @@ def detect(field: str, scans: Sequence[tuple[int, NDArray[Any]]], period_ns: flo
     )
 
 
-def _as_ns(values: NDArray[Any], how: PointTimes, stamp_ns: int) -> Times:
+def _as_ns(values: NDArray[Any], how: PointTimes, stamp_ns: int, most_s: float) -> Times:
     factor = UNITS[how.unit]
-    rough = values.astype(np.float64) * factor
-    if not np.isfinite(rough).all():
+    if not np.isfinite(values.astype(np.float64)).all():
         raise ValueError(f"'{how.field}' holds a time that is not finite")
-    shift = {"scan": 0.0, "epoch": float(stamp_ns), "first": float(rough.min())}[how.base]
     # Compared as floats first: far-off times could overflow 64-bit integers and wrap around to near ones.
-    if (np.abs(rough - shift) > _NEAR_NS).any():
-        raise ValueError(f"'{how.field}' is more than two seconds away from the scan's time")
+    with np.errstate(over="ignore", invalid="ignore"):
+        rough = values.astype(np.float64) * factor
+        shift = {"scan": 0.0, "epoch": float(stamp_ns), "first": float(rough.min())}[how.base]
+        near = np.abs(rough - shift) <= most_s * 1e9
+    if not near.all():
+        raise ValueError(f"'{how.field}' is more than {most_s:g} s away from the scan's time")
     if values.dtype.kind in "iu" and factor == 1.0:
         ns = values.astype(np.int64)
     elif how.base == "scan":
