@@ -30,3 +30,7 @@ class Silent:
 
     def note(self, message: str) -> None:
         return None
+
+
+SILENT: Reporter = Silent()
+"""the reporter of library users who name none"""

@@ -16,7 +16,7 @@ from relocbench.datasets.motion.orientation import doubts_of_axes
 from relocbench.datasets.motion.words import hole_words, jump_words, outlier_words
 from relocbench.datasets.sensors.pose_tables import PoseTable, short_name
 from relocbench.errors import DatasetError
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import SILENT, Reporter
 
 _NAMED = 3
 """outliers, jumps and holes that are named one by one"""
@@ -24,7 +24,7 @@ _NAMED = 3
 
 def plausible(
     table: PoseTable,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
     *,
     jumps: bool = True,
     holes: bool = True,
@@ -40,13 +40,12 @@ def plausible(
     Raises:
         DatasetError: the poses cannot be those of one drive.
     """
-    report = reporter or Silent()
     motion = judge(table.times_ns, table.transforms)
     if motion.hopeless:
         raise DatasetError(motion.hopeless, table.path)
     motion = replace(motion, jumps=motion.jumps if jumps else (), holes=motion.holes if holes else ())
     for message in _messages(table, motion):
-        report.note(message)
+        reporter.note(message)
     kept = np.flatnonzero(motion.kept)
     out = PoseTable(
         table.path,
@@ -56,7 +55,7 @@ def plausible(
         tuple(np.searchsorted(kept, motion.breaks).tolist()),
     )
     for doubt in doubts_of_axes(out.times_ns, out.transforms) if axes else ():
-        report.note(f"{short_name(table.path)}: {doubt}")
+        reporter.note(f"{short_name(table.path)}: {doubt}")
     return out
 
 

@@ -27,7 +27,7 @@ from relocbench.datasets.sensors.pose_tables import (
     short_name,
 )
 from relocbench.errors import DatasetError
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 _EXPECTED = (
     "expected 8 columns (t tx ty tz and a quaternion), 12 (the upper three rows of a pose) or 13 (a time before them)"
@@ -38,7 +38,7 @@ def read_pose_file(
     path: Path,
     order: QuaternionOrder | None = None,
     times: Path | None = None,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
 ) -> PoseTable:
     """Read a file of poses ``T_world_rig`` of a drive, without rows that have no pose and without outliers.
 
@@ -71,7 +71,7 @@ def read_pose_file(
     return plausible(poses, reporter)
 
 
-def _matrices_of_frames(path: Path, times: Path, reporter: Reporter | None) -> PoseTable:
+def _matrices_of_frames(path: Path, times: Path, reporter: Reporter) -> PoseTable:
     """Poses of twelve numbers a line, with their times in the same lines of another file."""
     if times == _beside(path) and not times.exists():
         raise DatasetError(
@@ -82,7 +82,7 @@ def _matrices_of_frames(path: Path, times: Path, reporter: Reporter | None) -> P
     timed.check_agrees(rows)
     both = {number: row for number, row in rows.filled.items() if number in time_of}
     found = pose_table(list(both.values()), MATRIX, path, reporter, times=[time_of[number] for number in both])
-    if reporter is not None and len(both) < len(rows):
+    if len(both) < len(rows):
         reporter.note(f"{short_name(path)}: {len(rows) - len(both)} of {len(rows)} frames are without a pose or a time")
     return found
 

@@ -23,7 +23,7 @@ from relocbench.datasets.sensors.times import times_in_ns, times_in_unit
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, quick_floats, read_rows
 from relocbench.geometry import make_transform, project_to_rotation, transform_from_tq
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import SILENT, Reporter
 
 _SAME = 1e-6
 """largest difference between the numbers of two rows that are one"""
@@ -101,7 +101,7 @@ def pose_table(
     rows: Sequence[Row],
     kind: PoseNumbers,
     path: Path,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
     *,
     own_ns: int = 1,
     unit_ns: int | None = None,
@@ -119,7 +119,6 @@ def pose_table(
         DatasetError: with file and line: a field that is not a number or a time, a rotation that is none, a time that
             goes back, or two poses at one time.
     """
-    report = reporter or Silent()
     posed = [
         i for i, row in enumerate(rows) if not missing(row.fields if times is not None else [row.time, *row.fields])
     ]
@@ -127,7 +126,7 @@ def pose_table(
     if len(chosen) < len(rows):
         first = next(row.line for i, row in enumerate(rows) if i >= len(posed) or posed[i] != i)
         count = len(rows) - len(chosen)
-        report.note(f"{short_name(path)}: {count} of {len(rows)} rows have no pose (NaN), the first is line {first}")
+        reporter.note(f"{short_name(path)}: {count} of {len(rows)} rows have no pose (NaN), the first is line {first}")
     if times is not None:
         ns = [times[i] for i in posed]
     elif unit_ns is not None:
@@ -136,12 +135,12 @@ def pose_table(
         read = times_in_ns([row.time for row in chosen], lambda i: (path, chosen[i].line), own_ns)
         ns = read.ns
         if read.by_digits:
-            report.note(f"{short_name(path)}: times are read as {read.unit}, told by their number of digits")
+            reporter.note(f"{short_name(path)}: times are read as {read.unit}, told by their number of digits")
     values = _values(chosen, kind, path)
     kept, repeated = _in_order(chosen, ns, values, path)
     if repeated:
         message = f"{len(repeated)} rows repeat the one before and are left out, the first is line {repeated[0]}"
-        report.note(f"{short_name(path)}: {message}")
+        reporter.note(f"{short_name(path)}: {message}")
     lines = [chosen[i].line for i in kept]
     try:
         transforms = kind.transforms(values[kept]) if kept else np.zeros((0, 4, 4))
@@ -190,7 +189,7 @@ def short_name(path: Path) -> str:
 def read_trajectory(
     path: Path,
     order: QuaternionOrder | None = None,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
     *,
     own_ns: int = 1,
 ) -> PoseTable:
@@ -216,7 +215,7 @@ def read_trajectory(
             raise DatasetError(f"expected 8 columns ({columns}), found {len(fields)}", path, line)
         turned = header is None and order == "wxyz"
         rows.append(Row(line, [*fields[1:4], *fields[5:], fields[4]] if turned else fields[1:], fields[0]))
-    if header is not None and header.order != "xyzw" and reporter is not None:
+    if header is not None and header.order != "xyzw":
         reporter.note(
             f"{short_name(path)}: quaternions are read in the order that line {header.line} names: {header.quaternion}"
         )
@@ -225,7 +224,7 @@ def read_trajectory(
 
 
 def read_matrix_rows(
-    path: Path, reporter: Reporter | None, time_of: Callable[[str, Path, int], int | None] | None = None
+    path: Path, reporter: Reporter, time_of: Callable[[str, Path, int], int | None] | None = None
 ) -> PoseTable:
     """Read rows of a time and the upper three rows of a pose, between commas or spaces.
 

@@ -9,7 +9,7 @@ from relocbench.datasets.core.layout import IMAGE_SUFFIXES
 from relocbench.datasets.sensors.times import times_in_ns
 from relocbench.errors import DatasetError
 from relocbench.files import check_distinct, plain_name, whole_number
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 
 def traversal_names(sources: Sequence[Path], endings: Sequence[str] = ()) -> list[str]:
@@ -52,7 +52,7 @@ def timed_files(
     *,
     dates_only: bool = False,
     like: Iterable[Path] = (),
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
 ) -> dict[int, Path]:
     """The files of a folder by the times in their names, in time order; a missing folder has none.
 
@@ -72,7 +72,7 @@ def timed_files(
     texts = [path.stem for path in files]
     others = [path.stem for path in like]
     times = times_in_ns(texts, lambda i: (files[i], None), own_ns, dates_only=dates_only, like=others)
-    if reporter is not None and times.by_digits:
+    if times.by_digits:
         reporter.note(f"{folder}: times in names of files are read as {times.unit}, told by their number of digits")
     found: dict[int, Path] = {}
     for time, path in zip(times.ns, files, strict=True):

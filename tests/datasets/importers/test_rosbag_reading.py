@@ -30,7 +30,7 @@ from relocbench.datasets.importers.rosbag.roles import Wanted
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert, make_transform, se3_exp, transform_from_tq, transform_to_tq
-from relocbench.progress import Silent
+from relocbench.progress import SILENT, Reporter, Silent
 
 START = 1_700_000_000 * SECOND
 SCANS = 12
@@ -72,7 +72,7 @@ def drive(ros1: bool = True, **without: bool) -> Bag:
     return bag
 
 
-def read(path: Path, notes: Notes | None = None, wanted: Wanted | None = None, **settings: Any) -> FieldRecording:
+def read(path: Path, notes: Reporter = SILENT, wanted: Wanted | None = None, **settings: Any) -> FieldRecording:
     how = BagSettings(wanted=wanted or Wanted(), **settings)
     opened = open_bag(path, how.wanted, notes)
     return read_bag(opened, "drive", how, reporter=notes)[0]

@@ -34,7 +34,7 @@ from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns, seconds_as_offsets
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["auto", "applanix", "lidar-poses", "lidar"]
 
@@ -65,9 +65,7 @@ class Calibration:
     """the file of the intrinsics"""
 
 
-def read_boreas(
-    folder: Path, name: str, odometry: OdometrySource = "auto", reporter: Reporter | None = None
-) -> DriveFiles:
+def read_boreas(folder: Path, name: str, odometry: OdometrySource = "auto", reporter: Reporter = SILENT) -> DriveFiles:
     """Read a drive; scans and images are opened later, on demand.
 
     Args:
@@ -111,7 +109,7 @@ def T_enu_sensor(values: Array) -> Array:
 
 
 def _track(
-    folder: Path, T_rig_lidar: Array, odometry: OdometrySource, reporter: Reporter | None
+    folder: Path, T_rig_lidar: Array, odometry: OdometrySource, reporter: Reporter
 ) -> tuple[Trajectory | None, str]:
     """The poses of the rig, and where they are from; None if there are none and none were asked for."""
     wanted = {"applanix": (APPLANIX_FILE,), "lidar-poses": (LIDAR_POSES_FILE,)}.get(

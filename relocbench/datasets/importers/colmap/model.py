@@ -23,7 +23,7 @@ from relocbench.datasets.importers.photos.points import ModelImage, SparseModel
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import lines_of, parse_count, parse_floats, read_bytes, read_text
 from relocbench.geometry import Camera
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 MOST_BYTES = 8 << 30
 """of a file of a model; that of Aachen Day-Night has about one gigabyte"""
@@ -31,7 +31,7 @@ _FILES = ("cameras", "images", "points3D")
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 
 
-def read_model(folder: Path, reporter: Reporter | None = None) -> SparseModel:
+def read_model(folder: Path, reporter: Reporter = SILENT) -> SparseModel:
     """Read ``cameras``, ``images`` and ``points3D`` of a folder, all ``.bin`` or all ``.txt``.
 
     Of a folder with both, the binary files are read unless one of them is missing. Text may have commas between
@@ -56,7 +56,7 @@ def read_model(folder: Path, reporter: Reporter | None = None) -> SparseModel:
     else:
         raise DatasetError("holds no model of COLMAP; expected cameras.bin or cameras.txt", folder)
     images = {number: image for number, image in posed.items() if image is not None}
-    if reporter is not None and len(images) < len(posed):
+    if len(images) < len(posed):
         reporter.note(f"images{suffix}: {len(posed) - len(images)} of {len(posed)} images have no pose (NaN)")
     if not images:
         raise DatasetError("holds no image", folder / f"images{suffix}")

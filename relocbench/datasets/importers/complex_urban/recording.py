@@ -34,7 +34,7 @@ from relocbench.datasets.sensors.recording import CameraStream
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_rows
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["lidar", "poses"]
 
@@ -57,7 +57,7 @@ def read_complex_urban(
     name: str,
     lidars: Sequence[str] = (),
     odometry: OdometrySource = "lidar",
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
 ) -> DriveFiles:
     """Read a drive; scans and images are opened later, on demand.
 

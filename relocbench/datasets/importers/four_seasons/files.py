@@ -20,7 +20,7 @@ from relocbench.datasets.sensors.times import times_in_ns
 from relocbench.errors import DatasetError
 from relocbench.files import lines_of, parse_floats, parse_timestamp, read_rows, read_text
 from relocbench.geometry import Camera, invert
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 from relocbench.tracking import KeyframePoints
 
 _POINT_FIELDS = "u v idepth idepth_hessian maxRelBaseline numGoodRes status"
@@ -178,7 +178,7 @@ def keyframe_files(recording: Path) -> dict[int, Path]:
     return dict(sorted(zip(times_in_ns(texts, lambda i: (files[i], None)).ns, files, strict=True)))
 
 
-def read_gnss_poses(path: Path, reporter: Reporter | None = None) -> dict[int, GnssPose]:
+def read_gnss_poses(path: Path, reporter: Reporter = SILENT) -> dict[int, GnssPose]:
     """Read ``GNSSPoses.txt``: timestamp_ns -> the fused pose of a keyframe.
 
     Columns: timestamp_ns tx ty tz qx qy qz qw scale [fusion_quality ...], those of the pose as a header names them.

@@ -20,7 +20,7 @@ from relocbench.datasets.sensors.plausible_poses import plausible
 from relocbench.datasets.sensors.pose_tables import read_trajectory
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.geometry import invert
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 CAMERAS = ("cam0", "cam1")
 GNSS_POSES, MLAD_POSES = "GNSSPoses.txt", "poses.txt"
@@ -62,7 +62,7 @@ class Recording:
         return self.scales.get(timestamp_ns, self.default_scale)
 
 
-def read_recording(root: Path, name: str, reporter: Reporter | None = None) -> Recording:
+def read_recording(root: Path, name: str, reporter: Reporter = SILENT) -> Recording:
     """Read poses and transforms of a recording and list its files; keyframes and images are not opened.
 
     Raises:

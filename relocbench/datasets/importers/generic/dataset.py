@@ -34,7 +34,7 @@ from relocbench.datasets.sensors.undistortion import undistort, undistort_points
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.files import check_distinct, check_name, fitting_name, load_yaml, load_yaml_values
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
 _ONLY_CAMERA = "cam0"
@@ -155,7 +155,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     return writer.finish()
 
 
-def read_folder(root: Path, name: str, need_poses: bool = True, reporter: Reporter | None = None) -> GenericFolder:
+def read_folder(root: Path, name: str, need_poses: bool = True, reporter: Reporter = SILENT) -> GenericFolder:
     """Read the text files of a generic folder and list its images, which are not opened.
 
     Args:
@@ -181,7 +181,7 @@ def read_folder(root: Path, name: str, need_poses: bool = True, reporter: Report
     )
 
 
-def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera, reporter: Reporter | None) -> CameraFolder:
+def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera, reporter: Reporter) -> CameraFolder:
     shown = timed_files(root / "images" / subfolder, reporter=reporter)
     folder = CameraFolder(
         entry,
@@ -201,7 +201,7 @@ def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera, report
 
 
 def rig_trajectory(
-    folder: GenericFolder, max_gap_s: float, reporter: Reporter | None = None, *, holes: bool = True
+    folder: GenericFolder, max_gap_s: float, reporter: Reporter = SILENT, *, holes: bool = True
 ) -> Trajectory:
     """The poses of the rig, without outliers, and interrupted at jumps and holes.
 

@@ -16,7 +16,7 @@ from relocbench.datasets.sensors.recording import MAX_GAP_NS, FieldRecording, Tr
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["auto", "poses", "lidar"]
 
@@ -29,7 +29,7 @@ def read_generic(
     name: str | None = None,
     odometry: OdometrySource = "auto",
     max_gap_s: float | None = None,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
     from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
     """Read a generic folder with ``lidar.yaml`` as a recording; scans and images are opened later, on demand.
@@ -45,14 +45,13 @@ def read_generic(
         DatasetError: with file and line: something needed is missing or damaged, or there is no spinning lidar to
             compute odometry from.
     """
-    report = reporter or Silent()
     title = name or traversal_names([folder])[0]
     header = read_lidar_file(folder)
     T_new_rig = T_NEW_RIG[header.rig_axes]
     described, max_gap_ns = (folder / CAMERA_FILE).exists(), round(max_gap_s * 1e9) if max_gap_s else None
     files = read_folder(folder, title, need_poses=False) if described else None
     by_poses = odometry == "poses" or (odometry == "auto" and (folder / POSE_FILE).exists())
-    lidars = read_lidars(folder, T_new_rig, report)
+    lidars = read_lidars(folder, T_new_rig, reporter)
     if not by_poses and all(lidar.pattern != "spinning" for lidar in lidars):
         raise DatasetError(
             f"has neither {POSE_FILE} nor a spinning lidar in {LIDAR_FILE} to compute odometry from", folder
@@ -63,14 +62,14 @@ def read_generic(
         folder=folder,
         condition=files.condition if files else Condition(),
         lidars=lidars,
-        poses=_trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns, report) if by_poses else None,
+        poses=_trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns, reporter) if by_poses else None,
         poses_from=POSE_FILE,
         cameras=files.streams(T_new_rig) if files else {},
-        prior=_trajectory(prior, T_new_rig, max_gap_ns, report) if prior.exists() else None,
+        prior=_trajectory(prior, T_new_rig, max_gap_ns, reporter) if prior.exists() else None,
         location=files.location if files else "",
         max_gap_ns=max_gap_ns or MAX_GAP_NS,
     )
-    return drive.recording(from_lidar, report)
+    return drive.recording(from_lidar, reporter)
 
 
 def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int | None, reporter: Reporter) -> Trajectory:

@@ -25,7 +25,7 @@ from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import check_distinct, check_name, load_yaml, read_bytes
 from relocbench.geometry import make_transform
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import SILENT, Reporter
 
 LIDAR_FILE = "lidar.yaml"
 SUFFIXES = tuple(suffix for suffix in cloud_files.SUFFIXES if suffix not in (".txt", ".csv"))
@@ -137,7 +137,7 @@ class GenericLidarStream:
             raise DatasetError(f"{bad}; check time_unit and time_from", path) from None
 
 
-def read_lidars(root: Path, T_new_rig: Array, reporter: Reporter | None = None) -> tuple[GenericLidarStream, ...]:
+def read_lidars(root: Path, T_new_rig: Array, reporter: Reporter = SILENT) -> tuple[GenericLidarStream, ...]:
     """The lidars of a folder, in the order of ``lidar.yaml``.
 
     Args:
@@ -155,7 +155,7 @@ def read_lidars(root: Path, T_new_rig: Array, reporter: Reporter | None = None) 
             raise DatasetError(f"holds no scan; expected TIMESTAMP{', '.join(SUFFIXES)}", root / "lidar" / name)
         times = np.array(list(files), dtype=np.int64)
         T_rig_lidar = T_new_rig @ settings.T_rig_lidar.matrix
-        known = _with_layout(settings, tuple(files.values()), name, root, reporter or Silent())
+        known = _with_layout(settings, tuple(files.values()), name, root, reporter)
         streams.append(GenericLidarStream(name, known, T_rig_lidar, tuple(files.values()), times))
     return tuple(streams)
 

@@ -32,7 +32,7 @@ from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, records, 
 from relocbench.datasets.sensors.times import time_in_name
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform, project_to_rotation
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["lidar", "poses"]
 
@@ -117,7 +117,7 @@ def read_helipr(
     name: str,
     lidars: Sequence[str] = (),
     odometry: OdometrySource = "lidar",
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
 ) -> DriveFiles:
     """Read a drive; scans are opened later, on demand.
 
@@ -155,5 +155,5 @@ def read_helipr(
     )
 
 
-def _poses(path: Path, lidar: ScanFiles, reporter: Reporter | None) -> Trajectory:
+def _poses(path: Path, lidar: ScanFiles, reporter: Reporter) -> Trajectory:
     return rig_trajectory(read_trajectory(path, reporter=reporter), reporter, invert(lidar.T_rig_lidar))

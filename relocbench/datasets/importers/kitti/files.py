@@ -17,7 +17,7 @@ from relocbench.datasets.sensors.trajectories import numbered_files
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_rows
 from relocbench.geometry import Camera, make_transform, project_to_rotation
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 _SECOND_NS = 10**9
 _CALIBRATION_LINES = ("P0", "P1", "P2", "P3", "Tr")
@@ -112,7 +112,7 @@ class KittiSequence:
         except ValueError as bad:
             raise DatasetError(f"line 'P{camera[-1]}:' is not a projection ({bad})", self.calibration.path) from None
 
-    def poses(self, reporter: Reporter | None = None) -> tuple[NumberedRows, dict[int, Array]]:
+    def poses(self, reporter: Reporter = SILENT) -> tuple[NumberedRows, dict[int, Array]]:
         """The rows of the file of poses, and ``T_world_cam0`` (4, 4) by frame, without frames that have none.
 
         Raises:

@@ -19,12 +19,13 @@ from relocbench.datasets.groundtruth.odometry.scan_motion import ScanMotion, det
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.lidar_drives.drives import DriveFiles, chosen_of
 from relocbench.datasets.sensors.image_files import ImageFiles
+from relocbench.datasets.sensors.point_times import PointTimes
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.datasets.sensors.trajectories import with_times
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["lidar", "poses"]
 
@@ -62,10 +63,8 @@ class VelodyneStream:
             DatasetError: the file is missing or truncated.
         """
         points = read_scan(self.files[index])
-        times = np.full(len(points), self.times_ns[index], dtype=np.int64)
-        if self.motion == "distorted":
-            azimuth = np.arctan2(points[:, 1], points[:, 0])
-            times -= np.rint(azimuth / (2 * np.pi) * _TURN_NS).astype(np.int64)
+        times_of = PointTimes(turn_ns=_TURN_NS if self.motion == "distorted" else 0)
+        times = times_of.at(None, points, int(self.times_ns[index]))
         return Scan(raised(points, self.elevation_deg) if self.elevation_deg else points, times)
 
 
@@ -87,7 +86,7 @@ def read_kitti(
     motion: ScanMotion | Literal["auto"] = "compensated",
     elevation_deg: float = 0.0,
     rate_hz: float = 10.0,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
     from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
     """Read a sequence as a recording; scans and images are opened later, on demand.
@@ -107,7 +106,6 @@ def read_kitti(
         DatasetError: with file and line: something needed is missing or damaged.
         ConfigError: KITTI has no such camera.
     """
-    report = reporter or Silent()
     files = KittiSequence(root, sequence)
     scans = files.frames("velodyne", ".bin")
     if not scans:
@@ -116,21 +114,21 @@ def read_kitti(
     frames = 1 + max(max(numbers) for numbers in (scans, *found.values()))
     track: Trajectory | None = None
     if odometry == "poses":
-        times, poses, breaks = files.times_and_poses(rate_hz, frames, report)
+        times, poses, breaks = files.times_and_poses(rate_hz, frames, reporter)
         track = _motion(files, poses, breaks, times)
     else:
-        _, times = files.times(rate_hz, frames, report)
+        _, times = files.times(rate_hz, frames, reporter)
     missing = 1 + max(scans) - min(scans) - len(scans)
     if missing:
-        report.note(f"{files.traversal}: {missing} scans between the first and the last are missing")
-    scans = with_times(scans, times, files.traversal, report)
-    found = {name: with_times(numbers, times, f"{files.traversal}/{name}", report) for name, numbers in found.items()}
+        reporter.note(f"{files.traversal}: {missing} scans between the first and the last are missing")
+    scans = with_times(scans, times, files.traversal, reporter)
+    found = {name: with_times(numbers, times, f"{files.traversal}/{name}", reporter) for name, numbers in found.items()}
     if not scans:
         raise DatasetError("has no time of a scan", files.folder / "times.txt")
     streams = {camera: _camera(files, camera, numbers, times) for camera, numbers in found.items() if numbers}
     lidar = VelodyneStream(tuple(scans.values()), _at(scans, times), "compensated", elevation_deg)
     if motion == "auto":
-        motion = detected_motion(files.traversal, lidar, replace(lidar, motion="distorted"), report)
+        motion = detected_motion(files.traversal, lidar, replace(lidar, motion="distorted"), reporter)
     lidar = replace(lidar, motion=motion)
     drive = DriveFiles(
         name=name or files.traversal,
@@ -141,7 +139,7 @@ def read_kitti(
         poses_from=f"poses/{sequence}.txt",
         cameras=streams,
     )
-    return drive.recording(from_lidar, report)
+    return drive.recording(from_lidar, reporter)
 
 
 def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[str, dict[int, Path]]:

@@ -39,7 +39,7 @@ from relocbench.datasets.sensors.trajectories import numbered_files, with_times
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import parse_count, parse_floats, read_rows
 from relocbench.geometry import invert, is_rotation, make_transform, project_to_rotation
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["lidar", "poses"]
 
@@ -56,7 +56,7 @@ def drive_name(sequence: str) -> str:
 
 
 def read_kitti360(
-    root: Path, sequence: str, name: str, odometry: OdometrySource = "lidar", reporter: Reporter | None = None
+    root: Path, sequence: str, name: str, odometry: OdometrySource = "lidar", reporter: Reporter = SILENT
 ) -> DriveFiles:
     """Read a sequence; scans and images are opened later, on demand.
 
@@ -69,26 +69,25 @@ def read_kitti360(
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
     """
-    report = reporter or Silent()
     drive = drive_name(sequence)
     folder = root / "data_3d_raw" / drive / "velodyne_points"
     files = frames(folder / "data", ".bin")
     if not files:
         raise DatasetError("holds no lidar scan; expected FRAME.bin", folder / "data")
     times = read_times(folder / "timestamps.txt")
-    scans = _timed(files, times, folder / "timestamps.txt", report)
+    scans = _timed(files, times, folder / "timestamps.txt", reporter)
     scan_times = np.array([times[frame] for frame in scans], dtype=np.int64)
     lidar = ScanFiles("velodyne", tuple(scans.values()), scan_times, np.eye(4), decode, 120.0, 0.02, min_range_m=1.5)
     calibration = Calibration(root / "calibration")
     path = root / "data_poses" / drive / "poses.txt"
-    track = None if odometry == "lidar" and not path.exists() else read_poses(path, times, calibration, report)
+    track = None if odometry == "lidar" and not path.exists() else read_poses(path, times, calibration, reporter)
     month = _NAMED.fullmatch(drive)
     return DriveFiles(
         name=name,
         folder=root / "data_3d_raw" / drive,
         condition=dated(int(month[1]) if month else None, root),
         lidars=(lidar,),
-        cameras=_cameras(root / "data_2d_raw" / drive, calibration, times, report),
+        cameras=_cameras(root / "data_2d_raw" / drive, calibration, times, reporter),
         poses=track if odometry == "poses" else None,
         poses_from=f"data_poses/{drive}/poses.txt",
         prior=track,
@@ -133,7 +132,7 @@ def read_times(path: Path) -> dict[int, int]:
     return times
 
 
-def _timed(files: dict[int, Path], times: dict[int, int], table: Path, report: Reporter) -> dict[int, Path]:
+def _timed(files: dict[int, Path], times: dict[int, int], table: Path, reporter: Reporter) -> dict[int, Path]:
     """The files of the frames that have a time.
 
     Raises:
@@ -142,7 +141,7 @@ def _timed(files: dict[int, Path], times: dict[int, int], table: Path, report: R
     last = max(times, default=-1)
     if max(files) > last:
         raise DatasetError(f"holds {last + 1} times, but there is a frame {max(files)}", table)
-    kept = with_times(files, times, short_name(table), report)
+    kept = with_times(files, times, short_name(table), reporter)
     if not kept:
         raise DatasetError("has no time of a frame", table)
     return kept
@@ -211,9 +210,7 @@ class Calibration:
         raise DatasetError(f"line '{name}:' is missing", path)
 
 
-def read_poses(
-    path: Path, times: dict[int, int], calibration: Calibration, reporter: Reporter | None = None
-) -> Trajectory:
+def read_poses(path: Path, times: dict[int, int], calibration: Calibration, reporter: Reporter = SILENT) -> Trajectory:
     """Poses of the lidar at frames.
 
     Raises:
@@ -231,7 +228,7 @@ def read_poses(
 
 
 def _cameras(
-    folder: Path, calibration: Calibration, scans: dict[int, int], report: Reporter
+    folder: Path, calibration: Calibration, scans: dict[int, int], reporter: Reporter
 ) -> dict[str, CameraStream]:
     streams: dict[str, CameraStream] = {}
     for camera in CAMERAS:
@@ -241,7 +238,7 @@ def _cameras(
         table = folder / camera / "timestamps.txt"
         times = read_times(table)
         _check_together(times, scans, table)
-        timed = _timed(files, times, table, report)
+        timed = _timed(files, times, table, reporter)
         found = tuple(timed.values()), np.array([times[frame] for frame in timed], dtype=np.int64)
         path = calibration.folder / "perspective.txt"
         pose = calibration.T_velo_rect(camera)

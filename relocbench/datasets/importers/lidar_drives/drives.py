@@ -113,7 +113,7 @@ def _start(prior: Trajectory) -> Array:
 
 def rig_trajectory(
     table: PoseTable,
-    reporter: Reporter | None,
+    reporter: Reporter,
     T_body_rig: Array | None = None,
     max_gap_ns: int | None = None,
 ) -> Trajectory:

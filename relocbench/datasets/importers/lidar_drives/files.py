@@ -13,14 +13,14 @@ from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.geometry import Camera, CameraModel
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 
 def files_by_time(
     folder: Path,
     suffixes: tuple[str, ...],
     own_ns: int = 1,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
     *,
     dates_only: bool = False,
 ) -> tuple[tuple[Path, ...], Times]:

@@ -27,7 +27,7 @@ from relocbench.datasets.sensors.pose_tables import read_matrix_rows
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, columns
 from relocbench.errors import DatasetError
 from relocbench.geometry import make_transform
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["lidar", "poses"]
 ScanTime = Literal["start", "middle", "end"]
@@ -61,7 +61,7 @@ def read_mulran(
     name: str,
     odometry: OdometrySource = "lidar",
     scan_time: ScanTime = "start",
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
 ) -> DriveFiles:
     """Read a drive; scans are opened later, on demand.
 

@@ -35,7 +35,7 @@ from relocbench.datasets.sensors.recording import CameraStream, Trajectory
 from relocbench.datasets.sensors.scan_files import Returns, ScanFiles, records
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_bytes, read_rows
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["lidar", "wheels", "poses"]
 
@@ -60,7 +60,7 @@ def read_nclt(
     name: str,
     odometry: OdometrySource = "lidar",
     calibration: Path | None = None,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
 ) -> DriveFiles:
     """Read a drive; scans and images are opened later, on demand.
 
@@ -109,7 +109,7 @@ def decode(data: bytes, path: Path) -> Returns:
     return Returns(np.column_stack([table[axis] * _STEP_M + _OFFSET_M for axis in "xyz"]))
 
 
-def read_poses(path: Path, reporter: Reporter | None = None) -> Trajectory:
+def read_poses(path: Path, reporter: Reporter = SILENT) -> Trajectory:
     """Poses of the rig in a map with z up, without the rows that are NaN.
 
     Raises:

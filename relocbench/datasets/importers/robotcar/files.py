@@ -24,7 +24,7 @@ from relocbench.datasets.sensors.pose_tables import PoseNumbers, Row, pose_table
 from relocbench.datasets.sensors.times import check_increasing, times_in_ns
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml_value, parse_floats, read_rows
-from relocbench.progress import Reporter
+from relocbench.progress import SILENT, Reporter
 
 US = 10**3
 """nanoseconds of the unit of times"""
@@ -66,7 +66,7 @@ class OdometrySteps:
     """(N, 4, 4)"""
 
 
-def read_visual_odometry(path: Path, reporter: Reporter | None = None) -> OdometrySteps:
+def read_visual_odometry(path: Path, reporter: Reporter = SILENT) -> OdometrySteps:
     """Read ``vo.csv``: each row is the vehicle's pose at the source time, in its frame at the destination time.
 
     The source is the *later* image; multiplying the rows from left to right gives the trajectory. A row that is not
@@ -77,7 +77,7 @@ def read_visual_odometry(path: Path, reporter: Reporter | None = None) -> Odomet
     """
     found = list(read_named_columns(path, VO_COLUMNS, "visual odometry"))
     rows = [(line, row) for line, row in found if not missing(row)]
-    if reporter is not None and len(rows) < len(found):
+    if len(rows) < len(found):
         reporter.note(f"{short_name(path)}: {len(found) - len(rows)} of {len(found)} rows have no step (NaN)")
     both = [text for _, row in rows for text in row[:2]]
     ns = times_in_ns(both, lambda i: (path, rows[i // 2][0]), US).ns
@@ -110,7 +110,7 @@ class InertialTrack:
     """solutions before which nobody knows the way"""
 
 
-def read_inertial(path: Path, reporter: Reporter | None = None) -> InertialTrack:
+def read_inertial(path: Path, reporter: Reporter = SILENT) -> InertialTrack:
     """Read the good solutions of ``ins.csv``.
 
     Raises:

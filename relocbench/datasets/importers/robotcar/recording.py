@@ -30,7 +30,7 @@ from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, 
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import SILENT, Reporter
 
 OdometrySource = Literal["auto", "vo", "ins", "lidar"]
 
@@ -92,7 +92,7 @@ def read_robotcar(
     cameras: Sequence[str] | None = None,
     odometry: OdometrySource = "auto",
     origin: MapOrigin | None = None,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
     from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
     """Read a traversal as a recording; scans and images are opened later, on demand.
@@ -112,13 +112,12 @@ def read_robotcar(
         DatasetError: with file and line: something needed is missing or damaged.
         ConfigError: RobotCar has no such lidar or camera.
     """
-    report = reporter or Silent()
     title = name or traversal_names([folder])[0]
     calibration = _find_calibration(folder, extrinsics, models, tags)
-    streams = read_lidars(folder, calibration.extrinsics_of, lidars, title, report)
+    streams = read_lidars(folder, calibration.extrinsics_of, lidars, title, reporter)
     tagged = _tags(calibration, folder)
-    prior, found_origin = _prior(folder, calibration, tagged, origin, required=odometry == "ins", reporter=report)
-    images = _cameras(folder, calibration, cameras, title, report)
+    prior, found_origin = _prior(folder, calibration, tagged, origin, required=odometry == "ins", reporter=reporter)
+    images = _cameras(folder, calibration, cameras, title, reporter)
     spinning = next((stream for stream in streams if stream.pattern == "spinning"), None)
     source = ""
     if odometry == "ins":
@@ -129,18 +128,18 @@ def read_robotcar(
     ):
         if spinning is None:
             raise DatasetError(f"holds no scans of {' or '.join(VELODYNES)} to compute odometry from", folder)
-        report.note(f"{title}: odometry is computed from the scans of {spinning.name}")
-        motion, source = from_lidar(spinning, report), spinning.name
+        reporter.note(f"{title}: odometry is computed from the scans of {spinning.name}")
+        motion, source = from_lidar(spinning, reporter), spinning.name
     else:
         if odometry == "auto" and not (folder / "vo" / "vo.csv").exists():
             raise DatasetError(_NO_MOTION, folder)
-        steps = files.read_visual_odometry(folder / "vo" / "vo.csv", report)
+        steps = files.read_visual_odometry(folder / "vo" / "vo.csv", reporter)
         motion = visual_trajectory(steps, prior)
         if motion.breaks:
-            first = motion.times_ns[motion.breaks[0]]
-            report.note(f"{title}: visual odometry has {len(motion.breaks)} interruptions, the first before {first} ns")
+            many, first = len(motion.breaks), motion.times_ns[motion.breaks[0]]
+            reporter.note(f"{title}: visual odometry has {many} interruptions, the first before {first} ns")
     if found_origin is not None and origin is None:
-        report.note(f"{title}: GNSS positions are relative to {found_origin}")
+        reporter.note(f"{title}: GNSS positions are relative to {found_origin}")
     return FieldRecording(
         name=title,
         folder=folder,

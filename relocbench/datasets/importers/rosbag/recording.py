@@ -23,10 +23,10 @@ from relocbench.datasets.importers.rosbag.tracks import fix_times, odometry, pri
 from relocbench.datasets.sensors.recording import MAX_GAP_NS, CameraStream, FieldRecording
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import make_transform
-from relocbench.progress import Reporter, Silent
+from relocbench.progress import SILENT, Reporter
 
 
-def open_bag(source: Path, wanted: Wanted, reporter: Reporter | None = None) -> Opened:
+def open_bag(source: Path, wanted: Wanted, reporter: Reporter = SILENT) -> Opened:
     """Look at a recording and choose its topics; the choice is reported as a table.
 
     Raises:
@@ -36,7 +36,7 @@ def open_bag(source: Path, wanted: Wanted, reporter: Reporter | None = None) -> 
     found = survey(source, parts_of(source))
     roles = choose(found, wanted)
     for line in (*remarks(found), *table_lines(found, roles)):
-        (reporter or Silent()).note(line)
+        reporter.note(line)
     return Opened(found, roles)
 
 
@@ -60,7 +60,7 @@ def read_bag(
     *,
     origin: GeodeticOrigin | None = None,
     kept: Path | None = None,
-    reporter: Reporter | None = None,
+    reporter: Reporter = SILENT,
     from_lidar: FromLidar = lidar_odometry,
 ) -> tuple[FieldRecording, GeodeticOrigin | None]:
     """Read a bag as a recording; scans and images are read later, on demand.
@@ -77,8 +77,7 @@ def read_bag(
         DatasetError: with file, topic and time: something needed is missing or damaged.
         ConfigError: the settings do not fit the recording.
     """
-    report = reporter or Silent()
-    reading = Reading(opened, name, settings, kept, report)
+    reading = Reading(opened, name, settings, kept, reporter)
     lidars = tuple(lidar_stream(reading, title, topic) for title, topic in opened.roles.lidars.items())
     cameras = {
         title: stream for title, topic in opened.roles.cameras.items() if (stream := camera_stream(reading, topic))
@@ -97,7 +96,7 @@ def read_bag(
             message = "has neither odometry nor a spinning lidar to compute it from; name a topic by --odometry"
             raise DatasetError(message, reading.source)
         reading.note(f"odometry is computed from the scans of {spinning.messages.topic}")
-        motion, source = from_lidar(spinning, report, max_gap_ns=settings.max_gap_ns or MAX_GAP_NS), spinning.name
+        motion, source = from_lidar(spinning, reporter, max_gap_ns=settings.max_gap_ns or MAX_GAP_NS), spinning.name
     prior_of, sigma, start = prior(reading, origin, fixes)
     motion = with_prior(motion, prior_of)
     recording = FieldRecording(
