@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from relocbench.datasets.core.pairfile import truth_fields
+from relocbench.datasets.core.pairfile import TRUTH_DECIMALS, pose_fields
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
 from relocbench.datasets.synthetic.jobs import scenes
@@ -49,7 +49,7 @@ def summary() -> dict[str, Any]:
         rows, columns = _CAMERA.height // _BLOCKS[1], _CAMERA.width // _BLOCKS[0]
         tiles = frame.depth.reshape(_BLOCKS[1], rows, _BLOCKS[0], columns).swapaxes(1, 2).reshape(-1, rows * columns)
         frames[plan.name] = {
-            "pose": [float(value) for value in truth_fields(T_world_rig)],
+            "pose": [float(value) for value in pose_fields(T_world_rig, TRUTH_DECIMALS)],
             "colour": np.round(blocks, 1).ravel().tolist(),
             "depth_m": np.round(np.median(tiles, axis=1).astype(np.float64), 3).tolist(),
         }

@@ -60,7 +60,8 @@ def check_pair_sets(
             pair_file, table = layout.pair_file(name), layout.pair_table(name)
             lines = read_pair_lines(pair_file, findings)
             rows = read_pair_table(table, findings) if table.exists() else {}
-            check_version_of_name(name, version, findings, pair_file)
+            if name.count("__") > 2:
+                check_version(version, CAMERAS_VERSION, "names two cameras", findings, pair_file)
             check = _PairSetCheck(name, pair_file, table, lines, rows, findings)
             if table.exists():
                 check.table_agrees()
@@ -69,12 +70,6 @@ def check_pair_sets(
             out[name] = lines
             advance(1)
     return out
-
-
-def check_version_of_name(name: str, version: int | None, findings: Findings, path: Path) -> None:
-    """Check that a dataset may have a pair set of this name."""
-    if name.count("__") > 2:
-        check_version(version, CAMERAS_VERSION, "names two cameras", findings, path)
 
 
 def check_version(

@@ -57,8 +57,7 @@ def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> Non
         for p, (distance_m, angle_deg), measured in zip(pairs, distances_and_angles(pairs), seen, strict=True)
     )
     write_table(pair_table, TABLE_COLUMNS + further, rows)
-    accepted = [p for p in pairs if p.accepted]
-    write_text(pair_file, pose_text([p.key for p in accepted], [p.T_query_ref for p in accepted], TRUTH_DECIMALS))
+    write_text(pair_file, pose_text([p for p in pairs if p.accepted], TRUTH_DECIMALS))
 
 
 def read_pairs(pair_file: Path, pair_table: Path, *, allow_non_finite: bool = False) -> list[Pair]:

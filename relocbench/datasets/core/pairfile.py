@@ -32,7 +32,11 @@ PairKey = tuple[int, int]
 
 QUATERNION_TOLERANCE = 1e-3
 TRUTH_DECIMALS = 9
-"""decimals of metres and quaternion components in files of true poses"""
+"""Decimals of metres and quaternion components in files of true poses.
+
+Matrix products and decompositions differ between processors by about 1e-16. Rounded, true poses are the same text on
+all of them, except for the rare number that lies halfway between two roundings.
+"""
 _POSE_COLUMNS = "tx ty tz qx qy qz qw"
 POSE_LINE = f"ref_ts query_ts [{_POSE_COLUMNS}]"
 """the columns of a line"""
@@ -233,36 +237,20 @@ def parse_pose(fields: list[str], path: Path, line: int, error: type[RelocbenchE
     return transform_from_tq(values[:3], values[3:])
 
 
-def pose_fields(transform: Array) -> list[str]:
-    """``tx ty tz qx qy qz qw`` as text, in the fewest digits that read back to the same numbers."""
+def pose_fields(transform: Array, decimals: int | None = None) -> list[str]:
+    """``tx ty tz qx qy qz qw`` as text, by ``number_fields``."""
     translation, quaternion = transform_to_tq(transform)
-    return number_fields([*translation.tolist(), *quaternion.tolist()])
+    return number_fields([*translation.tolist(), *quaternion.tolist()], decimals)
 
 
-def truth_fields(transform: Array) -> list[str]:
-    """``tx ty tz qx qy qz qw`` of a true pose as text, rounded to nine decimals.
-
-    Matrix products and decompositions differ between processors by about 1e-16. Rounded, true poses are the same text
-    on all of them, except for the rare number that lies halfway between two roundings.
-    """
-    translation, quaternion = transform_to_tq(transform)
-    return number_fields([round(value, TRUTH_DECIMALS) for value in (*translation.tolist(), *quaternion.tolist())])
-
-
-def number_fields(pose: Sequence[float]) -> list[str]:
-    """Numbers as text, in the fewest digits that read back to the same numbers; -0 is written as 0."""
-    return [repr(value + 0.0) for value in pose]
+def number_fields(pose: Sequence[float], decimals: int | None = None) -> list[str]:
+    """Numbers as text, rounded to ``decimals`` or in the fewest digits that read back; -0 is written as 0."""
+    return [repr((value if decimals is None else round(value, decimals)) + 0.0) for value in pose]
 
 
 def write_pose_lines(path: Path, lines: Sequence[PoseLine]) -> None:
     """Write a pair or prediction file in the given order."""
-    write_text(path, pose_text([line.key for line in lines], [line.T_query_ref for line in lines]))
-
-
-def pose_line_fields(line: PoseLine) -> list[str]:
-    """The two or nine columns of a line, as text."""
-    pose = [] if line.T_query_ref is None else pose_fields(line.T_query_ref)
-    return [str(line.ref_timestamp_ns), str(line.query_timestamp_ns), *pose]
+    write_text(path, pose_text(lines))
 
 
 def pose_numbers(transforms: Sequence[Array | None]) -> Array:
@@ -271,15 +259,14 @@ def pose_numbers(transforms: Sequence[Array | None]) -> Array:
     return np.concatenate(transform_to_tq(np.array(known, dtype=np.float64).reshape(-1, 4, 4)), axis=1)
 
 
-def pose_text(keys: Sequence[PairKey], transforms: Sequence[Array | None], decimals: int | None = None) -> str:
-    """Lines of two or nine columns; numbers are rounded to ``decimals``, or have the fewest digits that read back."""
-    poses = iter(pose_numbers(transforms).tolist())
-    lines = []
-    for (ref, query), T_query_ref in zip(keys, transforms, strict=True):
-        pose: Sequence[float] = () if T_query_ref is None else next(poses)
-        numbers = pose if decimals is None else [round(value, decimals) for value in pose]
-        lines.append(" ".join([str(ref), str(query), *number_fields(numbers)]))
-    return "".join(f"{line}\n" for line in lines)
+def pose_text(pairs: Sequence[PoseLine | Pair], decimals: int | None = None) -> str:
+    """Lines of two or nine columns, with numbers by ``number_fields``."""
+    poses = iter(pose_numbers([pair.T_query_ref for pair in pairs]).tolist())
+    numbers = [() if pair.T_query_ref is None else next(poses) for pair in pairs]
+    return "".join(
+        " ".join([*map(str, pair.key), *number_fields(pose, decimals)]) + "\n"
+        for pair, pose in zip(pairs, numbers, strict=True)
+    )
 
 
 def any_non_finite(fields: Sequence[str]) -> bool:

@@ -19,7 +19,7 @@ from relocbench.datasets.core.intrinsics import write_intrinsics
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pair_table import write_pairs
-from relocbench.datasets.core.pairfile import Pair, truth_fields
+from relocbench.datasets.core.pairfile import TRUTH_DECIMALS, Pair, pose_fields
 from relocbench.datasets.core.schema import (
     CAMERAS_VERSION,
     ELSEWHERE_VERSION,
@@ -86,7 +86,7 @@ class DatasetWriter:
         """Write ``traversal.yaml`` and ``poses.csv``; ``poses`` maps timestamp_ns to (4, 4) ``T_world_rig``."""
         layout = self.layout.traversal(file.name)
         write_text(layout.traversal_yaml, dump_yaml(file.model_dump(mode="json")))
-        rows = ([time, *truth_fields(poses[time])] for time in sorted(poses))
+        rows = ([time, *pose_fields(poses[time], TRUTH_DECIMALS)] for time in sorted(poses))
         write_table(layout.poses, POSE_COLUMNS, rows)
 
     def intrinsics(self, traversal: str, camera: str, cameras: Mapping[int, Camera]) -> None:

@@ -10,7 +10,7 @@ from typing import Literal
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.named_poses import write_named_poses
-from relocbench.datasets.core.pairfile import PairKey, PoseLine, pose_fields, pose_line_fields, read_pose_lines
+from relocbench.datasets.core.pairfile import PairKey, PoseLine, pose_fields, pose_text, read_pose_lines
 from relocbench.errors import DatasetError, PredictionError, available
 from relocbench.evaluation.common.image_names import listed_name
 from relocbench.evaluation.common.results import DatasetResults
@@ -177,7 +177,7 @@ def export_mlad(
             entry = zipfile.ZipInfo(name, _ZIP_EPOCH)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.external_attr = 0o644 << 16
-            archive.writestr(entry, "".join(" ".join(pose_line_fields(line)) + "\n" for line in lines))
+            archive.writestr(entry, pose_text(lines))
     return sum(map(len, texts.values()))
 
 

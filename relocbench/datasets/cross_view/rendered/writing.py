@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.manifest import write_manifest
+from relocbench.datasets.core.pairfile import TRUTH_DECIMALS, pose_fields
 from relocbench.datasets.core.writer import versions
 from relocbench.datasets.cross_view import content
 from relocbench.datasets.cross_view.rendered.places import PlaceOfTown
@@ -50,7 +50,7 @@ def refuse_other_files(root: Path, photos: Sequence[Photo]) -> None:
 def write_poses(root: Path, photos: Sequence[Photo]) -> None:
     """Write ``poses.csv``: T_world_cam of each image, in the frame of its town."""
     rows = (
-        [key, p.label, p.view, p.condition, _name(p.town), *pairfile.truth_fields(p.T_world_cam)]
+        [key, p.label, p.view, p.condition, _name(p.town), *pose_fields(p.T_world_cam, TRUTH_DECIMALS)]
         for key, p in sorted(((k, p) for p in photos for k in p.keys), key=lambda row: row[0])
     )
     write_table(root / content.POSES_FILE, _POSES, rows)
