@@ -169,7 +169,7 @@ def _back(house: House, x0: float, x1: float) -> list[Shape]:
         return [quads(wall, house.front.wall)]
     columns = max(1, round(width / 3.4))
     edge = np.linspace(0, width, columns + 1)
-    levels = np.concatenate([[0], house.ground_m + house.floor_m * np.arange(house.floors)])
+    levels = _levels(house)
     column, floor = (a.ravel() for a in np.meshgrid(np.arange(columns), np.arange(house.floors), indexing="xy"))
     cells = np.stack([edge[column], edge[column + 1], levels[floor], levels[floor + 1]], axis=1)
     middle = (cells[:, 0] + cells[:, 1]) / 2

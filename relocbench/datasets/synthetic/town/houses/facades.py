@@ -52,8 +52,8 @@ def window_names(count: int, first: int) -> NDArray[np.uint32]:
     return ((np.arange(count) + first + 1) * 2654435761 % 2**32).astype(np.uint32)
 
 
-def ring_quads(outer: Array, inner: Array, y_outer: Array, y_inner: Array) -> Array:
-    """Four quads (N, 4, 4, 3) between rectangles (N, 4) = (x0, x1, z0, z1) at depths (N,), facing -y or inwards."""
+def ring_quads(outer: Array, inner: Array, y_outer: float, y_inner: float) -> Array:
+    """Four quads (N, 4, 4, 3) between rectangles (N, 4) = (x0, x1, z0, z1) at two depths, facing -y or inwards."""
     a, b = corners_of(outer, y_outer), corners_of(inner, y_inner)
     return np.stack([a, a[:, _NEXT], b[:, _NEXT], b], axis=2)
 
@@ -65,27 +65,27 @@ def openings(
 
     ``plain`` leaves out frames and bars, for the backs of houses.
     """
-    zero, deep = np.zeros(len(cells)), np.full(len(cells), style.recess)
+    zero, deep = np.zeros(len(cells)), style.recess
     parts = [
-        quads(ring_quads(cells, holes, zero, zero), style.wall),
-        quads(ring_quads(holes, holes, zero, deep), style.wall),
+        quads(ring_quads(cells, holes, 0.0, 0.0), style.wall),
+        quads(ring_quads(holes, holes, 0.0, deep), style.wall),
     ]
     if plain:
-        return [*parts, pane(holes, style.recess, glass, variant)]
+        return [*parts, pane(holes, deep, glass, variant)]
     inner = holes + _FRAME_M * np.array([1, -1, 1, -1])
-    back = style.recess + 0.05
+    back = deep + 0.05
     parts.append(quads(ring_quads(holes, inner, deep, deep), style.frame))
-    parts.append(quads(ring_quads(inner, inner, deep, deep + 0.05), style.frame))
+    parts.append(quads(ring_quads(inner, inner, deep, back), style.frame))
     parts += glazed(inner, back, glass, variant, style.salt)
     x0, x1, z0, z1 = inner.T
     for k in range(style.mullions):
         x = x0 + (x1 - x0) * (k + 1) / (style.mullions + 1)
-        low = np.stack([x - 0.025, zero + style.recess + 0.01, z0], axis=1)
+        low = np.stack([x - 0.025, zero + deep + 0.01, z0], axis=1)
         high = np.stack([x + 0.025, zero + back, z1], axis=1)
         parts.append(boxes(low, high, style.frame, without="back bottom top"))
     if style.transom:
         z = z0 + 0.68 * (z1 - z0)
-        low = np.stack([x0, zero + style.recess + 0.015, z - 0.025], axis=1)
+        low = np.stack([x0, zero + deep + 0.015, z - 0.025], axis=1)
         high = np.stack([x1, zero + back, z + 0.025], axis=1)
         parts.append(boxes(low, high, style.frame, without="back left right"))
     return parts
@@ -138,10 +138,9 @@ def door(cell: Array, width: float, top: float, style: FrontStyle, variant: int,
     floor = 0.05 + _STEP_M * steps
     hole = np.array([[middle - width / 2, middle + width / 2, floor, top]])
     depth = 0.22
-    zero, deep = np.zeros(1), np.full(1, depth)
     parts = [
-        quads(ring_quads(cell[None], hole, zero, zero), style.wall),
-        quads(ring_quads(hole, hole, zero, deep), style.trim),
+        quads(ring_quads(cell[None], hole, 0.0, 0.0), style.wall),
+        quads(ring_quads(hole, hole, 0.0, depth), style.trim),
     ]
     x0, x1, z0, z1 = hole[0]
     leaf_top = min(z0 + 2.1, z1 - 0.02)
@@ -178,11 +177,10 @@ def shop(cell: Array, style: FrontStyle, variant: int, awning: bool, door_right:
     x0, x1, _, z1 = cell
     hole = np.array([[x0 + 0.3, x1 - 0.3, 0.05, z1 - 0.95]])
     depth = 0.28
-    zero, deep = np.zeros(1), np.full(1, depth)
     frame = Material.WOOD
     parts = [
-        quads(ring_quads(cell[None], hole, zero, zero), style.wall),
-        quads(ring_quads(hole, hole, zero, deep), frame, variant=variant),
+        quads(ring_quads(cell[None], hole, 0.0, 0.0), style.wall),
+        quads(ring_quads(hole, hole, 0.0, depth), frame, variant=variant),
     ]
     a, b, low, high = hole[0]
     door_m = 1.0
@@ -199,10 +197,9 @@ def shop(cell: Array, style: FrontStyle, variant: int, awning: bool, door_right:
     parts.append(boxes_of(posts, frame, without="back bottom", variant=variant))
     parts.append(pane(np.array([[*entry, low, low + 0.5]]), depth, Material.DOOR, variant))
     parts.append(pane(np.array([[*entry, low + 0.5, high]]), depth, Material.SHOP_WINDOW, variant + 5))
-    sign = np.array([[a - 0.15, b + 0.15, high + 0.08, high + 0.68]])
-    left, right, foot, top = sign[0]
+    sign = left, right, foot, top = np.array([a - 0.15, b + 0.15, high + 0.08, high + 0.68])
     board = boxes([left, -0.14, foot], [right, 0.0, top], Material.WOOD, without="front back", variant=variant)
-    parts += [board, name_board(sign[0], -0.14, variant)]
+    parts += [board, name_board(sign, -0.14, variant)]
     if awning:
         parts.append(_awning(a, b, high + 0.05, variant))
     return parts
@@ -218,7 +215,7 @@ def name_board(rect: Array, y: float, variant: int) -> Shape:
     # What is beside the word shows the plain edge of its cell.
     uv = np.full((3, 4, 2), 0.02)
     uv[1] = corners * (BOARD_M, BOARD_M / 4)
-    return quads(corners_of(parts, np.full(3, y)), Material.SHOP_SIGN, uv, variant=variant)
+    return quads(corners_of(parts, y), Material.SHOP_SIGN, uv, variant=variant)
 
 
 def _awning(x0: float, x1: float, z: float, variant: int) -> Shape:

@@ -19,19 +19,18 @@ _DRESSES = (0.34, 0.58, 0.78, 0.9)
 _LEAST_M = 0.015
 
 
-def corners_of(rect: Array, y: Array) -> Array:
-    """Corners (N, 4, 3) of rectangles, counter-clockwise seen from -y."""
+def corners_of(rect: Array, y: float) -> Array:
+    """Corners (N, 4, 3) of rectangles (N, 4) = (x0, x1, z0, z1) at a depth, counter-clockwise seen from -y."""
     corners = np.empty((len(rect), 4, 3))
     corners[..., 0] = rect[:, [0, 1, 1, 0]]
-    corners[..., 1] = y[:, None]
+    corners[..., 1] = y
     corners[..., 2] = rect[:, [2, 2, 3, 3]]
     return corners
 
 
 def pane(rect: Array, y: float, material: Material, variant: NDArray[np.uint32] | int = 0) -> Shape:
     """Rectangles (N, 4) at a depth, each with surface coordinates relative to its lower left corner."""
-    depth = np.full(len(rect), y)
-    corners = corners_of(rect, depth)
+    corners = corners_of(rect, y)
     uv = corners[:, :, [0, 2]] - corners[:, :1, [0, 2]]
     return quads(corners, material, uv, variant=variant)
 
