@@ -11,7 +11,17 @@ from numpy.typing import ArrayLike
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.synthetic.town.mesh import PLATE_M, Material, Mesh, Semantic, merge
-from relocbench.datasets.synthetic.town.shapes import Shape, boxes, instances, join, moved, quads, triangle_shape, tube
+from relocbench.datasets.synthetic.town.shapes import (
+    Shape,
+    boxes,
+    instances,
+    join,
+    moved,
+    quads,
+    skin,
+    triangle_shape,
+    tube,
+)
 
 
 @dataclass(frozen=True)
@@ -116,19 +126,11 @@ def _skin(car: _Type) -> Shape:
     half = np.stack([np.stack(aside, axis=1), np.stack(height, axis=1)], axis=2)
     right = half * np.array([-1, 1])
     ring = np.concatenate([right, half[:, ::-1]], axis=1)
-    vertices = np.concatenate([np.broadcast_to(x[:, None, None], (*ring.shape[:2], 1)), ring], axis=2)
-    size = ring.shape[1]
-    i, j = np.meshgrid(np.arange(len(x) - 1), np.arange(size), indexing="ij")
-    a, b = i * size + j, i * size + (j + 1) % size
-    rows = np.stack([np.stack([a, a + size, b + size], -1), np.stack([a, b + size, b], -1)], axis=2)
-    material = np.repeat(_skin_materials(car, x, size)[..., None], 2, axis=2)
-    tail = np.array([[0, k, k + 1] for k in range(1, size - 1)])
-    nose = tail[:, ::-1] + (len(x) - 1) * size
-    return triangle_shape(
-        vertices.reshape(-1, 3),
-        np.concatenate([rows.reshape(-1, 3), tail, nose]),
-        np.concatenate([material.ravel(), np.full(2 * len(tail), Material.CAR_PAINT)]),
-    )
+    vertices, triangles = skin(x, ring)
+    material = np.full(len(triangles), Material.CAR_PAINT)
+    sides = np.repeat(_skin_materials(car, x, ring.shape[1]).ravel(), 2)
+    material[: len(sides)] = sides
+    return triangle_shape(vertices, triangles, material)
 
 
 def _skin_materials(car: _Type, x: Array, size: int) -> Indices:

@@ -8,7 +8,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import BOARD_M, POSTER_M, SIGN_M, Material
-from relocbench.datasets.synthetic.town.shapes import Shape, boxes, boxes_of, join, moved, quads, tube
+from relocbench.datasets.synthetic.town.shapes import Shape, boxes, boxes_of, fan, join, moved, quads, tube
 
 LAMP_HEAD = np.array([1.25, 0.0, 5.62])
 """position of the light source in the frame of a lamp post"""
@@ -35,15 +35,10 @@ def _plate(outline: Array, z: float, row: int, material: Material = Material.TRA
 
     ``row`` is that of the pictograms which it can have.
     """
-    count = len(outline)
-    ring = np.column_stack([np.full(count, 0.045), outline[:, 0], outline[:, 1] + z])
+    ring = np.column_stack([np.full(len(outline), 0.045), outline[:, 0], outline[:, 1] + z])
     behind = ring - np.array([0.012, 0, 0])
-    centre, centre_behind = ring.mean(0), behind.mean(0)
-    after = np.roll(np.arange(count), -1)
-    spread = [np.broadcast_to(c, (count, 3)) for c in (centre, centre_behind)]
-    face = np.stack([spread[0], ring, (ring + ring[after]) / 2, ring[after]], axis=1)
-    back = np.stack([spread[1], behind[after], (behind + behind[after]) / 2, behind], axis=1)
-    rim = np.stack([ring[after], ring, behind, behind[after]], axis=1)
+    face, back = fan(ring, ring.mean(0)), fan(behind, behind.mean(0))[:, [0, 3, 2, 1]]
+    rim = np.stack([np.roll(ring, -1, axis=0), ring, behind, np.roll(behind, -1, axis=0)], axis=1)
     uv = face[:, :, 1:] + SIGN_M * np.array([0.5, 0.5 + row]) - np.array([0.0, z])
     return join([quads(face, material, uv), quads(np.concatenate([back, rim]), Material.METAL)])
 
@@ -89,9 +84,7 @@ def traffic_light(green: bool) -> Shape:
     for k, lit in enumerate((Material.LIGHT_GREEN if green else None, None, None if green else Material.LIGHT_RED)):
         z = 2.52 + 0.3 * k
         ring = np.stack([np.full(12, 0.253), 0.1 * np.cos(turn), z + 0.1 * np.sin(turn)], axis=1)
-        middle = np.broadcast_to([0.253, 0.0, z], (12, 3))
-        corners = np.stack([middle, ring, (ring + np.roll(ring, -1, 0)) / 2, np.roll(ring, -1, 0)], axis=1)
-        parts.append(quads(corners, lit or Material.CAR_GLASS))
+        parts.append(quads(fan(ring, [0.253, 0.0, z]), lit or Material.CAR_GLASS))
         hood = np.array(
             [(0.25, 0.12, 0.02), (0.25, 0.09, 0.09), (0.25, 0, 0.125), (0.25, -0.09, 0.09), (0.25, -0.12, 0.02)]
         )

@@ -98,17 +98,15 @@ def triangle_shape(
     )
 
 
-def quads(
-    points: ArrayLike, material: ArrayLike, uv: Array | None = None, variant: ArrayLike = 0, rank: ArrayLike = 0.0
-) -> Shape:
+def quads(points: ArrayLike, material: ArrayLike, uv: Array | None = None, variant: ArrayLike = 0) -> Shape:
     """A shape of quadrilaterals (..., 4, 3), two triangles each; ``uv`` is (Q, 4, 2), the rest broadcast to (Q,)."""
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 4, 3)
     count = len(corners)
     split = np.array([[0, 1, 2], [0, 2, 3]])
     rows = (4 * np.arange(count)[:, None, None] + split).reshape(-1, 3)
-    look, other, order = (np.repeat(a, 2) if np.ndim(a) else a for a in (material, variant, rank))
+    look, other = (np.repeat(a, 2) if np.ndim(a) else a for a in (material, variant))
     corner_uv = None if uv is None else uv.reshape(count, 4, 2)[:, split].reshape(-1, 3, 2)
-    return triangle_shape(corners.reshape(-1, 3), rows, look, corner_uv, other, order)
+    return triangle_shape(corners.reshape(-1, 3), rows, look, corner_uv, other)
 
 
 def join(shapes: Sequence[Shape]) -> Shape:
@@ -198,6 +196,26 @@ def _tube_rows(points: int, sides: int) -> tuple[Indices, Indices, Indices]:
     at = np.stack([np.stack([i, i, i + 1], -1), np.stack([i, i + 1, i + 1], -1)], axis=2).reshape(-1, 3)
     fan = np.array([[0, k + 1, k] for k in range(1, sides - 1)])
     return np.concatenate([rows, fan, fan[:, ::-1] + (points - 1) * sides]), around, at
+
+
+def fan(outline: Array, middle: ArrayLike) -> Array:
+    """Quads (P, 4, 3) that fill a closed outline (P, 3) from a middle (3,), one for each of its sides."""
+    after = np.roll(outline, -1, axis=0)
+    return np.stack([np.broadcast_to(middle, outline.shape), outline, (outline + after) / 2, after], axis=1)
+
+
+def skin(x: Array, rings: Array) -> tuple[Array, Indices]:
+    """A closed surface of rings (C, P, 2) of (y, z) at places x (C,): vertices (C P, 3) and triangles (T, 3).
+
+    First come two triangles for each of the P sides between two rings, then those of both ends.
+    """
+    count, size = rings.shape[:2]
+    vertices = np.concatenate([np.broadcast_to(x[:, None, None], (count, size, 1)), rings], axis=2)
+    i, j = np.meshgrid(np.arange(count - 1), np.arange(size), indexing="ij")
+    a, b = i * size + j, i * size + (j + 1) % size
+    walls = np.stack([np.stack([a, a + size, b + size], -1), np.stack([a, b + size, b], -1)], axis=2)
+    end = np.array([[0, k, k + 1] for k in range(1, size - 1)])
+    return vertices.reshape(-1, 3), np.concatenate([walls.reshape(-1, 3), end, end[:, ::-1] + (count - 1) * size])
 
 
 def ear_clip(polygon: Array) -> Indices:

@@ -9,7 +9,7 @@ import numpy as np
 
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Shape, join, triangle_shape, tube
+from relocbench.datasets.synthetic.town.shapes import Shape, join, skin, triangle_shape, tube
 
 LOOK_STEP = 1 << 9
 """variants of plants are multiples of this: what lies below is the place of a leaf; see :func:`place_of`"""
@@ -240,14 +240,7 @@ def hedge_shapes(length: float, height: float, seed: int) -> tuple[Shape, Shape]
     section = np.array([[-0.3, 0.0], [-0.33, 0.5], [-0.28, 0.95], [0.28, 0.95], [0.33, 0.5], [0.3, 0.0]])
     ring = np.tile(section, (columns, 1, 1)) * np.array([1.0, height])
     ring[:, 1:5] += rng.normal(0, 0.035, (columns, 4, 2))
-    vertices = np.concatenate([np.broadcast_to(x[:, None, None], (columns, 6, 1)), ring], axis=2).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(columns - 1), np.arange(6), indexing="ij")
-    a, b = i * 6 + j, i * 6 + (j + 1) % 6
-    rows = np.stack([np.stack([a, a + 6, b + 6], -1), np.stack([a, b + 6, b], -1)], axis=2).reshape(-1, 3)
-    fan = np.array([[0, k, k + 1] for k in range(1, 5)])
-    core = triangle_shape(
-        vertices, np.concatenate([rows, fan, fan[:, ::-1] + (columns - 1) * 6]), Material.HEDGE, variant=_SHADES - 1
-    )
+    core = triangle_shape(*skin(x, ring), Material.HEDGE, variant=_SHADES - 1)
     count = int(92 * length * height)
     side = rng.integers(0, 3, count)
     y = np.where(side == 1, rng.uniform(-0.33, 0.33, count), np.where(side == 0, -0.34, 0.34))
