@@ -53,7 +53,7 @@ def markings(network: StreetNetwork, blocks: tuple[Block, ...]) -> list[Shape]:
             paint.append(_approach(network, edge, edge in network.zebras))
     for block in blocks:
         paint += _kerb_lines(network, block)
-        for _, place, direction in bays_of(network, block):
+        for place, direction in bays_of(network, block):
             across = np.array([-direction[1], direction[0]])
             ends = np.stack([place - 2.9 * direction, place + 2.9 * direction])
             line = _strip(ends, np.stack([across, across]), PARKING_M - 0.1, 0.09)

@@ -11,8 +11,9 @@ import numpy as np
 
 from relocbench.arrays import Array, Bytes, Indices, Mask
 from relocbench.datasets.synthetic.town.cars import cars
-from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.datasets.synthetic.town.people import riders, standers, walkers
+from relocbench.datasets.synthetic.town.shapes import quads, single
 
 _FIRST_INSTANCE = 2**31
 """instance numbers of things that move: this, plus the seed of their look"""
@@ -71,13 +72,4 @@ def moving_mesh(things: Sequence[Moving]) -> Mesh:
     return merge(parts)
 
 
-_NOTHING = Mesh(
-    np.zeros((0, 3), np.float32),
-    np.zeros((0, 3), np.uint32),
-    np.zeros((0, 3, 2), np.float32),
-    np.zeros(0, np.uint8),
-    np.zeros(0, np.uint8),
-    np.zeros(0, np.uint32),
-    np.zeros(0, np.uint32),
-    np.zeros(0, np.float32),
-)
+_NOTHING = single(quads(np.zeros((0, 4, 3)), Material.CAR_PAINT), 0, 0, Semantic.NONE)

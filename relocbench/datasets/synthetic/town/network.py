@@ -20,6 +20,7 @@ from relocbench.datasets.synthetic.town.polylines import (
     rounded,
     turns_of,
 )
+from relocbench.datasets.synthetic.town.shapes import poses
 from relocbench.errors import ConfigError
 
 LANE_M = 3.2
@@ -74,11 +75,8 @@ class Path:
             raise ConfigError(f"the path is {self.length:.1f} m long and has no place at {s:.1f} m")
         at = np.arange(len(self.points)) * self.step
         x, y, heading = (np.interp(s, at, v) for v in (self.points[:, 0], self.points[:, 1], self.heading))
-        yaw = heading + yaw_rad
-        pose = np.eye(4)
-        pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        pose[:2, 3] = x - lateral_m * np.sin(heading), y + lateral_m * np.cos(heading)
-        return pose
+        x, y = x - lateral_m * np.sin(heading), y + lateral_m * np.cos(heading)
+        return np.asarray(poses(x, y, 0.0, heading + yaw_rad)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.datasets.synthetic.town.network import LANE_M, StreetNetwork
 from relocbench.datasets.synthetic.town.polylines import edge_frame, inside, offset_loop
 from relocbench.datasets.synthetic.town.rows import PERIOD_M, Plot
-from relocbench.datasets.synthetic.town.shapes import Shape, instances, poses, quads, single
+from relocbench.datasets.synthetic.town.shapes import Shape, at_height, instances, poses, quads, single
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
 from relocbench.datasets.synthetic.town.vegetation import (
     LOOK_STEP,
@@ -25,6 +25,8 @@ from relocbench.datasets.synthetic.town.vegetation import (
     tree_shapes,
 )
 
+_ON_PAVEMENT_M = KERB_M + 0.004
+"""height of soil around trees and of paths in gardens"""
 _SLIM = (2, 3, 5)
 """kinds of trees for narrow pavements"""
 _APART = 3.0
@@ -189,8 +191,8 @@ def free_places(network: StreetNetwork, block: Block, taken: Array) -> list[Arra
 def _tree_pit(place: Array, d: Array) -> Mesh:
     """A square of bare soil around a trunk."""
     n = np.array([-d[1], d[0]])
-    corners = [place + 0.65 * (a * d + b * n) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    return single(quads(np.column_stack([corners, np.full(4, KERB_M + 0.004)]), Material.SOIL), 0, 5, Semantic.TERRAIN)
+    corners = np.array([place + 0.65 * (a * d + b * n) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return single(quads(at_height(corners, _ON_PAVEMENT_M), Material.SOIL), 0, 5, Semantic.TERRAIN)
 
 
 def _scatter(planting: Planting, network: StreetNetwork, block: Block, i: int, taken: list[float]) -> None:
@@ -255,11 +257,9 @@ def plant_gardens(planting: Planting, block: Block, plots: list[Plot]) -> None:
         for start, end in zip(ends[::2], ends[1::2], strict=True):
             planting.hedge(a + start * d + 0.45 * inward, a + end * d + 0.45 * inward, height)
         for x in doors:
-            corners = [
-                a + (x + e) * d + y * inward
-                for e, y in ((-0.6, 0), (0.6, 0), (0.6, side.garden_m), (-0.6, side.garden_m))
-            ]
-            path = quads(np.column_stack([corners, np.full(4, KERB_M + 0.004)]), Material.PAVEMENT)
+            ends = ((-0.6, 0), (0.6, 0), (0.6, side.garden_m), (-0.6, side.garden_m))
+            corners = np.array([a + (x + e) * d + y * inward for e, y in ends])
+            path = quads(at_height(corners, _ON_PAVEMENT_M), Material.PAVEMENT)
             planting.static.append(single(path, 0, 6, Semantic.PAVEMENT))
         if side.garden_m > 3.0:
             for x in np.arange(3.0, length - 3.0, 9.0):

@@ -8,13 +8,7 @@ import numpy as np
 
 from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.network import LANE_M, PARKING_M, HalfEdge, StreetNetwork, frontages
-from relocbench.datasets.synthetic.town.polylines import (
-    arc_at,
-    area,
-    edge_frame,
-    loop_turns,
-    offset_loop,
-)
+from relocbench.datasets.synthetic.town.polylines import arc_at, area, edge_frame, loop_turns, offset_loop
 
 KERB_M = 0.12
 """height of pavements above the road"""
@@ -152,8 +146,8 @@ def _kept_free(network: StreetNetwork, arriving: HalfEdge) -> float:
     return 16.5 if arriving in network.zebras else 12.5
 
 
-def bays_of(network: StreetNetwork, block: Block) -> list[tuple[int, Array, Array]]:
-    """Parking bays along a block: (index of the edge, centre (2,), driving direction (2,))."""
+def bays_of(network: StreetNetwork, block: Block) -> list[tuple[Array, Array]]:
+    """Parking bays along a block: (centre (2,), driving direction (2,))."""
     found = []
     for i in range(len(block.face)):
         u, v = edge = block.edge(i)
@@ -167,5 +161,5 @@ def bays_of(network: StreetNetwork, block: Block) -> list[tuple[int, Array, Arra
         left = inward * (LANE_M + PARKING_M / 2)
         for k in range(count):
             s = start + (room - 5.8 * count) / 2 + 5.8 * (k + 0.5)
-            found.append((i, network.nodes[u] + s * d + left, -d))
+            found.append((network.nodes[u] + s * d + left, -d))
     return found

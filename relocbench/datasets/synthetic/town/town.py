@@ -150,7 +150,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
 
 def _bays(network: StreetNetwork, blocks: Sequence[Block]) -> Array:
     """Poses (N, 4, 4) of the parking bays of all blocks."""
-    found = [(p, d) for block in blocks for _, p, d in bays_of(network, block)]
+    found = [bay for block in blocks for bay in bays_of(network, block)]
     place = np.array([p for p, _ in found]).reshape(-1, 2)
     direction = np.array([d for _, d in found]).reshape(-1, 2)
     return poses(place[:, 0], place[:, 1], 0.0, np.arctan2(direction[:, 1], direction[:, 0]))

@@ -13,8 +13,6 @@ from relocbench.arrays import Array
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.datasets.synthetic.town.shapes import Shape, boxes, boxes_of, join, moved, quads, tube
 
-SCAFFOLD_REACH_M = 1.2
-"""how far a scaffold stands out from its wall"""
 _LIFT_M = 2.0
 _INNER_M, _OUTER_M = -0.42, -1.1
 """the two rows of a scaffold's standards, in front of the wall"""
