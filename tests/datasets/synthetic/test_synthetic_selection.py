@@ -71,9 +71,8 @@ def test_the_repeating_street_is_where_its_houses_are() -> None:
     assert on_repeating_street(place, poses).tolist() == [True, False]
     pairs = [pair(0), pair(1)]
     there = {0: True, 1: False, 100: False, 101: False}
-    assert [p.group for p in sorted_by_street(pairs, there, "group")] == [REPEATING, ""]
-    assert [p.ref_timestamp_ns for p in sorted_by_street(pairs, there, "avoid")] == [1]
-    assert sorted_by_street(pairs, there, "keep") == pairs
+    assert [p.group for p in sorted_by_street(pairs, there, avoid=False)] == [REPEATING, ""]
+    assert [p.ref_timestamp_ns for p in sorted_by_street(pairs, there, avoid=True)] == [1]
 
 
 @pytest.mark.thorough

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -26,12 +26,7 @@ from relocbench.datasets.synthetic.jobs.exact_correspondences import (
 from relocbench.datasets.synthetic.jobs.latest import forget_renderer
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs, nearest_miss
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan
-from relocbench.datasets.synthetic.jobs.selection import (
-    EVERYTHING,
-    Selection,
-    on_repeating_street,
-    sorted_by_street,
-)
+from relocbench.datasets.synthetic.jobs.selection import Selection, on_repeating_street, sorted_by_street
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
 
@@ -57,7 +52,7 @@ class PairSetUnit:
     queries: dict[int, View]
     count: int
     seed: int
-    selection: Selection = EVERYTHING
+    selection: Selection
 
     @property
     def name(self) -> str:
@@ -71,10 +66,10 @@ def plan_pair_sets(
     job: Build[RuleOptions],
     asked: Sequence[tuple[TraversalPlan, TraversalPlan]],
     spread: DistanceSpread,
-    selection: Selection = Selection(),  # it is frozen
-    repeating: RepeatingStreet = "keep",
+    selection: Selection,
+    repeating: RepeatingStreet,
     *,
-    across: bool = False,
+    across: bool,
 ) -> list[PairSetUnit]:
     """The pair sets of (reference, query) traversals for every camera.
 
@@ -88,19 +83,14 @@ def plan_pair_sets(
         DatasetError: a set has no pair within the bounds, none is left of any set, or the road is too short for pairs
             of different places.
     """
-    units = [
-        unit
-        for reference, query in asked
-        for unit in (
-            _across_cameras(job, reference, query, spread, repeating)
-            if across
-            else (_of_camera(job, reference, query, camera, spread, repeating) for camera in reference.cameras)
-        )
-        if unit.pairs
-    ]
+    units: list[PairSetUnit] = []
+    for reference, query in asked:
+        drives = _Drives(job, reference, query, spread, selection, repeating)
+        found = drives.across_cameras() if across else map(drives.of_camera, reference.cameras)
+        units += (unit for unit in found if unit.pairs)
     if not units:
         raise DatasetError(_ON_STREET, job.writer.layout.root)
-    return [replace(unit, selection=selection) for unit in units]
+    return units
 
 
 def write_pair_sets(job: Build[RuleOptions], planned: Sequence[PairSetUnit]) -> Mapping[str, Sequence[str]]:
@@ -145,139 +135,122 @@ def _remove(unit: PairSetUnit) -> None:
         of(unit.name).unlink(missing_ok=True)
 
 
-def _of_camera(
-    job: Build[RuleOptions],
-    reference: TraversalPlan,
-    query: TraversalPlan,
-    camera: str,
-    spread: DistanceSpread,
-    repeating: RepeatingStreet,
-) -> PairSetUnit:
-    """A pair set of one camera."""
-    options, layout = job.options, job.writer.layout
-    name = pair_set_name(reference.name, query.name, camera)
-    frames = reference.frames(camera), query.frames(camera)
-    same = reference is query
-    if options.pair_rule is None:
-        pairs = drawn_pairs(*frames, spread, _rng(job, reference, query), same_traversal=same)
-    else:
-        pairs = make_pairs(
-            *frames,
-            options.model_copy(update={"elsewhere": 0}),
-            same_traversal=same,
-            source="rendered poses",
-            where=layout.root,
-            sigma_translation_m=0.0,
-            sigma_rotation_deg=0.0,
+@dataclass(frozen=True, eq=False)
+class _Drives:
+    """Two traversals whose frames are to be paired, and how."""
+
+    job: Build[RuleOptions]
+    reference: TraversalPlan
+    query: TraversalPlan
+    spread: DistanceSpread
+    selection: Selection
+    repeating: RepeatingStreet
+
+    @property
+    def same(self) -> bool:
+        """Whether they are one traversal."""
+        return self.reference is self.query
+
+    def of_camera(self, camera: str) -> PairSetUnit:
+        """A pair set of one camera."""
+        job, options, layout = self.job, self.job.options, self.job.writer.layout
+        name, times = pair_set_name(self.reference.name, self.query.name, camera), self.query.times
+        frames = self.reference.frames(camera), self.query.frames(camera)
+        if options.pair_rule is None:
+            pairs = drawn_pairs(*frames, self.spread, self._rng(), same_traversal=self.same)
+        else:
+            pairs = make_pairs(
+                *frames,
+                options.model_copy(update={"elsewhere": 0}),
+                same_traversal=self.same,
+                source="rendered poses",
+                where=layout.root,
+                sigma_translation_m=0.0,
+                sigma_rotation_deg=0.0,
+            )
+        if not pairs:
+            nearest = nearest_miss([frames], self.spread, same_traversal=self.same)
+            raise DatasetError(f"{name}: no keyframe of any query is {self.spread}; {nearest}", layout.root)
+        pairs = self._by_street((camera, camera), pairs)
+        if not pairs:
+            job.reporter.note(f"{name}: {_ON_STREET}; left out")
+        elif len({p.query_timestamp_ns for p in pairs}) < len(times) and options.pair_rule is None:
+            job.reporter.note(f"{name}: {len(times) - len(pairs)} of {len(times)} queries are in no pair")
+        if options.elsewhere and pairs:
+            # Those of one place that are left, since a method must not know an image from negative pairs alone.
+            pairs = with_different_places(pairs, *frames, options, layout.root)
+        return self._unit((camera, camera), pairs)
+
+    def across_cameras(self) -> list[PairSetUnit]:
+        """The pair sets of all cameras."""
+        job, reference, query = self.job, self.reference, self.query
+        found: dict[tuple[str, str], list[Pair]] = {c: [] for c in product(reference.cameras, query.cameras)}
+        with job.reporter.stage(f"cameras of {reference.name} and {query.name}", len(query.cameras)) as advance:
+            for of_query in query.cameras:
+                asked_of: dict[int, list[tuple[str, Pair]]] = {}
+                for of_reference in reference.cameras:
+                    frames = reference.frames(of_reference), query.frames(of_query)
+                    for pair in drawn_pairs(*frames, self.spread, self._rng(), same_traversal=self.same):
+                        asked_of.setdefault(pair.query_timestamp_ns, []).append((of_reference, pair))
+                for candidates in asked_of.values():
+                    overlaps = [self._overlap((c, of_query), pair) for c, pair in candidates]
+                    best = int(np.argmax(overlaps))
+                    if overlaps[best] > 0:
+                        found[candidates[best][0], of_query].append(candidates[best][1])
+                advance(1)
+        asking = len(query.times) * len(query.cameras)
+        where = f"{reference.name}__{query.name}"
+        if not any(found.values()):
+            sides = [(reference.frames(a), query.frames(b)) for a, b in found]
+            nearest = nearest_miss(sides, self.spread, same_traversal=self.same)
+            raise DatasetError(
+                f"{where}: no keyframe of any camera that sees something of a query is {self.spread}; {nearest}",
+                job.writer.layout.root,
+            )
+        found = {cameras: self._by_street(cameras, pairs) for cameras, pairs in found.items()}
+        paired = sum(map(len, found.values()))
+        if not paired:
+            job.reporter.note(f"{where}: {_ON_STREET}; left out")
+        elif paired < asking:
+            job.reporter.note(f"{where}: {asking - paired} of {asking} queries of all cameras are in no pair")
+        return [self._unit(cameras, pairs) for cameras, pairs in found.items()]
+
+    def _by_street(self, cameras: tuple[str, str], pairs: list[Pair]) -> list[Pair]:
+        """The pairs by the rule for the street whose houses repeat themselves."""
+        if self.repeating == "keep":
+            return pairs
+        repeats: dict[int, bool] = {}
+        for plan, camera in zip((self.reference, self.query), cameras, strict=True):
+            there = on_repeating_street(plan.place, plan.frames(camera).T_world_cam)
+            repeats |= dict(zip(plan.times, there.tolist(), strict=True))
+        return sorted_by_street(pairs, repeats, avoid=self.repeating == "avoid")
+
+    def _rng(self) -> np.random.Generator:
+        """The same for all cameras of a rig, so that their pairs are of the same moments wherever possible."""
+        return np.random.default_rng([self.job.options.seed, 6, self.reference.number, self.query.number])
+
+    def _overlap(self, cameras: tuple[str, str], pair: Pair) -> float:
+        """How much of what a query sees a keyframe has seen, without moving cars."""
+        views = []
+        for plan, name, time in zip((self.reference, self.query), cameras, pair.key, strict=True):
+            camera, T_rig_cam = plan.cameras[name]
+            T_world_cam = plan.drive.T_world_rig[plan.times.index(time)] @ T_rig_cam
+            views.append(View(plan.place, plan.condition.factors, camera, T_world_cam))
+        return guessed_overlap_of_query(*views)
+
+    def _unit(self, cameras: tuple[str, str], pairs: Sequence[Pair]) -> PairSetUnit:
+        return PairSetUnit(
+            self.job.writer.layout,
+            self.reference.split,
+            (self.reference.name, self.query.name),
+            cameras,
+            tuple(sorted(pairs, key=lambda p: p.key)),
+            _views(self.reference, cameras[0], {p.ref_timestamp_ns for p in pairs}),
+            _views(self.query, cameras[1], {p.query_timestamp_ns for p in pairs}),
+            self.job.options.correspondences,
+            self.job.options.seed,
+            self.selection,
         )
-    if not pairs:
-        nearest = nearest_miss([frames], spread, same_traversal=same)
-        raise DatasetError(f"{name}: no keyframe of any query is {spread}; {nearest}", layout.root)
-    pairs = _by_street(reference, query, (camera, camera), pairs, repeating)
-    if not pairs:
-        job.reporter.note(f"{name}: {_ON_STREET}; left out")
-    elif len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
-        job.reporter.note(f"{name}: {len(query.times) - len(pairs)} of {len(query.times)} queries are in no pair")
-    if options.elsewhere and pairs:
-        # Those of one place that are left, since a method must not know an image from negative pairs alone.
-        pairs = with_different_places(pairs, *frames, options, layout.root)
-    return _unit(job, reference, query, (camera, camera), pairs)
-
-
-def _across_cameras(
-    job: Build[RuleOptions],
-    reference: TraversalPlan,
-    query: TraversalPlan,
-    spread: DistanceSpread,
-    repeating: RepeatingStreet,
-) -> list[PairSetUnit]:
-    """The pair sets of two traversals across cameras."""
-    found: dict[tuple[str, str], list[Pair]] = {c: [] for c in product(reference.cameras, query.cameras)}
-    same = reference is query
-    with job.reporter.stage(f"cameras of {reference.name} and {query.name}", len(query.cameras)) as advance:
-        for of_query in query.cameras:
-            asked_of: dict[int, list[tuple[str, Pair]]] = {}
-            for of_reference in reference.cameras:
-                frames = reference.frames(of_reference), query.frames(of_query)
-                for pair in drawn_pairs(*frames, spread, _rng(job, reference, query), same_traversal=same):
-                    asked_of.setdefault(pair.query_timestamp_ns, []).append((of_reference, pair))
-            for candidates in asked_of.values():
-                overlaps = [_overlap(reference, query, c, of_query, pair) for c, pair in candidates]
-                best = int(np.argmax(overlaps))
-                if overlaps[best] > 0:
-                    found[candidates[best][0], of_query].append(candidates[best][1])
-            advance(1)
-    asking = len(query.times) * len(query.cameras)
-    where = f"{reference.name}__{query.name}"
-    if not any(found.values()):
-        sides = [(reference.frames(a), query.frames(b)) for a, b in found]
-        nearest = nearest_miss(sides, spread, same_traversal=same)
-        raise DatasetError(
-            f"{where}: no keyframe of any camera that sees something of a query is {spread}; {nearest}",
-            job.writer.layout.root,
-        )
-    found = {cameras: _by_street(reference, query, cameras, pairs, repeating) for cameras, pairs in found.items()}
-    paired = sum(map(len, found.values()))
-    if not paired:
-        job.reporter.note(f"{where}: {_ON_STREET}; left out")
-    elif paired < asking:
-        job.reporter.note(f"{where}: {asking - paired} of {asking} queries of all cameras are in no pair")
-    return [_unit(job, reference, query, cameras, pairs) for cameras, pairs in found.items() if pairs]
-
-
-def _by_street(
-    reference: TraversalPlan,
-    query: TraversalPlan,
-    cameras: tuple[str, str],
-    pairs: list[Pair],
-    repeating: RepeatingStreet,
-) -> list[Pair]:
-    """The pairs by the rule for the street whose houses repeat themselves."""
-    if repeating == "keep":
-        return pairs
-    repeats: dict[int, bool] = {}
-    for plan, camera in zip((reference, query), cameras, strict=True):
-        there = on_repeating_street(plan.place, plan.frames(camera).T_world_cam)
-        repeats |= dict(zip(plan.times, there.tolist(), strict=True))
-    return sorted_by_street(pairs, repeats, repeating)
-
-
-def _rng(job: Build[RuleOptions], reference: TraversalPlan, query: TraversalPlan) -> np.random.Generator:
-    """The same for all cameras of a rig, so that their pairs are of the same moments wherever possible."""
-    return np.random.default_rng([job.options.seed, 6, reference.number, query.number])
-
-
-def _overlap(reference: TraversalPlan, query: TraversalPlan, of_reference: str, of_query: str, pair: Pair) -> float:
-    """How much of what a query sees a keyframe has seen, without moving cars."""
-    sides = (reference, of_reference, pair.ref_timestamp_ns), (query, of_query, pair.query_timestamp_ns)
-    views = []
-    for plan, name, time in sides:
-        camera, T_rig_cam = plan.cameras[name]
-        T_world_cam = plan.drive.T_world_rig[plan.times.index(time)] @ T_rig_cam
-        views.append(View(plan.place, plan.condition.factors, camera, T_world_cam))
-    return guessed_overlap_of_query(*views)
-
-
-def _unit(
-    job: Build[RuleOptions],
-    reference: TraversalPlan,
-    query: TraversalPlan,
-    cameras: tuple[str, str],
-    pairs: Sequence[Pair],
-) -> PairSetUnit:
-    ordered = tuple(sorted(pairs, key=lambda p: p.key))
-    keyframes, asking = {p.ref_timestamp_ns for p in ordered}, {p.query_timestamp_ns for p in ordered}
-    return PairSetUnit(
-        job.writer.layout,
-        reference.split,
-        (reference.name, query.name),
-        cameras,
-        ordered,
-        _views(reference, cameras[0], keyframes),
-        _views(query, cameras[1], asking),
-        job.options.correspondences,
-        job.options.seed,
-    )
 
 
 def _views(plan: TraversalPlan, camera: str, wanted: set[int]) -> dict[int, View]:

@@ -11,7 +11,6 @@ from relocbench.arrays import Array, Indices, Mask
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.measures import PairMeasures
-from relocbench.datasets.synthetic.conditions.presets import RepeatingStreet
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.metrics.pose.tiers import TIERS, Tier, tiers
@@ -86,19 +85,13 @@ def on_repeating_street(place: DistrictSpec, T_world_cam: Array) -> Mask:
     return np.asarray(away.min(axis=1) <= _STREET_M)
 
 
-def sorted_by_street(pairs: Sequence[Pair], repeats: Mapping[int, bool], rule: RepeatingStreet) -> list[Pair]:
-    """The pairs with those on the repeating street left out, or in a group of their own.
+def sorted_by_street(pairs: Sequence[Pair], repeats: Mapping[int, bool], *, avoid: bool) -> list[Pair]:
+    """The pairs with those on the repeating street left out (``avoid``), or in a group of their own.
 
     Args:
         repeats: by time of a keyframe or query, whether its camera stands there.
     """
-    if rule == "keep":
-        return list(pairs)
     there = [repeats[p.ref_timestamp_ns] or repeats[p.query_timestamp_ns] for p in pairs]
-    if rule == "avoid":
+    if avoid:
         return [pair for pair, is_there in zip(pairs, there, strict=True) if not is_there]
     return [replace(p, group=REPEATING) if is_there else p for p, is_there in zip(pairs, there, strict=True)]
-
-
-EVERYTHING = Selection()
-"""keeps all pairs"""
