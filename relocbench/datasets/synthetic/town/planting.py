@@ -257,8 +257,8 @@ def plant_gardens(planting: Planting, block: Block, plots: list[Plot]) -> None:
         for start, end in zip(ends[::2], ends[1::2], strict=True):
             planting.hedge(a + start * d + 0.45 * inward, a + end * d + 0.45 * inward, height)
         for x in doors:
-            ends = ((-0.6, 0), (0.6, 0), (0.6, side.garden_m), (-0.6, side.garden_m))
-            corners = np.array([a + (x + e) * d + y * inward for e, y in ends])
+            rim = ((-0.6, 0), (0.6, 0), (0.6, side.garden_m), (-0.6, side.garden_m))
+            corners = np.array([a + (x + e) * d + y * inward for e, y in rim])
             path = quads(at_height(corners, _ON_PAVEMENT_M), Material.PAVEMENT)
             planting.static.append(single(path, 0, 6, Semantic.PAVEMENT))
         if side.garden_m > 3.0:
