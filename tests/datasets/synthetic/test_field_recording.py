@@ -322,7 +322,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, robotcar_lay
     road = town.network.drive(path_length(2, "robotcar") + 1.0, 0)
     recorded = record(town, road, condition_named("Sunny").factors, out, frames=2, scale=0.1, cameras=())
     start_us = int((recorded.folder / "vo" / "vo.csv").read_text().splitlines()[1].split(",")[1])
-    layout = robotcar_layout.RobotCarLayout(out, start_us, 2, 0.1, ("stereo/centre", "stereo/right", "mono_left"))
+    layout = robotcar_layout.RobotCarLayout(out, 2, 0.1, ("stereo/centre", "stereo/right", "mono_left"), start_us)
     for name, mount in layout.cameras.items():
         for i, time in enumerate(layout.times[name].tolist()):
             layout.write_image(name, layout.path(name, i), picture(mount.camera.size))

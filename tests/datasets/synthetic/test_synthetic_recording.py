@@ -115,7 +115,7 @@ def test_opencv_restores_the_colours_of_a_mosaic(pattern: str, code: int) -> Non
 def test_recorded_mosaics_hold_the_rendered_colours(reading: RobotCarReading, truth: Truth) -> None:
     for camera, code in (("stereo/right", cv2.COLOR_BayerGBRG2RGB), ("mono_left", cv2.COLOR_BayerRGGB2RGB)):
         stamp, path = next(iter(reading.files(camera, ".png").items()))
-        values = robotcar_layout.RobotCarLayout(reading.root, 0, 2, SCALE).cameras[camera]
+        values = robotcar_layout.RobotCarLayout(reading.root, 2, SCALE, (camera,), 0).cameras[camera]
         pose = truth.rig(stamp * 1000) @ truth.T_rig[camera]
         renderer = SolidTexture(street_mesh(Street(), TRAFFIC), TRAFFIC, np.zeros((0, 3)), Street().seed)
         frame = renderer.render(values.camera, pose, 0)
@@ -245,7 +245,9 @@ def test_calibration_is_that_of_the_real_car(real_data: Callable[[str], Path]) -
         lines = (real / "models" / f"{name}.txt").read_text().splitlines()
         focal, cx, cy = lens.intrinsics
         np.testing.assert_allclose([focal, focal, cx, cy], [float(v) for v in lines[0].split()], atol=1e-9)
-        own = robotcar_layout.model_text(robotcar_layout.RobotCarLayout(real, 0, 2, 1.0).camera(name), lens)
+        own = robotcar_layout.model_text(
+            robotcar_layout.RobotCarLayout(real, 2, 1.0, robotcar_layout.CAMERAS, 0).camera(name), lens
+        )
         published_rotation = [[float(v) for v in line.split()[:3]] for line in lines[1:4]]
         own_rotation = [[float(v) for v in line.split()[:3]] for line in own.splitlines()[1:4]]
         np.testing.assert_allclose(own_rotation, published_rotation, atol=1e-9)
@@ -451,7 +453,7 @@ def test_the_kitti_importer_reads_a_recording_and_agrees_with_the_truth(
         expected = invert(T_world_cam[pair.query_timestamp_ns]) @ T_world_cam[pair.ref_timestamp_ns]
         np.testing.assert_allclose(pair.T_query_ref, expected, atol=1e-6)
     traversal = dataset.traversal("kitti_00")
-    camera = KittiLayout(root, "00", 4, 0.35).cameras["image_0"].camera
+    camera = KittiLayout(root, 4, 0.35, ("image_0",), "00", 64, 2000, True).cameras["image_0"].camera
     renderer = SolidTexture(street_mesh(Street(), Factors()), Factors(), np.zeros((0, 3)), 0)
     errors = []
     for time_ns, pose in T_world_cam.items():

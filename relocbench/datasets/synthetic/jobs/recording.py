@@ -65,6 +65,11 @@ class Recorded:
 
 LayoutName = Literal["robotcar", "kitti", "boreas"]
 RATES_HZ: dict[str, float] = {"robotcar": 16.0, "kitti": 10.0, "boreas": 10.0}
+_USUAL_CAMERAS: dict[LayoutName, tuple[str, ...]] = {
+    "robotcar": robotcar_layout.CAMERAS,
+    "kitti": ("image_0", "image_1"),
+    "boreas": boreas_layout.CAMERAS,
+}
 
 
 @dataclass(frozen=True)
@@ -104,16 +109,13 @@ class DriveOptions:
         _rate_hz(self.layout)
         if not 0 < self.scale <= 1:
             raise ConfigError(f"the scale of the images must be in (0, 1], got {self.scale}")
+        chosen = _USUAL_CAMERAS[self.layout] if self.cameras is None else self.cameras
+        drive, start_us = (out, self.frames, self.scale, chosen), _FIRST_US + self.number * _DAY_US
         if self.layout == "kitti":
-            chosen = ("image_0", "image_1") if self.cameras is None else self.cameras
-            spinning = (self.rings, self.azimuths, not self.motion_distorted)
-            return KittiLayout(out, f"{self.number:02d}", self.frames, self.scale, chosen, *spinning)
-        start = _FIRST_US + self.number * _DAY_US
+            return KittiLayout(*drive, f"{self.number:02d}", self.rings, self.azimuths, not self.motion_distorted)
         if self.layout == "boreas":
-            chosen = boreas_layout.CAMERAS if self.cameras is None else self.cameras
-            return boreas_layout.BoreasLayout(out, start, self.frames, self.scale, chosen, self.rings, self.azimuths)
-        chosen = robotcar_layout.CAMERAS if self.cameras is None else self.cameras
-        return robotcar_layout.RobotCarLayout(out, start, self.frames, self.scale, chosen)
+            return boreas_layout.BoreasLayout(*drive, start_us, self.rings, self.azimuths)
+        return robotcar_layout.RobotCarLayout(*drive, start_us)
 
 
 def record(

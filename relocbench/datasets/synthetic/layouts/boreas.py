@@ -55,17 +55,11 @@ _POINT_BYTES = 24
 class BoreasLayout(Layout):
     """One drive."""
 
-    root: Path
     start_us: int
     """time of the first image, microseconds since 1970"""
-    frames: int
-    scale: float
-    """image size relative to the real camera"""
-    chosen: tuple[str, ...] = CAMERAS
-    """cameras to record"""
-    rings: int = 64
+    rings: int
     """of the lidar; the real one has 128"""
-    azimuths: int = 2000
+    azimuths: int
     format = "Boreas"
     known_cameras = CAMERAS
 

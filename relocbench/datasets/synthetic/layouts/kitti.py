@@ -34,6 +34,7 @@ _R_FORWARD_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0
 _T_RIG_LIDAR = make_transform(np.eye(3), [0.0, 0.27, 1.73])
 _T_LIDAR_CAM0 = make_transform(_R_FORWARD_CAMERA, [0.27, 0.0, -0.08])
 """the lidar is 1.73 m above the road, the cameras 1.65 m and 0.27 m further forward (KITTI's set-up page)"""
+_T_RIG_CAM0 = _T_RIG_LIDAR @ _T_LIDAR_CAM0
 _PERIOD_NS = 100_000_000
 
 
@@ -41,16 +42,11 @@ _PERIOD_NS = 100_000_000
 class KittiLayout(Layout):
     """One sequence."""
 
-    root: Path
     sequence: str
-    frames: int
-    scale: float
-    """image size relative to the real cameras"""
-    chosen: tuple[str, ...] = ("image_0", "image_1")
-    """cameras to record"""
-    rings: int = 64
-    azimuths: int = 2000
-    compensated: bool = True
+    """two digits"""
+    rings: int
+    azimuths: int
+    compensated: bool
     """whether scans are motion-compensated, as those of KITTI's odometry benchmark are"""
     format = "KITTI"
     known_cameras = CAMERAS
@@ -61,17 +57,12 @@ class KittiLayout(Layout):
 
     @property
     def folder(self) -> Path:
-        return self.root / "sequences" / self.sequence
+        return self.root / "sequences" / self.name
 
     @cached_property
     def cameras(self) -> Mapping[str, CameraMount]:
-        T_rig_cam0 = _T_RIG_LIDAR @ _T_LIDAR_CAM0
-        return {
-            name: CameraMount(
-                _CAMERA.scaled(self.scale), T_rig_cam0 @ make_transform(np.eye(3), [CAMERAS[name], 0.0, 0.0])
-            )
-            for name in self.chosen
-        }
+        T_cam0_cam = {name: make_transform(np.eye(3), [CAMERAS[name], 0.0, 0.0]) for name in self.chosen}
+        return {name: CameraMount(_CAMERA.scaled(self.scale), _T_RIG_CAM0 @ T) for name, T in T_cam0_cam.items()}
 
     @cached_property
     def lidars(self) -> Mapping[str, LidarMount]:
@@ -106,15 +97,14 @@ class KittiLayout(Layout):
             rows.append(f"P{i}: {_numbers(projection)}\n")
         rows.append(f"Tr: {_numbers(invert(_T_LIDAR_CAM0)[:3])}\n")
         write_text(self.folder / "calib.txt", "".join(rows))
-        ticks = np.arange(self.frames, dtype=np.int64) * _PERIOD_NS
+        ticks = self.times["velodyne"]
         write_text(self.folder / "times.txt", "".join(f"{t / 1e9:.9e}\n" for t in ticks.tolist()))
-        T_rig_cam0 = _T_RIG_LIDAR @ _T_LIDAR_CAM0
         T_world_rig = trajectory.at(ticks)
-        _write_poses(self.root / "truth" / self.sequence / "poses_cam0.txt", T_world_rig @ T_rig_cam0)
+        _write_poses(self.root / "truth" / self.name / "poses_cam0.txt", T_world_rig @ _T_RIG_CAM0)
         rng = np.random.default_rng([seed, 22])
         solution = odometry.inertial(ticks, T_world_rig, odometry.InertialErrors(), rng)
-        T_world_cam0 = solution.T_world_body @ T_rig_cam0
-        _write_poses(self.root / "poses" / f"{self.sequence}.txt", invert(T_world_cam0[0]) @ T_world_cam0)
+        T_world_cam0 = solution.T_world_body @ _T_RIG_CAM0
+        _write_poses(self.root / "poses" / f"{self.name}.txt", invert(T_world_cam0[0]) @ T_world_cam0)
         return {"compensated_scans": self.compensated, "ins_offset_east_north_up_m": solution.offset_m.tolist()}
 
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -105,13 +105,18 @@ class LidarMount:
     """whether scans are written motion-compensated"""
 
 
+@dataclass(frozen=True)
 class Layout(ABC):
-    """A format on disk: it defines the sensors and their times, and writes what they measure.
+    """One drive in a format on disk, which defines the sensors and their times, and writes what they measure.
 
     Subclasses are dataclasses; they are pickled without their cached properties.
     """
 
     root: Path
+    frames: int
+    """images of each camera (RobotCar: of the stereo lenses)"""
+    scale: float
+    """image size relative to the real cameras"""
     chosen: tuple[str, ...]
     """cameras to record"""
     format: ClassVar[str]
@@ -123,7 +128,7 @@ class Layout(ABC):
                 raise ConfigError(f"no {self.format} camera '{name}'{available(name, self.known_cameras)}")
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     @abstractmethod

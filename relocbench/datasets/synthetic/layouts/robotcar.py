@@ -88,15 +88,8 @@ _SCAN_BYTES = 541 * 3 * 8
 class RobotCarLayout(Layout):
     """One traversal."""
 
-    root: Path
     start_us: int
     """time of the first stereo image, microseconds since 1970"""
-    frames: int
-    """stereo images per lens"""
-    scale: float
-    """image size relative to the real cameras"""
-    chosen: tuple[str, ...] = CAMERAS
-    """cameras to record"""
     format = "RobotCar"
     known_cameras = CAMERAS
 
