@@ -38,7 +38,7 @@ PRIOR_CORRELATION = 0.95
 
 _LIKELY, _CAUTIOUS = 1.28, 3.0
 """quantiles of the normal distribution at 90 % and 99.9 %"""
-_OF_RUNS = 0.9
+_OF_RUNS = 0.95
 """probability with which the mean length of runs is below the bound that is taken"""
 _MIN_BLOCKS = 16
 """blocks of an average set, at least, in which a correlation of block means is looked for"""
@@ -153,7 +153,7 @@ def inflation_of_runs(touched: Sequence[Mask]) -> float:
 
     An event whose runs have lengths with a geometric law of mean L goes on with the probability ``1 - 1 / L``. If it is
     rare, that is the correlation of neighbours, so that V is ``2 L - 1``. A few runs tell little of L: it is taken at
-    the upper bound of a one-sided 90 % interval, that of the mean of as many exponential lengths.
+    the upper bound of a one-sided 95 % interval, that of the mean of as many exponential lengths.
 
     Args:
         touched: (N,) of each road, in which of its stretches the event occurs.

@@ -88,9 +88,9 @@ def test_differences_have_the_inflation_of_their_series() -> None:
 
 
 def test_a_few_runs_tell_little_of_their_length() -> None:
-    """Of one run of one pair, the mean of its geometric law is below 1 / -ln(0.9) with a probability of 90 %."""
+    """Of one run of one pair, the mean of its geometric law is below 1 / -ln(0.95) with a probability of 95 %."""
     alone = np.arange(300) == 7
-    assert inflation_of_runs([alone]) == pytest.approx(2 / -math.log(0.9) - 1)
+    assert inflation_of_runs([alone]) == pytest.approx(2 / -math.log(0.95) - 1)
     assert inflation_of_runs([~alone & False]) == 1.0
     rng = np.random.default_rng(0)
     runs = rng.geometric(0.25, 20000)
