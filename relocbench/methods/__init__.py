@@ -6,16 +6,13 @@ from relocbench.methods.discovery import (
     SUBPROCESS,
     TRACKERS,
     MethodKind,
-    MethodSpec,
     distribution_version,
     installed_methods,
     kind_of,
     method_class,
     parameters_of,
-    parse_method,
-    parse_methods,
-    target_of,
 )
+from relocbench.methods.specs import MethodSpec, parse_method, parse_methods, target_of
 
 __all__ = [
     "KINDS",

@@ -15,8 +15,9 @@ from typing import IO, Any
 
 from relocbench.errors import MethodError, one_line
 from relocbench.files import atomic_write, sha256_file
-from relocbench.methods.discovery import MethodSpec, method_class
+from relocbench.methods.discovery import method_class
 from relocbench.methods.lookup import call_third_party
+from relocbench.methods.specs import MethodSpec
 from relocbench.progress import Reporter, Silent
 from relocbench.weights import PublishedFile
 

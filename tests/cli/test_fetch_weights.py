@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from command_line import relocbench
 
-from relocbench.methods.discovery import parse_method
 from relocbench.methods.fetching import Weights, weights_of
+from relocbench.methods.specs import parse_method
 from relocbench.weights import PublishedFile, SupportsFetching
 
 CONTENT = b"numbers of a network" * 40_000

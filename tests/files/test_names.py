@@ -29,7 +29,7 @@ from relocbench.files import (
     load_yaml,
     plain_name,
 )
-from relocbench.methods.discovery import parse_method, parse_methods
+from relocbench.methods.specs import parse_method, parse_methods
 
 BAD = {
     "nothing": "",

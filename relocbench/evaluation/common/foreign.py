@@ -23,7 +23,8 @@ from relocbench.evaluation.isolation.method_process import FORGED, MethodProcess
 from relocbench.execution import MANY_TIMES, Loss, Run, run_limited, step
 from relocbench.files import dump_yaml, parse_yaml
 from relocbench.methods import TRACKERS, MethodKind, MethodSpec, parse_method, parse_methods
-from relocbench.methods.discovery import MOST_ASSUMED, START, is_ours, split_label
+from relocbench.methods.discovery import is_ours
+from relocbench.methods.specs import MOST_ASSUMED, START, split_label
 
 _MODULE = "relocbench.evaluation.isolation.foreign_process"
 _MOST_CHARACTERS = 2**17

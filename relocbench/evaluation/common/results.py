@@ -32,7 +32,7 @@ from relocbench.files import (
     remove_parts,
     write_text,
 )
-from relocbench.methods.discovery import MOST_ASSUMED
+from relocbench.methods.specs import MOST_ASSUMED
 
 PREDICTIONS = "predictions:"
 """prefix of the target of predictions that were made elsewhere"""

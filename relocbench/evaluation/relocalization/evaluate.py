@@ -46,7 +46,7 @@ from relocbench.evaluation.retrieval.score import unanswered
 from relocbench.execution import Run, kept_workers
 from relocbench.files import check_label
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodKind, MethodSpec
-from relocbench.methods.discovery import parse_method, setting_label
+from relocbench.methods.specs import parse_method, setting_label
 from relocbench.progress import Reporter
 
 TOP = 3
