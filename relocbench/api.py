@@ -169,7 +169,7 @@ def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequ
     """
     import pandas as pd
 
-    from relocbench.evaluation.tables.records import NUMBERS
+    from relocbench.evaluation.tables.errors import NUMBERS
 
     frames = []
     for entry in _entries(Path(results), split, datasets):

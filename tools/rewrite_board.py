@@ -26,8 +26,9 @@ from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.layout import pair_set_parts
 from relocbench.errors import MethodError
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord, RunRecord
-from relocbench.evaluation.tables.records import ALL, NUMBERS, ErrorTable, MatchingRow, PairErrors
-from relocbench.evaluation.tables.schema import write_rows
+from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable, PairErrors
+from relocbench.evaluation.tables.matching import MatchingRow
+from relocbench.evaluation.tables.schema import ALL, write_rows
 from relocbench.leaderboard.common.text import cell
 from relocbench.leaderboard.tracking.doubt import TruthCheck
 from relocbench.leaderboard.tracking.long_form import leaderboard_rows
@@ -35,7 +36,7 @@ from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import TOTALS, Board, DatasetEntry
 from relocbench.leaderboard.tracking.tables import make_board
 from relocbench.leaderboard.tracking.write import write_pages
-from relocbench.methods.discovery import MethodSpec
+from relocbench.methods.specs import MethodSpec
 
 Rows = list[dict[str, str]]
 _KEY = ("dataset", "pair_set", "split", "group", "method")

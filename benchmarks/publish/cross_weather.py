@@ -49,7 +49,8 @@ from baselines.gn_net.tracker import ONE_START
 from relocbench.arrays import Array
 from relocbench.datasets.importers.edition.districts import District, districts
 from relocbench.evaluation.common.results import all_results
-from relocbench.evaluation.tables.records import ALL, read_errors
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.metrics import (
     CONFIDENT,
     LEVEL,

@@ -25,7 +25,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.results import dataset_results
-from relocbench.evaluation.tables.records import read_answers
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.score import read_predictions
 from relocbench.geometry import apply
 

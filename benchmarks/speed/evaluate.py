@@ -22,7 +22,7 @@ from relocbench.datasets.core.pair_table import write_pairs
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers import importer
-from relocbench.evaluation.tables.records import read_answers
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution import Run, default_workers
 from relocbench.progress import Silent

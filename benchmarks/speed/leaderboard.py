@@ -39,7 +39,8 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
     write_record,
 )
-from relocbench.evaluation.tables.records import Answer, PairErrors, write_answers, write_errors
+from relocbench.evaluation.tables.answers import ANSWERS, Answer
+from relocbench.evaluation.tables.errors import PairErrors, write_errors
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,
@@ -109,7 +110,7 @@ def _write_method(
     for name in names:
         rows = _rows(rng, pairs, scale)
         write_pose_lines(folder.predictions(name), [PoseLine(*row.key, pose) for row in rows if row.status == "ok"])
-        write_answers(folder.answers(name), [Answer(*row.key, row.status, row.seconds) for row in rows])
+        ANSWERS.write(folder.answers(name), [Answer(*row.key, row.status, row.seconds) for row in rows])
         write_errors(folder.errors(name), rows)
         hashes[name], errors[name] = predictions_hash(folder, name), errors_hash(folder, name)
         scores[name] = {group: summarize_rows(rows, group).to_dict() for group in groups_of(rows)}

@@ -14,7 +14,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError, available, quoted
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, all_results, check_made_for
-from relocbench.evaluation.tables.records import read_answers
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.score import read_predictions, score_pair_set
 
 

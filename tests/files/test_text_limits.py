@@ -30,8 +30,10 @@ from relocbench.errors import DatasetError, RelocbenchError, quoted
 from relocbench.evaluation.relocalization.answers import read_pipeline
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import read_answers
-from relocbench.evaluation.tables.records import ANSWERS, read_errors, read_matching
-from relocbench.evaluation.tables.records import read_answers as read_pair_answers
+from relocbench.evaluation.tables.answers import ANSWERS
+from relocbench.evaluation.tables.answers import read_answers as read_pair_answers
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.matching import read_matching
 from relocbench.files import (
     parse_count,
     parse_floats,

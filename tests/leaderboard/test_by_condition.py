@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from made_results import Made, MadeResults
 
-from relocbench.evaluation.tables.records import ErrorTable
+from relocbench.evaluation.tables.errors import ErrorTable
 from relocbench.leaderboard.common.model import NO_RANK
 from relocbench.leaderboard.tracking.by_condition import ByCondition, by_condition
 from relocbench.leaderboard.tracking.reservations import FinerThresholds, finer_thresholds

@@ -18,7 +18,7 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import dataset_results, write_dataset_record
 from relocbench.evaluation.probe.records import RADII, SHARES, STARTS
-from relocbench.evaluation.tables.records import OFFSETS_PX, MatchingRow
+from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
 from relocbench.evaluation.tables.schema import write_rows
 from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import make_transform, so3_exp

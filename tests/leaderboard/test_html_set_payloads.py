@@ -20,7 +20,7 @@ from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Facto
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import PairSetRecord, dataset_results, write_dataset_record
 from relocbench.evaluation.probe.records import RADII, SHARES, read_probe
-from relocbench.evaluation.tables.records import OFFSETS_PX, MatchingRow
+from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow
 from relocbench.evaluation.tables.schema import write_rows
 from relocbench.files import dump_yaml, write_text
 from relocbench.geometry import invert, make_transform, so3_exp

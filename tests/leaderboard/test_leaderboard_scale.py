@@ -18,7 +18,7 @@ import relocbench.evaluation.common.folders as folders_module
 import relocbench.evaluation.common.results as results_module
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.records import NUMBERS, ErrorTable, PairErrors, read_errors, write_errors
+from relocbench.evaluation.tables.errors import NUMBERS, ErrorTable, PairErrors, read_errors, write_errors
 from relocbench.files import load_yaml, write_text
 from relocbench.leaderboard import load_results, make_board, write_leaderboard
 from relocbench.leaderboard.common import loading as loading_module

@@ -21,7 +21,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.records import read_answers, read_errors
+from relocbench.evaluation.tables.answers import read_answers
+from relocbench.evaluation.tables.errors import read_errors
 from relocbench.evaluation.tracking.check import check
 from relocbench.geometry import invert, make_transform
 from relocbench.methods import parse_method

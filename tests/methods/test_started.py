@@ -13,7 +13,7 @@ from trackers_for_tests import FromPrior
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError
-from relocbench.evaluation.tables.records import read_answers
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.methods import parse_method, parse_methods
 from relocbench.methods.started import StartedTracker

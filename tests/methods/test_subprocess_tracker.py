@@ -18,7 +18,7 @@ from small_dataset import ACROSS, make_small_dataset
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import read_depth, read_image, read_points
 from relocbench.errors import MethodError
-from relocbench.evaluation.tables.records import read_errors
+from relocbench.evaluation.tables.errors import read_errors
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.methods import parse_method, subprocess_tracker

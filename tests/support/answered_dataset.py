@@ -9,7 +9,7 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.evaluation.common.results import RunRecord, dataset_results
-from relocbench.evaluation.tables.records import Answer, write_answers
+from relocbench.evaluation.tables.answers import ANSWERS, Answer
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.files import dump_yaml, write_text
 
@@ -34,5 +34,5 @@ def add_answers(
         write_pose_lines(folder.predictions(pair_set.name), lines)
         failed = [Answer(*key, "failed", 0.5, None, message, info) for key, pose in poses.items() if pose is None]
         answered = [Answer(*key, "ok", 0.5, 0.9, "", info) for key, pose in poses.items() if pose is not None]
-        write_answers(folder.answers(pair_set.name), sorted([*failed, *answered], key=lambda one: one.key))
+        ANSWERS.write(folder.answers(pair_set.name), sorted([*failed, *answered], key=lambda one: one.key))
     score_method(dataset, dataset.pair_sets(), folder)

@@ -28,7 +28,7 @@ import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.evaluation.tables.records import OFFSETS_PX
+from relocbench.evaluation.tables.matching import OFFSETS_PX
 from relocbench.tracking import Query, Reference, TrackResult
 
 SPACING_M = 0.15

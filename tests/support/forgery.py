@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.records import ErrorTable, PairErrors, read_errors, write_errors
+from relocbench.evaluation.tables.errors import ErrorTable, PairErrors, read_errors, write_errors
 from relocbench.evaluation.tracking.score import (
     errors_hash,
     groups_of,

@@ -14,7 +14,8 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.evaluation.common.results import DatasetRecord, MethodResults, PairSetRecord, RunRecord, ScoreRecord
-from relocbench.evaluation.tables.records import Answer, PairErrors, write_answers, write_errors
+from relocbench.evaluation.tables.answers import ANSWERS, Answer
+from relocbench.evaluation.tables.errors import PairErrors, write_errors
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,
@@ -92,7 +93,7 @@ class MadeResults:
             rows = [self._row(i, made) for i in range(self.pair_sets[name])]
             lines = [PoseLine(*r.key, np.eye(4)) for r in rows if r.status == "ok"]
             write_pose_lines(folder.predictions(name), lines)
-            write_answers(folder.answers(name), [Answer(*r.key, r.status, r.seconds) for r in rows])
+            ANSWERS.write(folder.answers(name), [Answer(*r.key, r.status, r.seconds) for r in rows])
             write_errors(folder.errors(name), rows)
             hashes[name], errors[name] = predictions_hash(folder, name), errors_hash(folder, name)
             scores[name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}

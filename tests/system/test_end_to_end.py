@@ -11,7 +11,7 @@ import pytest
 from command_line import relocbench
 
 from relocbench.evaluation.common.results import all_results
-from relocbench.evaluation.tables.records import ErrorTable, read_errors
+from relocbench.evaluation.tables.errors import ErrorTable, read_errors
 
 METHODS = ("-m", "identity", "-m", "orb-pnp", "-m", "dso")
 

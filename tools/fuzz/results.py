@@ -76,20 +76,20 @@ def _dataset_record(place: Place) -> None:
 
 
 def _errors(place: Place) -> None:
-    from relocbench.evaluation.tables.records import read_errors
+    from relocbench.evaluation.tables.errors import read_errors
     from relocbench.evaluation.tracking.score import summarize_rows
 
     summarize_rows(read_errors(place.target), "all")
 
 
 def _answers(place: Place) -> None:
-    from relocbench.evaluation.tables.records import read_answers
+    from relocbench.evaluation.tables.answers import read_answers
 
     read_answers(place.target)
 
 
 def _matching(place: Place) -> None:
-    from relocbench.evaluation.tables.records import read_matching, summarize_matching
+    from relocbench.evaluation.tables.matching import read_matching, summarize_matching
 
     summarize_matching(read_matching(place.target))
 

@@ -135,7 +135,7 @@ def _print_scores(name: str, pair_set: PairSet, folders: list[MethodResults]) ->
     """The scores of all pairs of a pair set; those of its groups are in ``scores.yaml`` and ``--json``."""
     from relocbench.cli.boards import short_heading
     from relocbench.cli.console import print_table
-    from relocbench.evaluation.tables.records import ALL
+    from relocbench.evaluation.tables.schema import ALL
     from relocbench.leaderboard.common.text import METHOD, number
     from relocbench.leaderboard.tracking.model import RANKING
     from relocbench.metrics import metric_named, shown_in
@@ -170,7 +170,7 @@ def _print_elsewhere(title: str, pair_set: str, folders: list[MethodResults]) ->
 
 def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.evaluation.tables.records import ALL
+    from relocbench.evaluation.tables.schema import ALL
     from relocbench.leaderboard.common.text import METHOD, heading, number
 
     scores = {f.label: f.score_record().matching.get(pair_set, {}).get(ALL) for f in folders}

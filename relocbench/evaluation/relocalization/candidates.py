@@ -13,7 +13,7 @@ from relocbench.evaluation.common.options import Overwrite
 from relocbench.evaluation.common.results import DatasetResults, MethodResults
 from relocbench.evaluation.isolation.worker import journal_entries
 from relocbench.evaluation.relocalization.pipeline import Tracked
-from relocbench.evaluation.tables.records import read_answers
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.run import run_method
 from relocbench.evaluation.tracking.score import read_predictions
 from relocbench.execution import Run

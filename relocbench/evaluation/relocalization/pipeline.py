@@ -12,7 +12,7 @@ from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.evaluation.relocalization.answers import Outcome, PipelineAnswer
 from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
-from relocbench.evaluation.tables.records import Answer
+from relocbench.evaluation.tables.answers import Answer
 from relocbench.metrics import PoseErrors, pose_errors, within
 from relocbench.metrics.pose.scores import CORRECT
 

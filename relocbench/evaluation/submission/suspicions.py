@@ -9,7 +9,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.tables.records import Answer
+from relocbench.evaluation.tables.answers import Answer
 from relocbench.metrics import pose_errors
 
 _SAME = 1e-6

@@ -39,7 +39,7 @@ from relocbench.evaluation.submission.contract import (
 from relocbench.evaluation.submission.folder import answer_files
 from relocbench.evaluation.submission.resolving import ResolvedDataset, resolve
 from relocbench.evaluation.submission.suspicions import odd_answers, same_answers
-from relocbench.evaluation.tables.records import ANSWERS, Answer, write_answers
+from relocbench.evaluation.tables.answers import ANSWERS, Answer
 from relocbench.evaluation.tables.schema import KEY_COLUMNS, STATUS, TableRow
 from relocbench.evaluation.tracking.score import read_predictions, score_method
 from relocbench.files import parse_timestamp, read_csv, read_rows
@@ -233,7 +233,7 @@ class TrackedDataset(AnsweredDataset):
             if of.given:
                 lines = [PoseLine(*key, of.poses[key]) for key in of.pair_set.by_key if key in of.poses]
                 write_pose_lines(row.predictions(of.name), lines)
-                write_answers(row.answers(of.name), of.complete_answers())
+                ANSWERS.write(row.answers(of.name), of.complete_answers())
         return row
 
     def run_record(self, fields: dict[str, Any]) -> RunRecord:

@@ -35,6 +35,8 @@ from relocbench.files import (
     read_table_chunks,
 )
 
+ALL = "all"
+"""the group of all pairs of a set; and all start offsets together"""
 STATUSES = ("ok", "failed", "error")
 """the method answered; it reported a failure; it raised, crashed or broke the contract"""
 _YEAR_S = 366 * 86400.0

@@ -28,7 +28,8 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.common.runs import run_each
 from relocbench.evaluation.isolation.capabilities import capabilities_of
-from relocbench.evaluation.tables.records import read_answers, read_matching
+from relocbench.evaluation.tables.answers import read_answers
+from relocbench.evaluation.tables.matching import read_matching
 from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import run_method

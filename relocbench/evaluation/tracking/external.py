@@ -23,7 +23,7 @@ from relocbench.evaluation.common.results import (
     RunRecord,
     write_record,
 )
-from relocbench.evaluation.tables.records import Answer, read_answers, write_answers
+from relocbench.evaluation.tables.answers import ANSWERS, Answer, read_answers
 from relocbench.evaluation.tracking.score import read_predictions
 
 
@@ -58,7 +58,7 @@ def import_predictions(
     checked = [(pair_set.name, *_checked(dataset, theirs, path, pair_set)) for pair_set, path in files]
     for name, lines, answers in checked:
         write_pose_lines(ours.predictions(name), lines)
-        write_answers(ours.answers(name), answers)
+        ANSWERS.write(ours.answers(name), answers)
     write_record(ours.run_yaml, record)
     return ours
 

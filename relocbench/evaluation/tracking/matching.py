@@ -43,13 +43,7 @@ from relocbench.evaluation.isolation.worker import (
     visibility_of,
     write_entry,
 )
-from relocbench.evaluation.tables.records import (
-    OFFSETS_PX,
-    MatchingRow,
-    check_complete,
-    read_matching,
-    write_matching,
-)
+from relocbench.evaluation.tables.matching import MATCHING, OFFSETS_PX, MatchingRow, check_complete, read_matching
 from relocbench.evaluation.tracking.run import new_record
 from relocbench.execution import Run, step
 from relocbench.files import locked_folder
@@ -173,7 +167,7 @@ def _collect(pair_set: PairSet, folder: MethodResults) -> None:
         for pair in pair_set.pairs
         for counts in entries[pair.key]["found"]
     ]
-    write_matching(folder.matching(pair_set.name), [MatchingRow(*row) for row in rows])
+    MATCHING.write(folder.matching(pair_set.name), [MatchingRow(*row) for row in rows])
     remove_journal(journal)
 
 

@@ -39,7 +39,7 @@ from relocbench.evaluation.isolation.worker import (
     visibility_of,
     write_entry,
 )
-from relocbench.evaluation.tables.records import Answer, read_answers, write_answers
+from relocbench.evaluation.tables.answers import ANSWERS, Answer, read_answers
 from relocbench.execution import MANY_TIMES, Run, kept_workers, step
 from relocbench.files import locked_folder, read_rows, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec
@@ -223,7 +223,7 @@ def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
             )
         )
     write_text(folder.predictions(pair_set.name), "".join(lines))
-    write_answers(folder.answers(pair_set.name), answers)
+    ANSWERS.write(folder.answers(pair_set.name), answers)
     remove_journal(journal)
 
 

@@ -17,20 +17,16 @@ from relocbench.datasets.core.pair_table import MEASURES
 from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, ScoreRecord, check_made_for, write_record
-from relocbench.evaluation.tables.records import (
-    ALL,
-    Answer,
-    ErrorTable,
+from relocbench.evaluation.tables.answers import Answer, read_answers
+from relocbench.evaluation.tables.errors import ErrorTable, PairErrors, groups_in, write_errors
+from relocbench.evaluation.tables.matching import (
     MatchingRow,
-    PairErrors,
     Summary,
     check_complete,
-    groups_in,
-    read_answers,
     read_matching,
     summarize_matching,
-    write_errors,
 )
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.files import plain_file, remove_parts
 from relocbench.geometry import Camera
 from relocbench.metrics import PairSetSummary, align_predictions, pose_errors, reprojection_errors

@@ -18,7 +18,7 @@ from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import DatasetResults, MethodResults, RunRecord, write_record
-from relocbench.evaluation.tables.records import Answer, write_answers
+from relocbench.evaluation.tables.answers import ANSWERS, Answer
 from relocbench.geometry import se3_exp, se3_log
 from relocbench.methods import MethodSpec
 
@@ -46,7 +46,7 @@ def run_identity(
     for pair_set in pair_sets:
         folder.root.mkdir(parents=True, exist_ok=True)
         write_pose_lines(folder.predictions(pair_set.name), [PoseLine(*p.key, np.eye(4)) for p in pair_set.evaluated])
-        write_answers(folder.answers(pair_set.name), [Answer(*p.key, "ok") for p in pair_set.evaluated])
+        ANSWERS.write(folder.answers(pair_set.name), [Answer(*p.key, "ok") for p in pair_set.evaluated])
     record = RunRecord(
         method=spec.label,
         target=spec.target,
@@ -152,7 +152,7 @@ def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetRe
             answers = [Answer(*pair.key, "ok") for pair in pairs]
         folder.root.mkdir(parents=True, exist_ok=True)
         write_pose_lines(folder.predictions(pair_set.name), lines)
-        write_answers(folder.answers(pair_set.name), answers)
+        ANSWERS.write(folder.answers(pair_set.name), answers)
     record = RunRecord(
         method=CLOCK,
         target=TARGET,

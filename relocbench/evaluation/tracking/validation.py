@@ -15,7 +15,8 @@ from relocbench.errors import PredictionError, available
 from relocbench.evaluation.common.dataset_lookup import check_record
 from relocbench.evaluation.common.results import PREDICTIONS, DatasetRecord, MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.common.runs import labelled_target, settings_of
-from relocbench.evaluation.tables.records import ANSWERS, ERRORS, read_errors
+from relocbench.evaluation.tables.answers import ANSWERS
+from relocbench.evaluation.tables.errors import ERRORS, read_errors
 from relocbench.evaluation.tracking.score import FORMULAS
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,

@@ -17,15 +17,8 @@ from relocbench.datasets.core.pair_table import MEASURES
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
-from relocbench.evaluation.tables.records import (
-    ERRORS,
-    NUMBERS,
-    ErrorTable,
-    MatchingRow,
-    check_complete,
-    read_matching,
-    summarize_matching,
-)
+from relocbench.evaluation.tables.errors import ERRORS, NUMBERS, ErrorTable
+from relocbench.evaluation.tables.matching import MatchingRow, check_complete, read_matching, summarize_matching
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,

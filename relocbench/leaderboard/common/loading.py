@@ -22,7 +22,7 @@ from relocbench.errors import ConfigError, PredictionError, available
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.folders import AnswerFolder, SetFolder, SetLike, folders_with, sets_in
 from relocbench.evaluation.common.results import RunRecord
-from relocbench.evaluation.tables.records import ALL
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.leaderboard.common.cards import distinct_label
 from relocbench.leaderboard.common.model import Method, Row
 from relocbench.leaderboard.common.near_copies import came, nearly_same_settings

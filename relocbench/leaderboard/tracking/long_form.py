@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import repeat
 
-from relocbench.evaluation.tables.records import ERRORS, ErrorTable
+from relocbench.evaluation.tables.errors import ERRORS, ErrorTable
 from relocbench.files import CHUNK_ROWS
 from relocbench.leaderboard.common.columns import Line, records
 from relocbench.leaderboard.common.text import Value, cell

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from relocbench.evaluation.tables.records import ALL, OFFSETS_PX, Summary, summarize_matching
+from relocbench.evaluation.tables.matching import OFFSETS_PX, Summary, summarize_matching
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.evaluation.tracking.score import groups_of
 from relocbench.leaderboard.common.text import Value, number
 from relocbench.leaderboard.tracking.method import Method

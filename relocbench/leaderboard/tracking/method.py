@@ -22,7 +22,9 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
 )
 from relocbench.evaluation.submission.kept import KeptCard, kept_card
-from relocbench.evaluation.tables.records import ALL, ErrorTable, MatchingRow, read_errors
+from relocbench.evaluation.tables.errors import ErrorTable, read_errors
+from relocbench.evaluation.tables.matching import MatchingRow
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.evaluation.tracking.trivial import IDENTITY_TARGETS
 from relocbench.evaluation.tracking.trivial import TARGET as CLOCK_TARGET
 from relocbench.evaluation.tracking.verification import (

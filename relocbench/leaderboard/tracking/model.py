@@ -11,7 +11,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.dataset_lookup import Truth
 from relocbench.evaluation.common.results import DatasetRecord, PairSetRecord
-from relocbench.evaluation.tables.records import ALL, ErrorTable
+from relocbench.evaluation.tables.errors import ErrorTable
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.leaderboard.common import model as common
 from relocbench.leaderboard.common.loading import Loaded
 from relocbench.leaderboard.tracking.method import Method, natural

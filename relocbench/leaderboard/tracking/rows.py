@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from relocbench.arrays import Array
-from relocbench.evaluation.tables.records import ALL, ErrorTable
+from relocbench.evaluation.tables.errors import ErrorTable
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.leaderboard.common.loading import Plan, Standing
 from relocbench.leaderboard.tracking.method import Method
 from relocbench.leaderboard.tracking.model import MEDIANS, Row

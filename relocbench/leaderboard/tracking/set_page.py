@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.evaluation.tables.records import ALL
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.files import json_text
 from relocbench.leaderboard.common.cards import answers_on_copies, shown_cards
 from relocbench.leaderboard.common.text import COUNTS, ELSEWHERE, METHOD, RANK, SECONDS_AND_P95, number

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from relocbench.errors import ConfigError
-from relocbench.evaluation.tables.records import ALL, ErrorTable
+from relocbench.evaluation.tables.errors import ErrorTable
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.leaderboard.common.loading import Plan, compared
 from relocbench.leaderboard.common.over_datasets import OverDatasets, Part, over_datasets
 from relocbench.leaderboard.tracking.load import Trackers

@@ -191,7 +191,7 @@ def test_poses_with_the_weights_of_the_authors(real_data: Callable[[str], Path],
     words = ("-m", "aliked=baselines.learned_pnp:AlikedPnp", "--set", f"aliked.weights={weights}")
     told = relocbench("evaluate", "-d", dataset.root, *words, "-o", tmp_path / "out", "-j", 0, "--json")
     assert told.status == 0, told.err
-    from relocbench.evaluation.tables.records import read_errors
+    from relocbench.evaluation.tables.errors import read_errors
 
     (table,) = (tmp_path / "out").glob(f"*/aliked/{ACROSS}.errors.csv")
     rows = read_errors(table)

@@ -26,7 +26,8 @@ from relocbench.datasets.importers.photos.cameras import camera_of
 from relocbench.datasets.importers.photos.lists import listed_pairs
 from relocbench.datasets.importers.photos.points import Observations, keyframe_points
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.evaluation.tables.records import ALL, read_errors
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.schema import ALL
 from relocbench.evaluation.tracking.colmap_export import colmap_camera
 from relocbench.evaluation.tracking.exports import export_poses
 from relocbench.execution import Run

@@ -28,7 +28,9 @@ from relocbench.evaluation.isolation.worker import Visibility, units_of
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_pipelines
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
-from relocbench.evaluation.tables.records import OFFSETS_PX, Answer, read_answers, read_errors, read_matching
+from relocbench.evaluation.tables.answers import Answer, read_answers
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.matching import OFFSETS_PX, read_matching
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution.sandbox import NONE, working_sandbox

@@ -25,7 +25,8 @@ from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, DatasetError, PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.records import ANSWERS, PairErrors, read_answers
+from relocbench.evaluation.tables.answers import ANSWERS, read_answers
+from relocbench.evaluation.tables.errors import PairErrors
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.score import predictions_hash
 from relocbench.evaluation.tracking.validation import validate_results

@@ -23,7 +23,7 @@ from relocbench.evaluation.relocalization.evaluate import (
 from relocbench.evaluation.relocalization.pipeline import most_confident
 from relocbench.evaluation.relocalization.records import PipelineResults
 from relocbench.evaluation.relocalization.score import per_query
-from relocbench.evaluation.tables.records import read_errors
+from relocbench.evaluation.tables.errors import read_errors
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.progress import Silent
 
@@ -184,7 +184,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     from relocbench.evaluation.relocalization.basin import Basin
     from relocbench.evaluation.relocalization.pipeline import Retrieved, Tracked, pipeline_answers
     from relocbench.evaluation.relocalization.truth import MapTruth
-    from relocbench.evaluation.tables.records import Answer
+    from relocbench.evaluation.tables.answers import Answer
 
     again = Dataset(made.root)
     times = again.traversal("winter").timestamps(CAMERA), again.traversal("summer").timestamps(CAMERA)

@@ -11,7 +11,7 @@ from refusals import refused
 
 from relocbench.errors import PredictionError
 from relocbench.evaluation.retrieval import answers as retrieved
-from relocbench.evaluation.tables.records import ANSWERS, Answer, read_answers, write_answers
+from relocbench.evaluation.tables.answers import ANSWERS, Answer, read_answers
 from relocbench.evaluation.tables.schema import Schema
 from relocbench.files import tables
 
@@ -41,7 +41,7 @@ def test_columns_and_fields_give_the_answers_that_were_written(
     tmp_path_factory: pytest.TempPathFactory, written: list[Answer], chunk: int
 ) -> None:
     path = tmp_path_factory.mktemp("answers") / "set.csv"
-    write_answers(path, written)
+    ANSWERS.write(path, written)
     expected = {answer.key: answer for answer in written}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tables, "CHUNK_ROWS", chunk)

@@ -16,7 +16,7 @@ from relocbench.datasets.checks.faults import Findings
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import dataset_results, write_dataset_record
-from relocbench.evaluation.tables.records import ERRORS, PairErrors, read_errors, write_errors
+from relocbench.evaluation.tables.errors import ERRORS, PairErrors, read_errors, write_errors
 from relocbench.files import write_text
 from relocbench.leaderboard import load_results, make_board
 

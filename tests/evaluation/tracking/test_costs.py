@@ -12,7 +12,7 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.evaluation.common.results import DatasetResults, MethodResults
-from relocbench.evaluation.tables.records import Answer, read_answers
+from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution.memory import peak_resident_bytes
 from relocbench.progress import Silent

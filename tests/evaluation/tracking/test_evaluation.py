@@ -20,7 +20,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine, read_pose_lines, write_pose_lines
 from relocbench.errors import DatasetError, MethodError, PredictionError
 from relocbench.evaluation.common.results import DatasetResults
-from relocbench.evaluation.tables.records import read_answers, read_errors
+from relocbench.evaluation.tables.answers import read_answers
+from relocbench.evaluation.tables.errors import read_errors
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.evaluation.tracking.validation import validate_results
 from relocbench.files import locked_folder, read_journal

@@ -20,13 +20,8 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.records import (
-    OFFSETS_PX,
-    MatchingRow,
-    read_matching,
-    summarize_matching,
-    write_matching,
-)
+from relocbench.evaluation.tables.matching import MATCHING as TABLE
+from relocbench.evaluation.tables.matching import OFFSETS_PX, MatchingRow, read_matching, summarize_matching
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.evaluation.tracking.matching import PER_PAIR, draw_starts
@@ -292,7 +287,7 @@ def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Datas
     folder = evaluate(dataset, tmp_path / "r", MATCHING).folders[0]
     rows = read_matching(folder.matching(ACROSS))
     better = replace(rows[0], within_1px=0, within_3px=0)
-    write_matching(folder.matching(ACROSS), [better, *rows[1:]])
+    TABLE.write(folder.matching(ACROSS), [better, *rows[1:]])
     with refused(PredictionError, folder.matching(ACROSS), None, "changed"):
         write_leaderboard(tmp_path / "r", tmp_path / "b")
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
@@ -304,7 +299,7 @@ def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Datas
     with refused(PredictionError, folder.matching(ACROSS), None, "missing", "scores.yaml"):
         write_leaderboard(tmp_path / "r", tmp_path / "b")
     assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
-    write_matching(folder.matching(ACROSS), rows[1:])
+    TABLE.write(folder.matching(ACROSS), rows[1:])
     with refused(PredictionError, folder.matching(ACROSS), None, len(rows) // len(OFFSETS_PX), "one row"):
         evaluate(dataset, tmp_path / "r", MATCHING)
 

@@ -29,7 +29,7 @@ from relocbench.evaluation.isolation import worker
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
 from relocbench.evaluation.retrieval.describe import anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
-from relocbench.evaluation.tables.records import Answer, read_answers
+from relocbench.evaluation.tables.answers import Answer, read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.execution import MANY_TIMES, Run, parse_size, run_limited, worker_process
 from relocbench.progress import Silent

@@ -28,7 +28,9 @@ from relocbench.evaluation.retrieval.answers import read_answers as read_retriev
 from relocbench.evaluation.retrieval.describe import Describer
 from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.run import RetrieverSession
-from relocbench.evaluation.tables.records import MATCHING, Answer, read_answers, read_errors, read_matching
+from relocbench.evaluation.tables.answers import Answer, read_answers
+from relocbench.evaluation.tables.errors import read_errors
+from relocbench.evaluation.tables.matching import MATCHING, read_matching
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.leaderboard.tracking.load import load_results

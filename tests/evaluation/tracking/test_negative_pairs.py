@@ -25,7 +25,8 @@ from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.dataset_lookup import DatasetLookup
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tables.records import Answer, PairErrors, read_answers, read_errors, write_answers
+from relocbench.evaluation.tables.answers import ANSWERS, Answer, read_answers
+from relocbench.evaluation.tables.errors import PairErrors, read_errors
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.exports import export_poses
 from relocbench.evaluation.tracking.validation import validate_results
@@ -68,7 +69,7 @@ def confidently(dataset: Dataset, folder: Path, *, right: int = 0) -> Path:
     lines += [PoseLine(*pair.key, pair.T_query_ref) for pair in pair_set.pairs]
     answers += [Answer(*pair.key, "ok", confidence=1.0) for pair in pair_set.pairs]
     write_pose_lines(folder / f"{ACROSS}.txt", lines)
-    write_answers(folder / f"{ACROSS}.csv", answers)
+    ANSWERS.write(folder / f"{ACROSS}.csv", answers)
     return folder
 
 

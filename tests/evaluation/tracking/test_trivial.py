@@ -10,7 +10,7 @@ from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.arrays import Array
 from relocbench.errors import PredictionError
-from relocbench.evaluation.tables.records import read_answers
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.trivial import clock_poses
 from relocbench.geometry import make_transform, so3_exp

@@ -20,7 +20,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, read_pose_lines
 from relocbench.datasets.core.upright import R_frame_camera
 from relocbench.errors import PredictionError
-from relocbench.evaluation.tables.records import read_answers
+from relocbench.evaluation.tables.answers import read_answers
 from relocbench.execution import run_units
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.leaderboard.html import links

@@ -13,7 +13,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.evaluation.common.results import PairSetRecord
 from relocbench.evaluation.probe.records import PROBE, ProbeTables, read_probe
 from relocbench.evaluation.probe.starts import KINDS
-from relocbench.evaluation.tables.records import OFFSETS_PX, Summary
+from relocbench.evaluation.tables.matching import OFFSETS_PX, Summary
 from relocbench.leaderboard.tracking.matching import matching_lines
 from relocbench.leaderboard.tracking.model import DatasetBoard
 

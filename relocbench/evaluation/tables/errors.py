@@ -1,16 +1,12 @@
-"""The tables of a tracker on a pair set: how its answers came about, their errors, and its matching quality.
-
-``PAIRSET.csv`` has a row for each answer, ``PAIRSET.matching.csv`` one for each pair and start offset, and
-``PAIRSET.errors.csv`` one for each pair, which is stored by column: 100,000 pairs take some 10 MB.
-"""
+"""``PAIRSET.errors.csv``: the errors of a tracker, a row for each pair. By column, 100,000 pairs take some 10 MB."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, overload
 
@@ -18,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Indices
-from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey, may_be_among
-from relocbench.errors import PredictionError
+from relocbench.datasets.core.pairfile import ELSEWHERE
 from relocbench.evaluation.tables.schema import (
-    COUNT,
+    ALL,
     ERROR,
     NUMBER,
-    SECONDS,
     STATUS,
     STATUSES,
     TEXT,
@@ -42,136 +36,7 @@ from relocbench.metrics import (
     summarize_scores,
     within,
 )
-from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 from relocbench.metrics.pose.scores import FLOATS
-
-ALL = "all"
-"""the group of all pairs of a set; and all start offsets together"""
-OFFSETS_PX = tuple(int(edge) for edge in OFFSET_EDGES_PX[1:])
-"""distances between the start and the true pixel"""
-
-Summary = dict[str, dict[str, float | int | None]]
-"""start offset (``all``, ``1px``, ...) -> counts, and shares 0..1"""
-
-
-@dataclass(frozen=True)
-class MatchingRow(PairRecord):
-    """How many pixels of a pair, those that were started at one offset, the method brought near the truth."""
-
-    group: Annotated[str, TEXT]
-    offset_px: Annotated[int, COUNT]
-    pixels: Annotated[int, COUNT]
-    """number of pixels that started at this offset; every pixel starts at one offset only"""
-    answered: Annotated[int, COUNT]
-    within_1px: Annotated[int, COUNT]
-    within_3px: Annotated[int, COUNT]
-    start_within_1px: Annotated[int, COUNT]
-    """starts that are that near already, which a method that does not move would get"""
-    start_within_3px: Annotated[int, COUNT]
-    message: Annotated[str, TEXT] = ""
-    """how the method crashed, in which case it answered no pixel"""
-
-    @property
-    def named(self) -> str:
-        return ""  # a pair has a row for each offset
-
-    def contradiction(self) -> str | None:
-        if self.within_1px <= self.within_3px <= self.answered <= self.pixels:
-            return None
-        return "expected within_1px <= within_3px <= answered <= pixels"
-
-
-MATCHING = Schema(MatchingRow)
-
-
-def write_matching(path: Path, rows: Sequence[MatchingRow]) -> None:
-    """Write ``PAIRSET.matching.csv``, in the order given."""
-    MATCHING.write(path, rows)
-
-
-def read_matching(path: Path) -> list[MatchingRow]:
-    """Read ``PAIRSET.matching.csv``; one of earlier versions, which started each pixel at every offset, is refused.
-
-    Raises PredictionError with file and line.
-    """
-    try:
-        return MATCHING.read(path)
-    except PredictionError as bad:
-        if bad.line != 1:
-            raise
-        raise PredictionError(f"{bad.expected}; remove the file and measure again (--matching)", path, 1) from None
-
-
-def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: Path) -> None:
-    """Raise PredictionError unless there is one row for each pair of the set and each offset."""
-    present = sorted((row.key, row.offset_px) for row in rows)
-    if present != sorted((key, offset) for key in keys for offset in OFFSETS_PX):
-        raise PredictionError(
-            f"expected one row for each of the {len(keys)} pairs and each offset "
-            f"({', '.join(map(str, OFFSETS_PX))} px); remove the file and measure again",
-            path,
-        )
-
-
-def summarize_matching(rows: Sequence[MatchingRow], group: str = ALL) -> Summary:
-    """Shares of all correspondences of a group's pairs, over all offsets and by offset; None where there are none."""
-    chosen = [row for row in rows if group in (ALL, row.group)]
-    return {
-        ALL: _shares(chosen),
-        **{f"{offset}px": _shares([row for row in chosen if row.offset_px == offset]) for offset in OFFSETS_PX},
-    }
-
-
-def _shares(rows: Sequence[MatchingRow]) -> dict[str, float | int | None]:
-    count = sum(row.pixels for row in rows)
-
-    def share(name: str) -> float | None:
-        return sum(getattr(row, name) for row in rows) / count if count else None
-
-    return {
-        "count": count,
-        "answered": share("answered"),
-        "match@1px": share("within_1px"),
-        "match@3px": share("within_3px"),
-        "start@1px": share("start_within_1px"),
-        "start@3px": share("start_within_3px"),
-    }
-
-
-@dataclass(frozen=True)
-class Answer(PairRecord):
-    """How the answer to one pair came about; the pose itself is in the prediction file."""
-
-    status: Annotated[str, STATUS]
-    seconds: Annotated[float | None, SECONDS] = None
-    """wall-clock time of the tracker alone, after reading the images and preparing the reference"""
-    confidence: Annotated[float | None, NUMBER] = None
-    message: Annotated[str, TEXT] = ""
-    info: Annotated[str, TEXT] = ""
-    """JSON object with whatever else the method reported"""
-    peak_memory_bytes: Annotated[int | None, or_blank(COUNT)] = None
-    """the most resident memory of the method's process until this answer, as the evaluator measured it"""
-
-
-ANSWERS = Schema(Answer, added_later=1)
-
-
-def write_answers(path: Path, answers: Sequence[Answer]) -> None:
-    """Write ``PAIRSET.csv``, in the order given."""
-    ANSWERS.write(path, answers)
-
-
-def read_answers(path: Path, only: Container[PairKey] | None = None) -> dict[PairKey, Answer]:
-    """Read ``PAIRSET.csv``.
-
-    Args:
-        only: the pairs whose rows are read and checked, if not all are; much faster where they are few.
-
-    Raises:
-        PredictionError: with file and line: a wrong header, a field that cannot be read, a pair that occurs twice.
-    """
-    keep = None if only is None else partial(may_be_among, only)
-    return {answer.key: answer for answer in ANSWERS.read(path, keep)}
 
 
 @dataclass(frozen=True)
